@@ -1,0 +1,1 @@
+//! Names the surface a sensorised stylus is dragged over.
