@@ -1,1 +1,19 @@
-//! Names the surface a sensorised stylus is dragged over.
+//! Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
+//!
+//! Data flow; no folder imports against the arrow:
+//!
+//! ```text
+//! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
+//!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
+//! duration (HSIC, T*) and evaluate (protocols, chart, stress, plan) stand on library + kernel; cli and serve on top of all.
+//! ```
+//!
+//! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes
+//! every draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no
+//! clock, no global state.
+
+pub mod kernel;
+pub mod library;
+pub mod scene;
+pub mod seed;
+pub mod trial;

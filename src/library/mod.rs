@@ -1,0 +1,128 @@
+//! A library: labelled trials to compare with, loaded when they are needed.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::scene::{Scene, SceneError, SourceId};
+use crate::trial::{SignalError, Trial, TrialKey};
+
+/// Why a trial or a library cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum LibraryError {
+    /// the file system said no
+    #[error("{}: {error}", path.display())]
+    Io {
+        /// the file or folder
+        path: PathBuf,
+        /// what the file system said
+        error: std::io::Error,
+    },
+    /// a file that does not hold what it should
+    #[error("{}: {problem}", path.display())]
+    File {
+        /// the file
+        path: PathBuf,
+        /// what is wrong, what was expected, what to do
+        problem: String,
+    },
+    /// a file whose data cannot be a signal
+    #[error("{}: {error}", path.display())]
+    Signal {
+        /// the file
+        path: PathBuf,
+        /// what is wrong with the data
+        error: SignalError,
+    },
+    /// a description of sources that cannot be used
+    #[error("{}: {error}", path.display())]
+    Scene {
+        /// the file
+        path: PathBuf,
+        /// what is wrong with it
+        error: Box<SceneError>,
+    },
+    /// a folder without recordings
+    #[error("{}: {problem}", path.display())]
+    NothingFound {
+        /// the folder
+        path: PathBuf,
+        /// what was looked for, and what to do
+        problem: String,
+    },
+}
+
+/// Something that can produce one trial: files on disk, a generator, memory.
+pub trait LoadTrial: Send + Sync + fmt::Debug {
+    /// Reads all sources of the trial.
+    ///
+    /// # Errors
+    /// If one of its sources cannot be read.
+    fn load(&self) -> Result<Trial, LibraryError>;
+}
+
+#[derive(Debug)]
+struct InMemory(Trial);
+
+impl LoadTrial for InMemory {
+    fn load(&self) -> Result<Trial, LibraryError> {
+        Ok(self.0.clone())
+    }
+}
+
+/// One trial of a library: known by name, loaded on demand.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Which surface, whose hand, which repetition.
+    pub key: TrialKey,
+    /// What it holds, sorted by name.
+    pub sources: Vec<SourceId>,
+    loader: Arc<dyn LoadTrial>,
+}
+
+impl Entry {
+    /// An entry that `loader` will produce.
+    pub fn new(key: TrialKey, mut sources: Vec<SourceId>, loader: Arc<dyn LoadTrial>) -> Self {
+        sources.sort();
+        Self { key, sources, loader }
+    }
+
+    /// An entry for a trial that is already in memory.
+    pub fn in_memory(trial: Trial) -> Self {
+        let sources = trial.signals.keys().cloned().collect();
+        Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory(trial)) }
+    }
+
+    /// Reads the trial.
+    ///
+    /// # Errors
+    /// If one of its sources cannot be read.
+    pub fn load(&self) -> Result<Trial, LibraryError> {
+        self.loader.load()
+    }
+}
+
+/// Labelled trials and what their sources are.
+#[derive(Clone, Debug)]
+pub struct Library {
+    /// For people.
+    pub name: String,
+    /// What the sources are: the defaults, and those that the library itself describes.
+    pub scene: Scene,
+    /// The trials, sorted by key.
+    pub entries: Vec<Entry>,
+    /// Made by a generator, not recorded: said wherever its numbers appear.
+    pub synthetic: bool,
+    /// For people: what was missing or passed over while it was opened, a line each.
+    pub remarks: Vec<String>,
+}
+
+impl Library {
+    /// The surfaces, sorted.
+    pub fn surfaces(&self) -> Vec<&str> {
+        let mut surfaces: Vec<_> = self.entries.iter().map(|e| e.key.surface.as_str()).collect();
+        surfaces.sort_unstable();
+        surfaces.dedup();
+        surfaces
+    }
+}

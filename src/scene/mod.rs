@@ -1,0 +1,165 @@
+//! What the sources of a station are. A source is a row of configuration, not a case in the code.
+//!
+//! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
+//! works with.
+
+mod config;
+
+pub use config::SceneError;
+
+use std::borrow::Borrow;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+/// Short name of a source, such as `mi2`: letters, digits, `_` and `-`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
+#[serde(transparent)]
+pub struct SourceId(Arc<str>);
+
+impl SourceId {
+    /// A source name.
+    ///
+    /// # Errors
+    /// If the name is empty or holds anything but letters, digits, `_` and `-`, since it also
+    /// names a file.
+    pub fn new(name: &str) -> Result<Self, SceneError> {
+        let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if name.is_empty() || !name.chars().all(fits) {
+            return Err(SceneError::SourceName(name.into()));
+        }
+        Ok(Self(name.into()))
+    }
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for SourceId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.0)
+    }
+}
+
+impl Borrow<str> for SourceId {
+    fn borrow(&self) -> &str {
+        &self.0
+    }
+}
+
+/// How samples are drawn from a source.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Domain {
+    /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
+    Spectrum {
+        /// lowest and highest frequency
+        band_hz: (f64, f64),
+    },
+    /// Equidistant samples in time.
+    Time,
+    /// A grid of pixels, in HSV.
+    Image,
+}
+
+/// The part of a scan that a source is cut from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Phase {
+    /// The tap that opens a scan.
+    Tap,
+    /// The drag that follows.
+    Drag,
+    /// No part: a picture.
+    Still,
+}
+
+/// One source: what it is and how it is compared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceSpec {
+    /// Short name, also that of its files.
+    pub id: SourceId,
+    /// For people.
+    pub what: String,
+    /// The physical sensor.
+    pub sensor: String,
+    /// The part of a scan it is cut from.
+    pub phase: Phase,
+    /// How samples are drawn.
+    pub domain: Domain,
+    /// Number of channels.
+    pub channels: usize,
+    /// Sample rate in Hz, if recordings must have this one.
+    pub rate_hz: Option<f64>,
+    /// Shift the query's mean to the library trial's, channel by channel (Eq. 8).
+    pub align_mean: bool,
+    /// Exponent of the source's score in the discrepancy score (Eq. 9).
+    pub weight: f64,
+    /// A fixed length scale instead of the median heuristic.
+    pub sigma: Option<f64>,
+    /// Added to the score n·MMD²_b.
+    pub score_offset: f64,
+}
+
+/// The sources of a station, by name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// For people.
+    pub name: String,
+    sources: BTreeMap<SourceId, SourceSpec>,
+}
+
+impl Scene {
+    /// The eight sources of LMT108.
+    pub fn lmt108() -> Self {
+        // A test parses the embedded file.
+        config::parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
+    }
+
+    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
+    ///
+    /// # Errors
+    /// With line and column, if the text is not TOML, has an unknown key, or describes an
+    /// impossible source.
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        config::parse(text)
+    }
+
+    /// This scene with the sources of another added; the other's win where both name one.
+    pub fn with(mut self, other: Scene) -> Self {
+        self.sources.extend(other.sources);
+        if !other.name.is_empty() {
+            self.name = other.name;
+        }
+        self
+    }
+
+    /// This scene with only the named sources.
+    ///
+    /// # Errors
+    /// If a name is not a source of the scene.
+    pub fn only(mut self, names: &[SourceId]) -> Result<Self, SceneError> {
+        if let Some(name) = names.iter().find(|name| !self.sources.contains_key(*name)) {
+            let known = self.sources.keys().map(SourceId::as_str).collect::<Vec<_>>().join(", ");
+            return Err(SceneError::UnknownSource { name: name.to_string(), known });
+        }
+        self.sources.retain(|id, _| names.contains(id));
+        Ok(self)
+    }
+
+    /// One source.
+    pub fn get(&self, id: &str) -> Option<&SourceSpec> {
+        self.sources.get(id)
+    }
+
+    /// All sources, sorted by name.
+    pub fn sources(&self) -> impl ExactSizeIterator<Item = &SourceSpec> {
+        self.sources.values()
+    }
+
+    /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
+    pub fn to_toml(&self) -> String {
+        config::write(self)
+    }
+}

@@ -1,0 +1,30 @@
+//! Who and what a trial is: surface, user, number.
+
+/// The user of a trial that names none.
+pub const EXPERT: &str = "expert";
+
+/// Names one trial: which surface, whose hand, which repetition.
+///
+/// Ordered by surface, then user, then number, which is also the order in which ties are broken.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
+pub struct TrialKey {
+    /// The label: what a recogniser is asked for.
+    pub surface: String,
+    /// Who moved the stylus; [`EXPERT`] unless the recording says otherwise.
+    pub user: String,
+    /// Number of the repetition, counted from 1.
+    pub number: u32,
+}
+
+impl TrialKey {
+    /// A key from its three parts.
+    pub fn new(surface: impl Into<String>, user: impl Into<String>, number: u32) -> Self {
+        Self { surface: surface.into(), user: user.into(), number }
+    }
+}
+
+impl std::fmt::Display for TrialKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} · {} · trial {}", self.surface, self.user, self.number)
+    }
+}

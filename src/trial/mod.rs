@@ -1,0 +1,35 @@
+//! One recorded interaction with one surface: all its sources, as they came from the sensors.
+
+mod label;
+mod signal;
+
+pub use label::{EXPERT, TrialKey};
+pub use signal::{Image, Series, Signal, SignalError};
+
+use std::collections::BTreeMap;
+
+use crate::scene::SourceId;
+
+/// One interaction with one surface, all its sources.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    /// Which surface, whose hand, which repetition.
+    pub key: TrialKey,
+    /// What was recorded. Sources may be missing: a comparison uses those that both trials have.
+    pub signals: BTreeMap<SourceId, Signal>,
+}
+
+impl Trial {
+    /// This trial with each of its series that follows a drag cut to the first `seconds`.
+    ///
+    /// Taps are transients and images have no duration; `is_drag` tells which sources to cut.
+    pub fn first_seconds(mut self, seconds: f64, is_drag: impl Fn(&SourceId) -> bool) -> Self {
+        for (id, signal) in &mut self.signals {
+            if let (Signal::Series(series), true) = (signal, is_drag(id)) {
+                let frames = (seconds * series.rate_hz()).round() as usize;
+                *series = series.crop(0, frames.min(series.frames()));
+            }
+        }
+        self
+    }
+}

@@ -1,0 +1,218 @@
+//! Raw data of one source: a multichannel series, or an image.
+
+use ndarray::{ArrayView2, ArrayViewMut2};
+
+/// Why data cannot be a signal.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum SignalError {
+    /// no samples
+    #[error("it holds no samples; record again, or remove the file")]
+    Empty,
+    /// data that do not fill whole frames
+    #[error("{len} values do not divide into {channels} channels")]
+    Ragged {
+        /// number of values
+        len: usize,
+        /// number of channels
+        channels: usize,
+    },
+    /// a rate that is no rate
+    #[error("a sample rate of {0} Hz is not possible; expected a positive number")]
+    Rate(f64),
+    /// NaN or infinity among the samples
+    #[error(
+        "channel {channel} is {value} at sample {frame}; expected finite numbers \
+         (a broken cable gives such values: check the connector)"
+    )]
+    NotFinite {
+        /// channel, counted from 1
+        channel: usize,
+        /// frame, counted from 1
+        frame: usize,
+        /// what stands there
+        value: f32,
+    },
+    /// an image of another shape
+    #[error(
+        "the image is {width}×{height} pixels; expected 320 wide and 480 high, or that turned by 90°"
+    )]
+    ImageSize {
+        /// width in pixels
+        width: usize,
+        /// height in pixels
+        height: usize,
+    },
+}
+
+/// Data of one source.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Signal {
+    /// Samples in time.
+    Series(Series),
+    /// A picture.
+    Image(Image),
+}
+
+/// Samples in time, shape (frames, channels), all finite, at least one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series {
+    rate_hz: f64,
+    channels: usize,
+    /// Interleaved: frame by frame.
+    samples: Vec<f32>,
+}
+
+impl Series {
+    /// A series from interleaved samples.
+    ///
+    /// # Errors
+    /// If there are no samples, if they do not fill whole frames, if one is not finite, or if the
+    /// rate is not positive.
+    pub fn new(rate_hz: f64, channels: usize, samples: Vec<f32>) -> Result<Self, SignalError> {
+        if !(rate_hz.is_finite() && rate_hz > 0.0) {
+            return Err(SignalError::Rate(rate_hz));
+        }
+        if samples.is_empty() || channels == 0 {
+            return Err(SignalError::Empty);
+        }
+        if !samples.len().is_multiple_of(channels) {
+            return Err(SignalError::Ragged { len: samples.len(), channels });
+        }
+        if let Some(at) = samples.iter().position(|x| !x.is_finite()) {
+            let (frame, channel) = (at / channels + 1, at % channels + 1);
+            return Err(SignalError::NotFinite { channel, frame, value: samples[at] });
+        }
+        Ok(Self { rate_hz, channels, samples })
+    }
+
+    /// Frames a second.
+    pub fn rate_hz(&self) -> f64 {
+        self.rate_hz
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.samples.len() / self.channels
+    }
+
+    /// Duration in seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.frames() as f64 / self.rate_hz
+    }
+
+    /// Interleaved samples.
+    pub fn samples(&self) -> &[f32] {
+        &self.samples
+    }
+
+    /// The samples as an array of shape (frames, channels).
+    pub fn view(&self) -> ArrayView2<'_, f32> {
+        // The constructor checked that the samples fill whole frames.
+        ArrayView2::from_shape((self.frames(), self.channels), &self.samples)
+            .expect("samples fill whole frames")
+    }
+
+    /// The samples as a mutable array of shape (frames, channels).
+    pub fn view_mut(&mut self) -> ArrayViewMut2<'_, f32> {
+        let shape = (self.frames(), self.channels);
+        // The constructor checked that the samples fill whole frames.
+        ArrayViewMut2::from_shape(shape, &mut self.samples).expect("samples fill whole frames")
+    }
+
+    /// One channel, in f64.
+    pub fn channel(&self, channel: usize) -> impl ExactSizeIterator<Item = f64> + '_ {
+        self.samples[channel..].iter().step_by(self.channels).map(|&x| f64::from(x))
+    }
+
+    /// A copy of frames `start..end`, both clamped to the series; at least one frame stays.
+    pub fn crop(&self, start: usize, end: usize) -> Self {
+        let start = start.min(self.frames() - 1);
+        let end = end.clamp(start + 1, self.frames());
+        let samples = self.samples[start * self.channels..end * self.channels].to_vec();
+        Self { samples, ..*self }
+    }
+}
+
+/// A picture of [`Image::ROWS`] × [`Image::COLS`] pixels, 8-bit RGB, upright.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Row by row, three bytes a pixel.
+    rgb: Vec<u8>,
+}
+
+impl Image {
+    /// Height in pixels.
+    pub const ROWS: usize = 480;
+    /// Width in pixels.
+    pub const COLS: usize = 320;
+
+    /// An image from RGB bytes, row by row. One that lies on its side (480 wide, 320 high) is
+    /// turned upright, by 90° clockwise.
+    ///
+    /// # Errors
+    /// If the size is any other.
+    pub fn new(width: usize, height: usize, rgb: Vec<u8>) -> Result<Self, SignalError> {
+        if rgb.len() != width * height * 3 {
+            return Err(SignalError::Ragged { len: rgb.len(), channels: 3 });
+        }
+        match (width, height) {
+            (Self::COLS, Self::ROWS) => Ok(Self { rgb }),
+            (Self::ROWS, Self::COLS) => Ok(Self { rgb: turn_clockwise(&rgb, width, height) }),
+            _ => Err(SignalError::ImageSize { width, height }),
+        }
+    }
+
+    /// Red, green and blue of a pixel.
+    pub fn pixel(&self, row: usize, col: usize) -> [u8; 3] {
+        let at = (row * Self::COLS + col) * 3;
+        [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+    }
+
+    /// All pixels, row by row, three bytes each.
+    pub fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+}
+
+fn turn_clockwise(rgb: &[u8], width: usize, height: usize) -> Vec<u8> {
+    let mut turned = Vec::with_capacity(rgb.len());
+    for row in 0..width {
+        for col in 0..height {
+            let at = ((height - 1 - col) * width + row) * 3;
+            turned.extend_from_slice(&rgb[at..at + 3]);
+        }
+    }
+    turned
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_nan_is_named_by_channel_and_sample() {
+        let error = Series::new(1.0, 2, vec![0.0, 1.0, 2.0, f32::NAN]).unwrap_err();
+        assert!(error.to_string().starts_with("channel 2 is NaN at sample 2"), "{error}");
+    }
+
+    #[test]
+    fn a_picture_on_its_side_is_turned_upright() {
+        let mut rgb = vec![0; 480 * 320 * 3];
+        // The left bottom corner of a picture becomes its left top corner.
+        rgb[319 * 480 * 3] = 200;
+        let image = Image::new(480, 320, rgb).unwrap();
+        assert_eq!(image.pixel(0, 0), [200, 0, 0]);
+    }
+
+    #[test]
+    fn cropping_keeps_at_least_one_frame() {
+        let series = Series::new(10.0, 1, vec![1.0, 2.0, 3.0]).unwrap();
+        assert_eq!(series.crop(0, 0).frames(), 1);
+        assert_eq!(series.crop(9, 99).samples(), [3.0]);
+    }
+}
