@@ -14,6 +14,7 @@
 
 pub mod kernel;
 pub mod library;
+pub mod recognise;
 pub mod scene;
 pub mod seed;
 pub mod trial;
