@@ -1,5 +1,16 @@
 //! A library: labelled trials to compare with, loaded when they are needed.
 
+mod about;
+pub(crate) mod files;
+pub(crate) mod loader;
+mod picture;
+pub mod recording;
+mod text;
+mod wav;
+
+pub(crate) use about::FILE as ABOUT_FILE;
+pub use about::{About, ScanMarks};
+
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
