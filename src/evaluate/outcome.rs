@@ -145,6 +145,19 @@ impl Confusion {
         Self { labels, counts }
     }
 
+    /// The most frequent mistakes as (truth, answer, count), the worst first.
+    pub fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
+        let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
+            row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
+        });
+        let mut mistakes: Vec<_> = cells.filter(|(t, a, count)| t != a && *count > 0).collect();
+        mistakes.sort_by_key(|&(truth, answer, count)| (std::cmp::Reverse(count), truth, answer));
+        let named = |(t, a, count): (usize, usize, u32)| {
+            (self.labels[t].as_str(), self.labels[a].as_str(), count)
+        };
+        mistakes.into_iter().take(most).map(named).collect()
+    }
+
     fn precision_mean(&self) -> f64 {
         let of_class = |class: usize| {
             let answered: u32 = self.counts.iter().map(|row| row[class]).sum();

@@ -6,7 +6,9 @@
 mod lanes;
 mod length_scale;
 mod mmd;
+mod permute;
 
 pub use lanes::{Lanes, lane_scale, lane_sum};
 pub use length_scale::{MEDIAN_SUBSET, length_scale};
 pub use mmd::{CrossSums, kernel_sum, mmd2_biased, mmd2_from_sums};
+pub use permute::{PairTest, pair_test};

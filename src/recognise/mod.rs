@@ -5,6 +5,7 @@
 //! paper's method, exactly.
 
 mod colour;
+mod compare;
 mod domain;
 mod prepared;
 mod rank;
@@ -14,6 +15,7 @@ mod score;
 mod spectrum;
 
 pub use colour::hsv;
+pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
 pub use prepared::PreparedTrial;
 pub use rank::{Candidate, RankedSurface, Ranking, rank};

@@ -1,6 +1,6 @@
 //! A trial made ready for the method `reference`: its sources cut to length and sampled.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::RecogniseError;
@@ -69,18 +69,8 @@ impl PreparedTrial {
         self.content
     }
 
-    /// The sources that can be compared.
-    pub(super) fn sources(&self) -> impl Iterator<Item = &SourceId> {
-        self.shapes.keys()
-    }
-
-    /// Whether the trial has a source.
-    pub(super) fn has(&self, id: &SourceId) -> bool {
-        self.shapes.contains_key(id)
-    }
-
     /// Sample rate of a source, if the trial has it and it is no image.
-    pub(super) fn rate_hz(&self, id: &SourceId) -> Option<f64> {
+    fn rate_hz(&self, id: &SourceId) -> Option<f64> {
         self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
     }
 
@@ -148,4 +138,46 @@ fn shape(
         }
         (Signal::Series(series), false) => Ok(Some((series.rate_hz(), series.frames()))),
     }
+}
+
+/// The sources that a query shares with a library, sorted by name.
+///
+/// # Errors
+/// If there is none, or if the rates of one differ.
+pub(super) fn shared_sources<'a>(
+    scene: &'a Scene,
+    query: &PreparedTrial,
+    library: &[Arc<PreparedTrial>],
+) -> Result<Vec<&'a SourceSpec>, RecogniseError> {
+    let sources: Vec<&SourceSpec> = (scene.sources())
+        .filter(|s| query.shapes.contains_key(&s.id))
+        .filter(|s| library.iter().any(|trial| trial.shapes.contains_key(&s.id)))
+        .collect();
+    if sources.is_empty() {
+        return Err(RecogniseError::NothingInCommon {
+            query: names(query.shapes.keys()),
+            library: names(library.iter().flat_map(|trial| trial.shapes.keys())),
+        });
+    }
+    for spec in &sources {
+        let Some(query_hz) = query.rate_hz(&spec.id) else { continue };
+        for trial in library {
+            if let Some(library_hz) = trial.rate_hz(&spec.id)
+                && library_hz != query_hz
+            {
+                return Err(RecogniseError::Rates {
+                    source_name: spec.id.clone(),
+                    query_hz,
+                    library_hz,
+                    trial: trial.entry.key.to_string(),
+                });
+            }
+        }
+    }
+    Ok(sources)
+}
+
+fn names<'a>(ids: impl IntoIterator<Item = &'a SourceId>) -> String {
+    let ids: BTreeSet<_> = ids.into_iter().map(SourceId::as_str).collect();
+    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
 }

@@ -7,15 +7,14 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::domain::DomainSamples;
-use super::prepared::{Cut, PreparedTrial};
+use super::prepared::{Cut, PreparedTrial, shared_sources};
 use super::rank::{Candidate, Ranking, rank};
-use super::sampling::{Extent, Positions, draw_positions};
+use super::sampling::{Extent, Positions, keyed_positions};
 use super::score::{Precision, QuerySet, SampleSet, log_score};
 use super::{Method, RecogniseError};
 use crate::kernel::Lanes;
 use crate::library::Entry;
-use crate::scene::{Scene, SourceId, SourceSpec};
-use crate::seed;
+use crate::scene::{Scene, SourceSpec};
 use crate::trial::{Signal, Trial};
 
 /// Whether sample positions are drawn once for the whole library or anew for each pair of trials.
@@ -98,22 +97,8 @@ impl Reference {
         repetition: usize,
         pair: Option<(u64, u64)>,
     ) -> Positions {
-        let (size, (z, y)) = (
-            match extent {
-                Extent::Time(size) | Extent::Spectrum(size) => size,
-                Extent::Image => 0,
-            },
-            pair.unwrap_or_default(),
-        );
-        let key = [
-            spec.id.as_str().as_bytes(),
-            &size.to_le_bytes(),
-            &repetition.to_le_bytes(),
-            &z.to_le_bytes(),
-            &y.to_le_bytes(),
-        ];
-        let mut rng = seed::rng(self.options.seed, &key);
-        draw_positions(extent, self.options.samples, &mut rng)
+        let ReferenceOptions { samples, seed, .. } = self.options;
+        keyed_positions(&spec.id, extent, samples, seed, repetition, pair)
     }
 
     fn query_source<'a>(&self, spec: &SourceSpec, cut: &'a Cut) -> QuerySource<'a> {
@@ -178,11 +163,6 @@ struct QuerySource<'a> {
     sets: Vec<QuerySet<'a>>,
 }
 
-fn names<'a>(ids: impl IntoIterator<Item = &'a SourceId>) -> String {
-    let ids: std::collections::BTreeSet<_> = ids.into_iter().map(SourceId::as_str).collect();
-    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
-}
-
 impl Method for Reference {
     type Prepared = PreparedTrial;
     type Model = Vec<Arc<PreparedTrial>>;
@@ -208,17 +188,7 @@ impl Method for Reference {
     }
 
     fn rank(&self, model: &Self::Model, query: &PreparedTrial) -> Result<Ranking, RecogniseError> {
-        let sources: Vec<&SourceSpec> = (self.scene.sources())
-            .filter(|s| query.has(&s.id))
-            .filter(|s| model.iter().any(|trial| trial.has(&s.id)))
-            .collect();
-        if sources.is_empty() {
-            return Err(RecogniseError::NothingInCommon {
-                query: names(query.sources()),
-                library: names(model.iter().flat_map(|trial| trial.sources())),
-            });
-        }
-        check_rates(model, query, &sources)?;
+        let sources = shared_sources(&self.scene, query, model)?;
 
         // The query at every length that some library trial asks for; nearly always one a source.
         let mut cuts: Vec<BTreeMap<usize, Arc<Cut>>> = Vec::new();
@@ -273,27 +243,4 @@ fn combine(
             Candidate { key: trial.key().clone(), log_ds: log_ds.sum() }
         })
         .collect()
-}
-
-fn check_rates(
-    model: &[Arc<PreparedTrial>],
-    query: &PreparedTrial,
-    sources: &[&SourceSpec],
-) -> Result<(), RecogniseError> {
-    for spec in sources {
-        let Some(of_query) = query.rate_hz(&spec.id) else { continue };
-        for trial in model {
-            if let Some(rate) = trial.rate_hz(&spec.id)
-                && rate != of_query
-            {
-                return Err(RecogniseError::Rates {
-                    source_name: spec.id.clone(),
-                    query_hz: of_query,
-                    library_hz: rate,
-                    trial: trial.key().to_string(),
-                });
-            }
-        }
-    }
-    Ok(())
 }

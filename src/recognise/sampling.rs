@@ -3,6 +3,8 @@
 use rand::seq::index;
 use rand::{Rng, RngExt};
 
+use crate::scene::SourceId;
+use crate::seed;
 use crate::trial::Image;
 
 /// Rows of the grid of pixels that is drawn from an image.
@@ -56,6 +58,27 @@ pub fn draw_positions(extent: Extent, n: usize, rng: &mut impl Rng) -> Positions
             return image_grid(a0, b0);
         }
     })
+}
+
+/// The positions of one repetition, keyed by what they are for: the same for every trial of a
+/// library, or, where `pair` gives the contents of query and library trial, for that pair alone.
+pub fn keyed_positions(
+    source: &SourceId,
+    extent: Extent,
+    n: usize,
+    seed: u64,
+    repetition: usize,
+    pair: Option<(u64, u64)>,
+) -> Positions {
+    let size = match extent {
+        Extent::Time(size) | Extent::Spectrum(size) => size as u64,
+        Extent::Image => 0,
+    };
+    let (z, y) = pair.unwrap_or_default();
+    let numbers = [size, repetition as u64, z, y].map(u64::to_le_bytes);
+    let mut key: Vec<&[u8]> = vec![source.as_str().as_bytes()];
+    key.extend(numbers.iter().map(<[u8; 8]>::as_slice));
+    draw_positions(extent, n, &mut seed::rng(seed, &key))
 }
 
 /// The grid of pixels from origin row `a0` and column `b0`, both counted from 1 as the paper does.
