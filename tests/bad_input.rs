@@ -282,7 +282,7 @@ fn a_file_that_may_not_be_read() {
     let (_dir, path) = temp();
     let file = path.join("Oak/1/mi2.wav");
     write_wav(&file, 44_100, 1, &[1]);
-    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0)).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o000)).unwrap();
     if std::fs::read(&file).is_ok() {
         eprintln!("SKIPPED: permission denied, since this user (root?) may read anything");
         return;

@@ -107,7 +107,7 @@ fn a_small_tree_is_read_whole() {
         assert_eq!(
             library.remarks,
             [
-                "found: 1 surfaces, 3 trials of the expert, 3 of users; ac × 3 (expert) + 3 (users), \
+                "found: 1 surface, trials: 3 of the expert, 3 of users; ac × 3 (expert) + 3 (users), \
              ca1 × 3 (expert) + 3 (users), ca2 × 3 (expert) + 3 (users), fr × 3 (expert) + 3 (users), \
              ir × 3 (expert) + 3 (users), me × 3 (expert) + 3 (users), mi1 × 3 (expert) + 3 (users), \
              mi2 × 3 (expert) + 3 (users)",
@@ -138,7 +138,7 @@ fn what_is_missing_or_strange_is_said() {
     write_file(&root.join("SoundScans/readme.txt"), "hello");
     let remarks = open(&root).remarks.join("\n");
     for part in [
-        "G1Mesh · expert · trial 1: source `ac` not used, the file of Y is missing",
+        "G1Mesh · expert · trial 1: source `ac` not used, files missing: Y",
         "missing: ca1, ca2\n",
         "missing here and there: ac in 1 of 6 trials",
         "readme.txt: not used, its name does not end with a number",
@@ -192,9 +192,9 @@ fn the_real_recordings_are_read() {
     assert_eq!(
         library.remarks,
         [
-            "found: 20 surfaces, 200 trials of the expert, 0 of users; mi2 × 200 (expert)",
+            "found: 20 surfaces, trials: 200 of the expert, 0 of users; mi2 × 200 (expert)",
             "missing: ac, ca1, ca2, fr, ir, me, mi1",
-            "G1EpoxyRasterPlate · user1 · trial 1: source `ac` not used, the file of Y and Z is missing",
+            "G1EpoxyRasterPlate · user1 · trial 1: source `ac` not used, files missing: Y, Z",
         ]
     );
     for entry in library.entries.iter().step_by(37) {
