@@ -5,7 +5,8 @@
 
 mod name;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::path::{Path, PathBuf};
 
 use name::Part;
@@ -157,10 +158,10 @@ impl Found {
             );
         }
         let channels = self.trials.entry(key).or_default().entry(source).or_default();
-        if channels.contains_key(&channel) {
-            self.pass_over(&item, "not used, another file is this very recording; remove one");
+        if let Entry::Vacant(free) = channels.entry(channel) {
+            free.insert(item.path);
         } else {
-            channels.insert(channel, item.path);
+            self.pass_over(&item, "not used, another file is this very recording; remove one");
         }
     }
 
@@ -198,8 +199,8 @@ fn complete(
     if missing.is_empty() {
         return Ok(Ok(channels.into_values().collect()));
     }
-    let (id, missing) = (&spec.id, missing.join(" and "));
-    Ok(Err(format!("source `{id}` not used, the file of {missing} is missing")))
+    let (id, missing) = (&spec.id, missing.join(", "));
+    Ok(Err(format!("source `{id}` not used, files missing: {missing}")))
 }
 
 fn source_files(
@@ -238,8 +239,9 @@ fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
         }
     }
     let mut remarks = vec![format!(
-        "found: {} surfaces, {experts} trials of the expert, {} of users; {}",
+        "found: {} surface{}, trials: {experts} of the expert, {} of users; {}",
         surfaces.len(),
+        if surfaces.len() == 1 { "" } else { "s" },
         entries.len() - experts,
         found.join(", "),
     )];

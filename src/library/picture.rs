@@ -29,6 +29,9 @@ pub(crate) fn read(path: &Path) -> Result<Image, LibraryError> {
         )
     };
     let signal = |error| LibraryError::Signal { path: path.to_path_buf(), error };
+    if is_cut_short(&bytes) {
+        return Err(damaged("it is truncated".into()));
+    }
     // Decoders are large and may panic on hostile input; nothing outlives the closure.
     match catch_unwind(AssertUnwindSafe(|| decode(&bytes))) {
         Ok(Ok(Ok(picture))) => {
@@ -56,4 +59,28 @@ fn decode(bytes: &[u8]) -> Result<Result<DynamicImage, SignalError>, ImageError>
         return Ok(Err(SignalError::ImageSize { width: size.0, height: size.1 }));
     }
     DynamicImage::from_decoder(decoder).map(Ok)
+}
+
+/// Whether these are the bytes of a JPEG file that lacks its end, whose missing part the decoder
+/// would fill with grey. (PNG has checksums instead.)
+fn is_cut_short(bytes: &[u8]) -> bool {
+    const START: [u8; 2] = [0xFF, 0xD8];
+    let Some(mut rest) = bytes.strip_prefix(&START) else { return false };
+    // Walk from marker to marker: a thumbnail's end inside a segment is not the picture's.
+    loop {
+        let next = rest.windows(2).position(|two| {
+            // 0xFF before 0 is a pixel, before D0 to D7 a restart, before itself a filler.
+            two[0] == 0xFF && !matches!(two[1], 0 | 0xFF | 0xD0..=0xD7)
+        });
+        let Some(at) = next else { return true };
+        if rest[at + 1] == 0xD9 {
+            return false;
+        }
+        let &[_, _, high, low, ..] = &rest[at..] else { return true };
+        let length = usize::from(u16::from_be_bytes([high, low]));
+        match rest.get(at + 2 + length..) {
+            Some(after) => rest = after,
+            None => return true,
+        }
+    }
 }

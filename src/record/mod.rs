@@ -111,6 +111,7 @@ pub fn write_trial(
     }
     if options.durable {
         sync_folder(&surface)?;
+        sync_folder(dir)?;
     }
     Ok(folder)
 }
