@@ -36,6 +36,12 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
+    /// A folder by its path; `None` if its name is not UTF-8.
+    pub fn folder(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?.to_string();
+        Some(Self { name, path: path.to_path_buf(), is_dir: true })
+    }
+
     /// The name without its extension, and the extension in lower case.
     pub fn stem_and_extension(&self) -> (&str, String) {
         match self.name.rsplit_once('.') {

@@ -35,34 +35,28 @@ pub(crate) const UNFINISHED: &str = ".unfinished";
 /// channels or rate are not those expected, two folders hold one trial, or nothing is found.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     let folders = files::list(path)?;
-    let described = path.join(DESCRIPTION);
-    let mut opening = Opening::new(path, defaults.clone());
-    let mut name = String::new();
-    if let Some(text) = files::read_text_if_there(&described)? {
-        let (own, synthetic) = Scene::from_library_toml(&text)
-            .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
-        opening.synthetic = synthetic;
-        opening.declared_hz =
-            own.sources().filter_map(|s| Some((s.id.clone(), s.rate_hz?))).collect();
-        name.clone_from(&own.name);
-        opening.scene = opening.scene.with(own);
-    }
+    let mut opening = Opening::new(path, defaults.clone())?;
     for surface in &folders {
         if surface.is_dir && !surface.is_hidden() {
             opening.surface(surface)?;
         }
     }
-    let Opening { scene, trials, passed, synthetic, .. } = opening;
-    let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
-    if trials.is_empty() {
-        return Err(nothing_found(path, &scene, &remarks));
-    }
-    let entries = trials.into_iter().map(|(key, (_, files))| entry(key, files)).collect();
-    if name.is_empty() {
-        let folder = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-        name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    }
-    Ok(Library { name, scene, entries, synthetic, remarks })
+    opening.library()
+}
+
+/// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one; `library.toml` is heeded.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+    let folder = folder.canonicalize().map_err(|error| LibraryError::io(folder, error))?;
+    let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
+        return Err(LibraryError::file(&folder, "not the folder of a trial"));
+    };
+    let mut opening = Opening::new(surface.parent().unwrap_or(surface), defaults.clone())?;
+    let label = surface.file_name().unwrap_or_default().to_string_lossy();
+    opening.trial(&label, &item)?;
+    opening.library()
 }
 
 /// An entry whose data lie in files.
@@ -108,6 +102,7 @@ impl Seen {
 
 struct Opening<'a> {
     root: &'a Path,
+    name: String,
     scene: Scene,
     declared_hz: BTreeMap<SourceId, f64>,
     synthetic: bool,
@@ -117,16 +112,42 @@ struct Opening<'a> {
 }
 
 impl<'a> Opening<'a> {
-    fn new(root: &'a Path, scene: Scene) -> Self {
-        Self {
+    fn new(root: &'a Path, scene: Scene) -> Result<Self, LibraryError> {
+        let mut opening = Self {
             root,
+            name: String::new(),
             scene,
             declared_hz: BTreeMap::new(),
             synthetic: false,
             headers: Headers::default(),
             trials: BTreeMap::new(),
             passed: BTreeMap::new(),
+        };
+        let described = root.join(DESCRIPTION);
+        if let Some(text) = files::read_text_if_there(&described)? {
+            let (own, synthetic) = Scene::from_library_toml(&text)
+                .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
+            opening.synthetic = synthetic;
+            opening.declared_hz =
+                own.sources().filter_map(|s| Some((s.id.clone(), s.rate_hz?))).collect();
+            opening.name.clone_from(&own.name);
+            opening.scene = opening.scene.with(own);
         }
+        Ok(opening)
+    }
+
+    fn library(self) -> Result<Library, LibraryError> {
+        let Opening { root, mut name, scene, trials, passed, synthetic, .. } = self;
+        let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
+        if trials.is_empty() {
+            return Err(nothing_found(root, &scene, &remarks));
+        }
+        let entries = trials.into_iter().map(|(key, (_, files))| entry(key, files)).collect();
+        if name.is_empty() {
+            let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
+            name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        }
+        Ok(Library { name, scene, entries, synthetic, remarks })
     }
 
     fn pass_over(&mut self, path: &Path, why: impl Into<String>) {
