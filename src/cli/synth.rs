@@ -86,10 +86,7 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        eprintln!(
-            "wrote {of} synthetic trials of {} surfaces to {}",
-            args.surfaces, report.out
-        );
+        eprintln!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
     }
     Ok(())
 }

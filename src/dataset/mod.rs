@@ -1,6 +1,7 @@
 //! Collections of recordings in the forms that others gave them.
 
 mod lmt108;
+pub mod synth;
 
 use std::path::Path;
 

@@ -44,9 +44,11 @@ pub fn pair_test(
         k(y, i, y, j) + k(z, i, z, j) - k(y, i, z, j) - k(z, i, y, j)
     });
     let form = |signs: &[f64]| {
-        let rows = h.rows().into_iter().zip(signs).map(|(row, sign)| {
-            sign * row.iter().zip(signs).map(|(x, s)| x * s).sum::<f64>()
-        });
+        let rows = h
+            .rows()
+            .into_iter()
+            .zip(signs)
+            .map(|(row, sign)| sign * row.iter().zip(signs).map(|(x, s)| x * s).sum::<f64>());
         (rows.sum::<f64>() / (n * n) as f64).max(0.0)
     };
     let mmd2 = form(&vec![1.0; n]);

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use ndarray::{Array2, Axis};
 
-use super::domain::DomainSamples;
 use super::RecogniseError;
+use super::domain::DomainSamples;
 use super::prepared::{Cut, PreparedTrial, shared_sources};
 use super::sampling::keyed_positions;
 use super::score::{log_score, score_samples};
