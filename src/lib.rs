@@ -12,8 +12,11 @@
 //! every draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no
 //! clock, no global state.
 
+pub mod device;
 pub mod kernel;
 pub mod library;
+pub mod ring;
+pub mod scan;
 pub mod scene;
 pub mod seed;
 pub mod trial;
