@@ -96,9 +96,11 @@ fn a_scan_holds_the_data_of_the_recording_and_not_its_name() {
         assert_eq!(scan.truth.as_ref(), Some(&trial.key));
         assert_eq!(scan.trial.key, TrialKey::new("", "", scan.number));
         assert!(scan.synthetic && scan.spoiled.is_empty() && scan.lost_samples == 0);
-        let Signal::Series(sound) = &trial.signals["mi2"] else { unreachable!() };
-        let Signal::Series(force) = &trial.signals["ac"] else { unreachable!() };
-        assert_eq!(scan.scan_s, sound.duration_s().max(force.duration_s()));
+        let drag_s = ["ac", "me", "mi2"].map(|name| match &trial.signals[name] {
+            Signal::Series(series) => series.duration_s(),
+            Signal::Image(_) => 0.0,
+        });
+        assert_eq!(scan.scan_s, drag_s.into_iter().fold(0.0, f64::max));
     }
     assert_eq!((heard.totals.scans, heard.totals.lost(), heard.totals.failed.len()), (2, 0, 0));
     assert!(heard.warnings.is_empty());
@@ -130,6 +132,41 @@ proptest! {
         prop_assert!(plain.so_far.len() >= 8, "{}", plain.so_far.len());
         prop_assert_eq!(plain.so_far, other.so_far);
     }
+}
+
+#[test]
+fn a_slow_reader_costs_no_data_where_devices_wait() {
+    let trials: Vec<_> = (1..5).map(|n| whole_trial(n, 3_000)).collect();
+    let options = Options {
+        events: 1,
+        progress_every_s: Some(0.02),
+        deliver_limit: Duration::ZERO,
+        ..Options::default()
+    };
+    let session = Session::start(vec![Box::new(replay(&trials))], options).unwrap();
+    let mut scans = Vec::new();
+    for event in session.events() {
+        std::thread::sleep(Duration::from_millis(3));
+        if let Event::Scan(scan) = event {
+            scans.push(*scan);
+        }
+    }
+    assert!(same_signals(&scans, &trials));
+}
+
+#[test]
+fn a_reader_that_never_reads_holds_up_no_live_device() {
+    let trials: Vec<_> = (1..4).map(|n| whole_trial(n, 8_000)).collect();
+    let options =
+        Options { ring_s: 10.0, events: 1, progress_every_s: Some(0.01), ..Options::default() };
+    let live = replay(&trials).speed(Speed::RealTime(50.0));
+    let session = Session::start(vec![Box::new(live)], options).unwrap();
+    let sound = session.meters().iter().find(|meter| meter.id == id("mi2")).unwrap().clone();
+    while sound.counts().received < 24_000 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let scans = session.events().iter().filter(|event| matches!(event, Event::Scan(_))).count();
+    assert_eq!((scans, session.wait().unwrap().lost()), (3, 0));
 }
 
 #[test]

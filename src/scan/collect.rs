@@ -41,12 +41,13 @@ impl Collector {
         loop {
             // Before the drain: a device that has ended has pushed all it ever will.
             let over = self.devices.iter().all(|(_, ended)| *ended);
+            let looked = Instant::now();
             let mut moved = self.drain();
             while let Ok(report) = self.reports.try_recv() {
                 moved = true;
                 self.heed(report);
             }
-            self.tell_scans();
+            self.tell_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
                 && Instant::now() >= next_trace
             {
@@ -122,7 +123,11 @@ impl Collector {
     }
 
     /// Tells how the first scan goes on and, once it is whole, the scan; then the next one.
-    fn tell_scans(&mut self) {
+    ///
+    /// A scan whose data do not come is told without them once the rings were `looked` at long
+    /// enough after its end (by then, not by now: telling may have waited for a slow reader), or
+    /// when all is `over`.
+    fn tell_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.tell_progress(&mut scan);
             let late =
@@ -171,8 +176,8 @@ impl Collector {
     fn finish(mut self) -> Totals {
         self.abandon(|_| true, "the session ended");
         // Whatever a device that hangs still owes will not come.
-        self.options.deliver_limit = Duration::ZERO;
-        self.tell_scans();
+        self.drain();
+        self.tell_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {
             if !ended {
                 self.outbox.warn(format!("{name} did not stop in time and is left to itself"));
