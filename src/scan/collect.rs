@@ -78,7 +78,11 @@ impl Collector {
 
     fn drain(&mut self) -> bool {
         let longest_s = self.options.longest_scan_s;
-        self.streams.iter_mut().fold(false, |any, stream| stream.drain(longest_s) || any)
+        let mut any = false;
+        for stream in &mut self.streams {
+            any |= stream.drain(longest_s);
+        }
+        any
     }
 
     fn heed(&mut self, Report { device, kind }: Report) {
@@ -130,9 +134,10 @@ impl Collector {
     fn tell_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.tell_progress(&mut scan);
-            let late =
-                scan.ended.is_some_and(|(_, learnt)| learnt.elapsed() > self.options.deliver_limit);
-            if !(scan.complete(&self.streams) || late) {
+            let told_late = |(_, learnt): (Instant, Instant)| {
+                over || looked.saturating_duration_since(learnt) > self.options.deliver_limit
+            };
+            if !(scan.complete(&self.streams) || scan.ended.is_some_and(told_late)) {
                 return self.scans.push_front(scan);
             }
             if let Some(scan) = cut(scan, &self.streams) {

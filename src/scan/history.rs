@@ -148,8 +148,8 @@ mod tests {
         history.extend(Piece::Missing(1), 100);
         history.extend(Piece::Samples(&[3.0, 4.0]), 100);
         assert_eq!(history.frames(0..9), (0, &[1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0][..]));
-        assert_eq!(history.missing_in(2..9).collect::<Vec<_>>(), [2..3]);
-        assert_eq!(history.missing_in(0..9).collect::<Vec<_>>(), [1..3]);
+        assert_eq!(history.missing_in(2..9).collect::<Vec<_>>(), vec![2..3]);
+        assert_eq!(history.missing_in(0..9).collect::<Vec<_>>(), vec![1..3]);
     }
 
     #[test]
