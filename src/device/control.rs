@@ -114,15 +114,14 @@ impl Control {
         self.send(ReportKind::Mark(mark));
     }
 
-    /// Reports something that was wrong but does not end the device.
+    /// Reports something that was wrong but does not end the device. What may go wrong a thousand
+    /// times a second is to be summed up by the device, not told each time.
     pub fn warn(&self, text: impl Into<String>) {
-        // A flood of warnings must not hold up samples: those that find no room are dropped.
-        let kind = ReportKind::Warning(text.into());
-        let _ = self.reports.try_send(Report { device: self.device, kind });
+        self.send(ReportKind::Warning(text.into()));
     }
 
     /// Sends what must arrive, waiting for room unless it is time to stop.
-    pub(crate) fn send(&self, kind: ReportKind) {
+    fn send(&self, kind: ReportKind) {
         let mut report = Report { device: self.device, kind };
         loop {
             match self.reports.send_timeout(report, Duration::from_millis(20)) {

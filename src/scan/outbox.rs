@@ -46,7 +46,9 @@ impl Outbox {
         self.backlog.push_back(event);
         self.flush();
         while self.backlog.len() > BACKLOG {
-            self.backlog.pop_front();
+            // Scans last of all: a flood of warnings must not wash them away.
+            let other = self.backlog.iter().position(|event| !matches!(event, Event::Scan(_)));
+            self.backlog.remove(other.unwrap_or(0));
             self.totals.dropped_events += 1;
         }
     }
@@ -112,5 +114,55 @@ impl Outbox {
                 back
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::scan::Scan;
+    use crate::trial::{Trial, TrialKey};
+
+    fn scan(number: u32) -> Event {
+        Event::Scan(Box::new(Scan {
+            number,
+            trial: Trial { key: TrialKey::new("", "", number), signals: BTreeMap::new() },
+            truth: None,
+            synthetic: false,
+            scan_s: 0.0,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        }))
+    }
+
+    #[test]
+    fn a_flood_of_warnings_washes_no_scan_away() {
+        let (sender, events) = crossbeam_channel::bounded(1);
+        let mut outbox = Outbox::new(sender, Stop::default(), false);
+        for number in 1..=10 {
+            outbox.tell(scan(number));
+            (0..1000).for_each(|_| outbox.warn("noise".into()));
+        }
+        let reader = std::thread::spawn(move || {
+            events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
+        });
+        let totals = outbox.finish();
+        assert_eq!(reader.join().unwrap(), 10);
+        assert_eq!(totals.dropped_events as usize, 10 + 10_000 - 1 - BACKLOG);
+    }
+
+    #[test]
+    fn a_reader_that_is_gone_stops_the_session() {
+        let (sender, events) = crossbeam_channel::bounded(1);
+        drop(events);
+        let stop = Stop::default();
+        let mut outbox = Outbox::new(sender, stop.clone(), true);
+        outbox.warn("nobody hears this".into());
+        assert!(stop.requested());
+        assert_eq!(outbox.finish().dropped_events, 1);
     }
 }
