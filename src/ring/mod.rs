@@ -1,6 +1,6 @@
 //! One single-producer, single-consumer ring a stream: from the thread of a device to the collector.
 //!
-//! A device holds the [`Sink`] and the collector the [`Tap`] of a stream. Frames are counted from
+//! A device holds the [`Sink`] and the collector the tap ([`SeriesTap`], [`ImageTap`]). Frames are counted from
 //! the start of the stream, **lost ones included**, so that an index always stands for the same
 //! moment, whatever was lost before it. Each frame ends in exactly one of two ways: it comes out
 //! of the tap, or the tap says that it is missing, at its place and in its order.
