@@ -103,7 +103,7 @@ pub struct Difficulty {
     // Infrared reflectance (ir).
     /// logit of the mean reflectance
     pub reflectance_level: Effect,
-    /// ln of its standard deviation
+    /// ln of its standard deviation at middle reflectance; towards 0 and 1 it shrinks
     pub reflectance_width: Effect,
     /// skewness of its distribution, 0 for none
     pub reflectance_skew: Effect,
@@ -177,7 +177,7 @@ impl Default for Difficulty {
             friction_correlation: e(-4.0, 0.70, 0.10, 0.10),
 
             reflectance_level: e(-0.7, 0.80, 0.30, 0.05),
-            reflectance_width: e(-3.2, 0.70, 0.15, 0.15),
+            reflectance_width: e(-3.4, 0.55, 0.15, 0.15),
             reflectance_skew: e(0.0, 0.60, 0.05, 0.05),
             reflectance_correlation: e(-4.2, 0.90, 0.05, 0.05),
 
