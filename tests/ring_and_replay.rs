@@ -394,7 +394,7 @@ fn a_stop_ends_a_replay_wherever_it_is() {
 struct Damaged(bool);
 
 impl LoadTrial for Damaged {
-    fn load(&self) -> Result<Trial, LibraryError> {
+    fn load(&self, _: &[SourceId]) -> Result<Trial, LibraryError> {
         assert!(!self.0, "a decoder gave up");
         Err(LibraryError::File { path: "mi2.wav".into(), problem: "it is truncated".into() })
     }

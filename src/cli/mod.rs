@@ -5,6 +5,7 @@
 mod compare;
 mod eval;
 mod method;
+mod replay;
 mod samples;
 mod show;
 mod synth;
@@ -28,6 +29,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Replay(replay::Args),
     Eval(eval::Args),
     Compare(compare::Args),
     Synth(synth::Args),
@@ -56,6 +58,7 @@ type Done = Result<(), Failure>;
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
+        Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Synth(args) => synth::run(&args),
