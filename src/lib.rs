@@ -12,6 +12,7 @@
 //! every draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no
 //! clock, no global state.
 
+pub mod duration;
 pub mod kernel;
 pub mod library;
 pub mod scene;

@@ -32,7 +32,9 @@ pub enum HsicError {
     #[error("{0} pairs of samples; expected at least {FEWEST_PAIRS}")]
     TooFew(usize),
     /// NaN or infinity
-    #[error("channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers")]
+    #[error(
+        "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
+    )]
     NotFinite {
         /// 1 or 2
         side: usize,
@@ -44,13 +46,17 @@ pub enum HsicError {
         value: f64,
     },
     /// every sample alike
-    #[error("side {0} is constant: its samples are all alike, so nothing can be said about dependence")]
+    #[error(
+        "side {0} is constant: its samples are all alike, so nothing can be said about dependence"
+    )]
     Constant(usize),
     /// a significance level that is none
     #[error("a significance level of {0} is not possible; expected a number between 0 and 0.5")]
     Alpha(f64),
     /// too few permutations for the level
-    #[error("{permutations} permutations cannot resolve a level of {alpha}; expected at least {least}")]
+    #[error(
+        "{permutations} permutations cannot resolve a level of {alpha}; expected at least {least}"
+    )]
     Permutations {
         /// how many were asked for
         permutations: usize,
@@ -166,11 +172,8 @@ pub fn test_independence(
             (null[quantile_index(count, alpha)], (1 + as_large) as f64 / (1 + count) as f64)
         }
         Threshold::Gamma => {
-            let moments = permutation_moments(
-                n,
-                &CentredMoments::of(&k),
-                &CentredMoments::of(&centred(l)),
-            );
+            let moments =
+                permutation_moments(n, &CentredMoments::of(&k), &CentredMoments::of(&centred(l)));
             let (kappa, p) = Pearson3::test(&moments, hsic * n2, alpha);
             (kappa / n2, p)
         }

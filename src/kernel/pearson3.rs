@@ -32,8 +32,7 @@ impl Pearson3 {
     pub fn new(alpha: f64) -> Self {
         let step = LARGEST / STEPS as f64;
         // One node on either side of the range, for the cubics at its ends.
-        let table =
-            (0..STEPS + 3).map(|i| quantile((i as f64 - 1.0) * step, alpha)).collect();
+        let table = (0..STEPS + 3).map(|i| quantile((i as f64 - 1.0) * step, alpha)).collect();
         Self { alpha, table }
     }
 
@@ -96,9 +95,7 @@ fn quantile(skewness: f64, alpha: f64) -> f64 {
     let g = skewness;
     // Cornish–Fisher in powers of g (Johnson et al., 1994, Eq. 17.30, from the Wilson–Hilferty
     // cube and its corrections).
-    let expansion = z
-        + (z * z - 1.0) * g / 6.0
-        + (z.powi(3) - 7.0 * z) * g * g / 144.0
+    let expansion = z + (z * z - 1.0) * g / 6.0 + (z.powi(3) - 7.0 * z) * g * g / 144.0
         - (3.0 * z.powi(4) + 7.0 * z * z - 16.0) * g.powi(3) / 6480.0;
     if g < NEARLY_NORMAL {
         return expansion;

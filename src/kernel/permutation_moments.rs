@@ -122,9 +122,7 @@ fn third_moment(n: f64, p: &CentredMoments, q: &CentredMoments) -> f64 {
         + 6.0
             * ptt
             * ((n - 4.0) * qt3 + (n3 - 9.0 * n2 + 24.0 * n - 14.0) * qtt + 4.0 * (n - 3.0) * q.t3)
-        + 8.0
-            * p.t3
-            * (qt3 + 3.0 * (n - 3.0) * qtt + (n3 - 9.0 * n2 + 26.0 * n - 22.0) * q.t3)
+        + 8.0 * p.t3 * (qt3 + 3.0 * (n - 3.0) * qtt + (n3 - 9.0 * n2 + 26.0 * n - 22.0) * q.t3)
         - 16.0 * (pt3 * q.u + p.u * qt3)
         - 6.0 * (ptt * q.u + p.u * qtt) * (2.0 * n2 - 10.0 * n + 16.0)
         - 8.0 * (p.t3 * q.u + p.u * q.t3) * (3.0 * n2 - 15.0 * n + 16.0)
@@ -188,8 +186,7 @@ mod tests {
             });
             let [mean, second, third] = sums.map(|s| s / count);
             let variance = second - mean * mean;
-            let skewness =
-                (third - 3.0 * mean * variance - mean.powi(3)) / variance.powf(1.5);
+            let skewness = (third - 3.0 * mean * variance - mean.powi(3)) / variance.powf(1.5);
             let got = permutation_moments(n, &CentredMoments::of(&a), &CentredMoments::of(&b));
             assert!((got.mean / mean - 1.0).abs() < 1e-12);
             assert!((got.variance / variance - 1.0).abs() < 1e-9);

@@ -1,0 +1,332 @@
+//! Algorithm 1: the smallest lag at which samples of a source can be taken for independent.
+
+use rand::Rng;
+use rand::seq::SliceRandom;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::batch::Batch;
+use super::trials::{DurationError, Trials};
+use crate::kernel::{PERMUTATIONS, Threshold, quantile_index};
+use crate::seed;
+
+/// What the upper bound CB+ of HSIC is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rule {
+    /// The (1 − α) quantile of the R values of HSIC: Algorithm 1 as printed.
+    Quantile,
+    /// The upper end of the two-sided (1 − α) Student-t interval of their mean: the authors'
+    /// program, and its Fig. 7.
+    MeanCi,
+}
+
+impl std::fmt::Display for Rule {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(match self {
+            Self::Quantile => "quantile",
+            Self::MeanCi => "mean-ci",
+        })
+    }
+}
+
+/// Parameters of Algorithm 1. The defaults are the paper's, with the rule that the study of
+/// [`crate::duration`] speaks for.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Settings {
+    /// What CB+ is.
+    pub rule: Rule,
+    /// R: how often a start t₁ is drawn for each lag.
+    pub draws: usize,
+    /// t₁,max: the latest start, in samples. Made smaller where a trial is too short for it.
+    pub latest_start: usize,
+    /// Significance level α.
+    pub alpha: f64,
+    /// How κ is found.
+    pub threshold: Threshold,
+    /// Largest lag t that is looked at, in samples.
+    pub largest_lag: usize,
+    /// Look at every lag from 1 upwards instead of a coarse grid that is refined.
+    pub exhaustive: bool,
+    /// Look beyond the first lag found, and take it back where dependence returns: a periodic
+    /// signal never becomes independent. Algorithm 1 as printed does not look.
+    pub look_beyond: bool,
+    /// Seed of every draw.
+    pub seed: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            rule: Rule::MeanCi,
+            draws: 500,
+            latest_start: 20_000,
+            alpha: 0.05,
+            threshold: Threshold::Permutations(PERMUTATIONS),
+            largest_lag: 1000,
+            exhaustive: false,
+            look_beyond: true,
+            seed: 1,
+        }
+    }
+}
+
+/// What was found at one lag, over all R draws.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct CurvePoint {
+    /// Lag t in samples.
+    pub lag: usize,
+    /// Mean of HSIC_b.
+    pub hsic_mean: f64,
+    /// Lower end of the two-sided (1 − α) interval of the mean.
+    pub hsic_low: f64,
+    /// Upper end: CB+ of [`Rule::MeanCi`].
+    pub hsic_high: f64,
+    /// (1 − α) quantile of HSIC_b: CB+ of [`Rule::Quantile`].
+    pub hsic_quantile: f64,
+    /// Mean threshold κ.
+    pub kappa: f64,
+}
+
+impl CurvePoint {
+    /// CB+.
+    pub fn bound(&self, rule: Rule) -> f64 {
+        match rule {
+            Rule::Quantile => self.hsic_quantile,
+            Rule::MeanCi => self.hsic_high,
+        }
+    }
+
+    /// Whether samples this far apart can be taken for independent.
+    pub fn independent(&self, rule: Rule) -> bool {
+        self.bound(rule) < self.kappa
+    }
+}
+
+/// What came of the search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(tag = "outcome", rename_all = "kebab-case")]
+pub enum Outcome {
+    /// T* in samples.
+    Found {
+        /// the lag
+        lag: usize,
+    },
+    /// Dependence at every lag looked at.
+    NotInRange {
+        /// the largest lag looked at
+        largest_lag: usize,
+    },
+    /// A lag was found, but dependence comes back beyond it, as in a periodic signal: within the
+    /// range there is no T*.
+    Returns {
+        /// where Algorithm 1 as printed stops
+        first: usize,
+        /// a larger lag at which the lower bound of the mean exceeds κ again
+        again_at: usize,
+    },
+}
+
+/// T* of one surface and source, with the curve that it was read from.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Estimate {
+    /// What came of the search.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+    /// Q, the number of trials: say it wherever T* is said.
+    pub trials: usize,
+    /// The t₁,max that was used, in samples.
+    pub latest_start: usize,
+    /// Samples a second.
+    pub rate_hz: f64,
+    /// The lags that were looked at, upwards.
+    pub curve: Vec<CurvePoint>,
+}
+
+impl Estimate {
+    /// T* in samples, if there is one within the range.
+    pub fn t_star(&self) -> Option<usize> {
+        match self.outcome {
+            Outcome::Found { lag } => Some(lag),
+            Outcome::NotInRange { .. } | Outcome::Returns { .. } => None,
+        }
+    }
+
+    /// T* in seconds.
+    pub fn t_star_s(&self) -> Option<f64> {
+        self.t_star().map(|lag| lag as f64 / self.rate_hz)
+    }
+}
+
+/// Computes curves of HSIC against the lag for one set of trials.
+pub struct Search<'a> {
+    trials: &'a Trials,
+    settings: Settings,
+    largest_lag: usize,
+    starts: usize,
+    student: f64,
+    batch: Batch,
+    curve: std::collections::BTreeMap<usize, CurvePoint>,
+}
+
+impl<'a> Search<'a> {
+    /// A search over `trials`.
+    ///
+    /// # Errors
+    /// If the settings are not possible, or the trials too short for the largest lag.
+    pub fn new(trials: &'a Trials, settings: Settings) -> Result<Self, DurationError> {
+        let fail = |text: String| Err(DurationError::Settings(text));
+        let Settings { draws, alpha, threshold, largest_lag, latest_start, .. } = settings;
+        if !(alpha > 0.0 && alpha < 0.5) {
+            return fail(format!("α = {alpha}; expected a number between 0 and 0.5"));
+        }
+        if draws < 10 {
+            return fail(format!("R = {draws} draws; expected at least 10"));
+        }
+        if largest_lag == 0 || latest_start == 0 {
+            return fail("the largest lag and the latest start are at least 1 sample".into());
+        }
+        if let Threshold::Permutations(count) = threshold
+            && (count as f64) < 1.0 / alpha
+        {
+            return fail(format!("{count} permutations cannot resolve α = {alpha}"));
+        }
+        let frames = trials.frames();
+        let largest_lag = largest_lag.min(frames / 2);
+        let starts = latest_start.min(frames - largest_lag);
+        let freedom = (draws - 1) as f64;
+        // Location 0, scale 1 and at least 9 degrees of freedom are a distribution.
+        let student = StudentsT::new(0.0, 1.0, freedom).expect("a Student-t distribution");
+        let student = student.inverse_cdf(1.0 - alpha / 2.0);
+        let batch = Batch::new(trials.count(), trials.channels(), alpha, threshold);
+        let curve = std::collections::BTreeMap::new();
+        Ok(Self { trials, settings, largest_lag, starts, student, batch, curve })
+    }
+
+    /// The point of the curve at one lag: R draws of t₁, HSIC and κ of each.
+    ///
+    /// Draws are keyed by the lag, so the order in which lags are looked at changes nothing.
+    pub fn at(&mut self, lag: usize) -> CurvePoint {
+        if let Some(&point) = self.curve.get(&lag) {
+            return point;
+        }
+        let Settings { draws, alpha, seed, .. } = self.settings;
+        let mut rng = seed::rng(seed, &[b"duration", &lag.to_le_bytes()]);
+        let mut order: Vec<usize> = (0..self.trials.count()).collect();
+        let mut hsic = Vec::with_capacity(draws + Batch::TESTS);
+        let mut kappa = 0.0;
+        while hsic.len() < draws {
+            for test in 0..Batch::TESTS {
+                let t1 = below(&mut rng, self.starts);
+                // Another order of the trials for each test: see the batch.
+                order.shuffle(&mut rng);
+                for (slot, &trial) in order.iter().enumerate() {
+                    self.batch.set(0, test, slot, self.trials.sample(trial, t1));
+                    self.batch.set(1, test, slot, self.trials.sample(trial, t1 + lag));
+                }
+            }
+            let tests = self.batch.run(&mut rng);
+            let wanted = (draws - hsic.len()).min(Batch::TESTS);
+            hsic.extend_from_slice(&tests.hsic[..wanted]);
+            kappa += tests.kappa[..wanted].iter().sum::<f64>();
+        }
+        let count = draws as f64;
+        let mean = hsic.iter().sum::<f64>() / count;
+        let variance = hsic.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        let half = self.student * (variance / count).sqrt();
+        hsic.sort_unstable_by(f64::total_cmp);
+        let point = CurvePoint {
+            lag,
+            hsic_mean: mean,
+            hsic_low: mean - half,
+            hsic_high: mean + half,
+            hsic_quantile: hsic[quantile_index(draws, alpha)],
+            kappa: kappa / count,
+        };
+        self.curve.insert(lag, point);
+        point
+    }
+
+    /// Finds T*.
+    ///
+    /// The coarse grid has lags an eighth apart. Every lag between two of its points is looked at
+    /// when the upper one is independent, or when either comes so near to it that chance could
+    /// make a lag between them independent: within 5 standard errors (5/√R) and 5 %.
+    pub fn run(mut self) -> Estimate {
+        let first = if self.settings.exhaustive {
+            self.upwards(1, self.largest_lag)
+        } else {
+            self.coarse()
+        };
+        let outcome = match first {
+            None => Outcome::NotInRange { largest_lag: self.largest_lag },
+            Some(lag) if self.settings.look_beyond => match self.dependent_beyond(lag) {
+                Some(again_at) => Outcome::Returns { first: lag, again_at },
+                None => Outcome::Found { lag },
+            },
+            Some(lag) => Outcome::Found { lag },
+        };
+        Estimate {
+            outcome,
+            trials: self.trials.count(),
+            latest_start: self.starts,
+            rate_hz: self.trials.rate_hz(),
+            curve: self.curve.into_values().collect(),
+        }
+    }
+
+    fn upwards(&mut self, from: usize, to: usize) -> Option<usize> {
+        (from..=to).find(|&lag| self.at(lag).independent(self.settings.rule))
+    }
+
+    fn coarse(&mut self) -> Option<usize> {
+        let rule = self.settings.rule;
+        let near = 1.05 + 5.0 / (self.settings.draws as f64).sqrt();
+        let (mut below, mut below_near) = (0, true);
+        loop {
+            let lag = next_coarse(below).min(self.largest_lag);
+            let point = self.at(lag);
+            let point_near = point.bound(rule) < point.kappa * near;
+            if below_near || point_near {
+                if let Some(found) = self.upwards(below + 1, lag) {
+                    return Some(found);
+                }
+            }
+            if lag == self.largest_lag {
+                return None;
+            }
+            (below, below_near) = (lag, point_near);
+        }
+    }
+
+    /// A lag beyond `lag` at which samples are clearly dependent.
+    fn dependent_beyond(&mut self, lag: usize) -> Option<usize> {
+        let room = self.trials.frames() - self.starts;
+        let end = self.largest_lag.max((4 * lag).min(room));
+        let mut beyond = next_coarse(lag);
+        while beyond <= end {
+            let point = self.at(beyond);
+            if point.hsic_low > point.kappa {
+                return Some(beyond);
+            }
+            beyond = next_coarse(beyond);
+        }
+        None
+    }
+}
+
+fn next_coarse(lag: usize) -> usize {
+    lag + (lag / 8).max(1)
+}
+
+/// A whole number in 0..n, uniform to within n/2³² (Lemire's multiplication).
+fn below(rng: &mut impl Rng, n: usize) -> usize {
+    ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
+}
+
+/// T* of one surface and source by Algorithm 1.
+///
+/// # Errors
+/// If the settings are not possible.
+pub fn t_star(trials: &Trials, settings: Settings) -> Result<Estimate, DurationError> {
+    Ok(Search::new(trials, settings)?.run())
+}
