@@ -2,8 +2,8 @@
 //! numbers that the compiler turns into vector instructions.
 //!
 //! Algorithm 1 makes half a million tests of ten trials each. Laid out like this, distances,
-//! medians (a sorting network), kernels, centring, permutations and moments all vectorise; nothing
-//! is allocated. No multiply is fused into an add, so every machine gives the same bits. The plain
+//! medians (a sorting network), kernels, centring, permutations and moments all vectorise; up to
+//! Q = 51 nothing is allocated. No multiply is fused into an add, so every machine gives the same bits. The plain
 //! form is [`crate::kernel::test_independence`], and a test holds this one to it.
 //!
 //! The eight tests share their permutations. So that this does not tie their thresholds together,
@@ -17,7 +17,8 @@ use rand::seq::SliceRandom;
 use super::lanes::{LANES, Lane, exp_of_nonpositive, map2, sort_lanes, sorting_network};
 use crate::kernel::{CentredMoments, Pearson3, Threshold, permutation_moments, quantile_index};
 
-/// Largest number of distances that a sorting network is built for; more are sorted lane by lane.
+/// Largest number of distances that a sorting network is built for; more are gone through lane by
+/// lane.
 const LARGEST_NETWORK: usize = 1300;
 
 /// Eight tests of independence of the same size, with room for all that lies between.
@@ -210,6 +211,9 @@ fn medians(distances: &[Lane], network: &[(u32, u32)], sorted: &mut [Lane]) -> L
             counts[lane] += usize::from(d[lane] > 0.0);
         }
     }
+    if network.is_empty() && distances.len() > 1 {
+        return std::array::from_fn(|lane| median_by_selection(sorted, lane, counts[lane]));
+    }
     sort_lanes(sorted, network);
     std::array::from_fn(|lane| {
         let count = counts[lane];
@@ -220,6 +224,19 @@ fn medians(distances: &[Lane], network: &[(u32, u32)], sorted: &mut [Lane]) -> L
             count => 0.5 * (sorted[count / 2 - 1][lane] + upper),
         }
     })
+}
+
+/// Median of the `count` finite values of one lane.
+fn median_by_selection(values: &[Lane], lane: usize, count: usize) -> f64 {
+    if count == 0 {
+        return f64::INFINITY;
+    }
+    let mut one: Vec<f64> = values.iter().map(|v| v[lane]).collect();
+    let (below, &mut upper, _) = one.select_nth_unstable_by(count / 2, f64::total_cmp);
+    match below.iter().copied().max_by(f64::total_cmp) {
+        Some(lower) if count % 2 == 0 => 0.5 * (lower + upper),
+        _ => upper,
+    }
 }
 
 #[inline(always)]

@@ -84,7 +84,7 @@ pub(super) fn sorting_network(count: usize) -> Vec<(u32, u32)> {
     network
 }
 
-/// Sorts each lane upwards: by the network, or one by one where there is none.
+/// Sorts each lane upwards by the network.
 #[inline(always)]
 pub(super) fn sort_lanes(values: &mut [Lane], network: &[(u32, u32)]) {
     for &(low, high) in network {
@@ -92,13 +92,6 @@ pub(super) fn sort_lanes(values: &mut [Lane], network: &[(u32, u32)]) {
         // No NaN can be here: distances of finite numbers.
         values[low as usize] = map2(a, b, |x, y| if x < y { x } else { y });
         values[high as usize] = map2(a, b, |x, y| if x < y { y } else { x });
-    }
-    if network.is_empty() && values.len() > 1 {
-        for lane in 0..LANES {
-            let mut one: Vec<f64> = values.iter().map(|v| v[lane]).collect();
-            one.sort_unstable_by(f64::total_cmp);
-            values.iter_mut().zip(one).for_each(|(v, x)| v[lane] = x);
-        }
     }
 }
 

@@ -132,6 +132,8 @@ pub struct Estimate {
     /// What came of the search.
     #[serde(flatten)]
     pub outcome: Outcome,
+    /// What CB+ was.
+    pub rule: Rule,
     /// Q, the number of trials: say it wherever T* is said.
     pub trials: usize,
     /// The t₁,max that was used, in samples.
@@ -246,16 +248,15 @@ impl<'a> Search<'a> {
         point
     }
 
-    /// Finds T*.
+    /// Finds T* by one of the rules; lags already looked at are not computed again.
     ///
     /// The coarse grid has lags an eighth apart. Every lag between two of its points is looked at
     /// when the upper one is independent, or when either comes so near to it that chance could
     /// make a lag between them independent: within 5 standard errors (5/√R) and 5 %.
-    pub fn run(mut self) -> Estimate {
-        let first = if self.settings.exhaustive {
-            self.upwards(1, self.largest_lag)
-        } else {
-            self.coarse()
+    pub fn find(&mut self, rule: Rule) -> Estimate {
+        let first = match self.settings.exhaustive {
+            true => self.upwards(rule, 1, self.largest_lag),
+            false => self.coarse(rule),
         };
         let outcome = match first {
             None => Outcome::NotInRange { largest_lag: self.largest_lag },
@@ -267,19 +268,19 @@ impl<'a> Search<'a> {
         };
         Estimate {
             outcome,
+            rule,
             trials: self.trials.count(),
             latest_start: self.starts,
             rate_hz: self.trials.rate_hz(),
-            curve: self.curve.into_values().collect(),
+            curve: self.curve.values().copied().collect(),
         }
     }
 
-    fn upwards(&mut self, from: usize, to: usize) -> Option<usize> {
-        (from..=to).find(|&lag| self.at(lag).independent(self.settings.rule))
+    fn upwards(&mut self, rule: Rule, from: usize, to: usize) -> Option<usize> {
+        (from..=to).find(|&lag| self.at(lag).independent(rule))
     }
 
-    fn coarse(&mut self) -> Option<usize> {
-        let rule = self.settings.rule;
+    fn coarse(&mut self, rule: Rule) -> Option<usize> {
         let near = 1.05 + 5.0 / (self.settings.draws as f64).sqrt();
         let (mut below, mut below_near) = (0, true);
         loop {
@@ -287,7 +288,7 @@ impl<'a> Search<'a> {
             let point = self.at(lag);
             let point_near = point.bound(rule) < point.kappa * near;
             if below_near || point_near {
-                if let Some(found) = self.upwards(below + 1, lag) {
+                if let Some(found) = self.upwards(rule, below + 1, lag) {
                     return Some(found);
                 }
             }
@@ -328,5 +329,92 @@ fn below(rng: &mut impl Rng, n: usize) -> usize {
 /// # Errors
 /// If the settings are not possible.
 pub fn t_star(trials: &Trials, settings: Settings) -> Result<Estimate, DurationError> {
-    Ok(Search::new(trials, settings)?.run())
+    Ok(Search::new(trials, settings)?.find(settings.rule))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::simulate;
+    use super::*;
+
+    fn trials(
+        count: usize,
+        seed: u64,
+        make: impl Fn(&mut rand_chacha::ChaCha8Rng) -> Vec<f32>,
+    ) -> Trials {
+        let mut rng = seed::rng(seed, &[b"search"]);
+        Trials::new(simulate::trials(count, 1e4, || make(&mut rng)).unwrap()).unwrap()
+    }
+
+    fn gamma(draws: usize) -> Settings {
+        Settings { draws, threshold: Threshold::Gamma, ..Settings::default() }
+    }
+
+    #[test]
+    fn coarse_to_fine_finds_what_the_plain_search_finds() {
+        for (seed, tau) in [(1, 0.0), (2, 5.0), (3, 20.0), (4, 60.0), (5, 60.0), (6, 150.0)] {
+            let trials = trials(10, seed, |rng| simulate::ar1(24_000, tau, rng));
+            for (rule, look_beyond) in [(Rule::Quantile, false), (Rule::MeanCi, true)] {
+                let [coarse, plain] = [false, true].map(|exhaustive| {
+                    let settings = Settings { exhaustive, look_beyond, ..gamma(100) };
+                    Search::new(&trials, settings).unwrap().find(rule).outcome
+                });
+                assert_eq!(coarse, plain, "τ = {tau}, {rule}");
+            }
+        }
+    }
+
+    #[test]
+    fn by_mean_ci_noise_is_independent_at_the_first_lag() {
+        let at_once = (0..40)
+            .filter(|&seed| {
+                let trials = trials(10, seed, |rng| simulate::ar1(3000, 0.0, rng));
+                let settings = Settings { latest_start: 2000, ..gamma(100) };
+                t_star(&trials, settings).unwrap().t_star() == Some(1)
+            })
+            .count();
+        assert!(at_once >= 36, "{at_once} of 40");
+    }
+
+    #[test]
+    fn a_sine_has_no_t_star() {
+        for (seed, period) in [(1, 40.0), (2, 210.0), (3, 900.0)] {
+            for rule in [Rule::Quantile, Rule::MeanCi] {
+                let trials = trials(10, seed, |rng| simulate::sine(30_000, period, rng));
+                let estimate = Search::new(&trials, gamma(200)).unwrap().find(rule);
+                assert_eq!(estimate.t_star(), None, "period {period}, {rule}");
+            }
+        }
+    }
+
+    #[test]
+    fn more_trials_see_weaker_dependence() {
+        let at = |count| {
+            let trials = trials(count, 9, |rng| simulate::ar1(22_000, 20.0, rng));
+            let settings = Settings { latest_start: 20_000, ..gamma(200) };
+            t_star(&trials, settings).unwrap().t_star().unwrap()
+        };
+        let (few, many) = (at(10), at(40));
+        assert!((4..20).contains(&few) && (15..60).contains(&many), "{few} {many}");
+    }
+
+    #[test]
+    fn the_latest_start_shrinks_to_what_the_trials_allow() {
+        let trials = trials(10, 3, |rng| simulate::ar1(5000, 3.0, rng));
+        let estimate = t_star(&trials, gamma(50)).unwrap();
+        assert_eq!(estimate.latest_start, 4000);
+    }
+
+    #[test]
+    fn impossible_settings_are_refused() {
+        let trials = trials(10, 3, |rng| simulate::ar1(5000, 3.0, rng));
+        for settings in [
+            Settings { alpha: 0.0, ..gamma(50) },
+            Settings { draws: 3, ..gamma(50) },
+            Settings { largest_lag: 0, ..gamma(50) },
+            Settings { threshold: Threshold::Permutations(5), ..gamma(50) },
+        ] {
+            assert!(matches!(t_star(&trials, settings), Err(DurationError::Settings(_))));
+        }
+    }
 }
