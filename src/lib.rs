@@ -12,9 +12,14 @@
 //! every draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no
 //! clock, no global state.
 
+pub mod cli;
+pub mod dataset;
 pub mod duration;
+pub mod evaluate;
 pub mod kernel;
 pub mod library;
+pub mod recognise;
+pub mod record;
 pub mod scene;
 pub mod seed;
 pub mod trial;

@@ -1,5 +1,16 @@
 //! A library: labelled trials to compare with, loaded when they are needed.
 
+mod about;
+pub(crate) mod files;
+pub(crate) mod loader;
+mod picture;
+pub mod recording;
+mod text;
+mod wav;
+
+pub(crate) use about::FILE as ABOUT_FILE;
+pub use about::{About, ScanMarks};
+
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -54,19 +65,39 @@ pub enum LibraryError {
 
 /// Something that can produce one trial: files on disk, a generator, memory.
 pub trait LoadTrial: Send + Sync + fmt::Debug {
-    /// Reads all sources of the trial.
+    /// Reads those sources of the trial that are wanted; those it lacks are no error.
     ///
     /// # Errors
-    /// If one of its sources cannot be read.
-    fn load(&self) -> Result<Trial, LibraryError>;
+    /// If one of them cannot be read.
+    fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
 }
 
 #[derive(Debug)]
 struct InMemory(Trial);
 
 impl LoadTrial for InMemory {
-    fn load(&self) -> Result<Trial, LibraryError> {
-        Ok(self.0.clone())
+    fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
+        let key = self.0.key.clone();
+        let kept = |id: &SourceId| Some((id.clone(), self.0.signals.get(id)?.clone()));
+        Ok(Trial { key, signals: wanted.iter().filter_map(kept).collect() })
+    }
+}
+
+/// An entry whose trial is changed after loading: cut short, say.
+struct Changed<F> {
+    entry: Entry,
+    change: F,
+}
+
+impl<F> fmt::Debug for Changed<F> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Changed").field(&self.entry).finish()
+    }
+}
+
+impl<F: Fn(Trial) -> Trial + Send + Sync> LoadTrial for Changed<F> {
+    fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
+        self.entry.loader.load(wanted).map(&self.change)
     }
 }
 
@@ -93,12 +124,24 @@ impl Entry {
         Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory(trial)) }
     }
 
+    /// This entry with only those of its sources that `scene` describes; no others are read.
+    pub fn within(mut self, scene: &Scene) -> Self {
+        self.sources.retain(|id| scene.get(id.as_str()).is_some());
+        self
+    }
+
+    /// This entry with `change` done to its trial whenever it is loaded.
+    pub fn changed(self, change: impl Fn(Trial) -> Trial + Send + Sync + 'static) -> Self {
+        let (key, sources) = (self.key.clone(), self.sources.clone());
+        Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
+    }
+
     /// Reads the trial.
     ///
     /// # Errors
     /// If one of its sources cannot be read.
     pub fn load(&self) -> Result<Trial, LibraryError> {
-        self.loader.load()
+        self.loader.load(&self.sources)
     }
 }
 

@@ -53,6 +53,9 @@ struct SceneFile {
     /// Text for whoever opens the file; carries no meaning for the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     notes: Option<String>,
+    /// A library that was made by a generator says so.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    synthetic: bool,
     #[serde(default)]
     sources: BTreeMap<String, toml::Spanned<SourceBlock>>,
 }
@@ -96,6 +99,11 @@ fn one_channel() -> usize {
 }
 
 pub(super) fn parse(text: &str) -> Result<Scene, SceneError> {
+    parse_library(text).map(|(scene, _)| scene)
+}
+
+/// The scene, and whether the file carries the mark `synthetic`.
+pub(super) fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
     let file: SceneFile = toml::from_str(text)?;
     let line_of = |at: usize| text[..at].lines().count().max(1);
     if *file.format.get_ref() != 1 {
@@ -114,7 +122,7 @@ pub(super) fn parse(text: &str) -> Result<Scene, SceneError> {
         let spec = block.get_ref().resolve(id.clone()).map_err(fail)?;
         sources.insert(id, spec);
     }
-    Ok(Scene { name: file.name.unwrap_or_default(), sources })
+    Ok((Scene { name: file.name.unwrap_or_default(), sources }, file.synthetic))
 }
 
 impl SourceBlock {
@@ -189,12 +197,13 @@ impl SourceBlock {
     }
 }
 
-pub(super) fn write(scene: &Scene) -> String {
+pub(super) fn write(scene: &Scene, synthetic: bool) -> String {
     let spanned = |block| toml::Spanned::new(0..0, block);
     let file = SceneFile {
         format: toml::Spanned::new(0..0, 1),
         name: (!scene.name.is_empty()).then(|| scene.name.clone()),
         notes: None,
+        synthetic,
         sources: scene
             .sources()
             .map(|spec| (spec.id.to_string(), spanned(SourceBlock::from_spec(spec))))

@@ -126,6 +126,15 @@ impl Scene {
         config::parse(text)
     }
 
+    /// The same for the `library.toml` of a library, which may carry `synthetic = true`: the
+    /// scene, and whether it does.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`].
+    pub fn from_library_toml(text: &str) -> Result<(Self, bool), SceneError> {
+        config::parse_library(text)
+    }
+
     /// This scene with the sources of another added; the other's win where both name one.
     pub fn with(mut self, other: Scene) -> Self {
         self.sources.extend(other.sources);
@@ -160,6 +169,12 @@ impl Scene {
 
     /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
     pub fn to_toml(&self) -> String {
-        config::write(self)
+        config::write(self, false)
+    }
+
+    /// The scene as the `library.toml` of a library, in the form that
+    /// [`Scene::from_library_toml`] reads.
+    pub fn to_library_toml(&self, synthetic: bool) -> String {
+        config::write(self, synthetic)
     }
 }

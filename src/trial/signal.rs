@@ -2,6 +2,8 @@
 
 use ndarray::{ArrayView2, ArrayViewMut2};
 
+use crate::seed;
+
 /// Why data cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum SignalError {
@@ -51,6 +53,27 @@ pub enum Signal {
     Series(Series),
     /// A picture.
     Image(Image),
+}
+
+impl Signal {
+    /// Number of frames of a series; 0 for an image.
+    pub fn frames(&self) -> usize {
+        match self {
+            Self::Image(_) => 0,
+            Self::Series(series) => series.frames(),
+        }
+    }
+
+    /// A hash of the raw data, the same on every machine.
+    pub fn content_hash(&self) -> u64 {
+        match self {
+            Self::Image(image) => seed::stable_hash(&[image.rgb()]),
+            Self::Series(series) => {
+                let bytes = series.samples().iter().flat_map(|x| x.to_le_bytes());
+                seed::stable_hash(&[&bytes.collect::<Vec<u8>>()])
+            }
+        }
+    }
 }
 
 /// Samples in time, shape (frames, channels), all finite, at least one frame.

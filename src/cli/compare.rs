@@ -1,0 +1,164 @@
+//! `surfaced compare`: two trials, source by source, or two sets of samples.
+
+use std::path::{Path, PathBuf};
+
+use super::method::at_least_one;
+use super::{Done, Failure, SourceArgs, samples, show};
+use crate::recognise::{Comparison, TestOptions, compare, score_samples};
+use crate::scene::Scene;
+use crate::trial::Trial;
+
+/// Compare two trials, source by source
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced compare lib/oak/1 lib/beech/1\n  \
+                        surfaced compare LMT_108_SurfaceMaterials_Database:G4Bamboo:1 \
+                        LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
+                        surfaced compare --samples z.csv y.csv --json")]
+pub struct Args {
+    /// The query: the folder of a trial, or DATA:SURFACE:NUMBER[:USER]; with --samples, a CSV file
+    a: PathBuf,
+    /// The library trial, in the same form
+    b: PathBuf,
+    /// A and B are CSV files of samples: a row a sample, a column a channel, no header
+    #[arg(long)]
+    samples: bool,
+    /// Shift A's mean to B's first, channel by channel
+    #[arg(long, requires = "samples")]
+    align_mean: bool,
+    /// Fix the kernel's length scale instead of the median heuristic
+    #[arg(long, requires = "samples", value_name = "X", value_parser = sigma)]
+    sigma: Option<f64>,
+    #[command(flatten)]
+    sources: SourceArgs,
+    /// Permutations within pairs, for κ and the p-value
+    #[arg(long, default_value_t = 1000, value_name = "COUNT", value_parser = at_least_one)]
+    permutations: usize,
+    /// Significance level of κ
+    #[arg(long, default_value_t = 0.05, value_name = "ALPHA", value_parser = level)]
+    alpha: f64,
+    /// Seed of everything that is drawn at random
+    #[arg(long, default_value_t = 1, value_name = "SEED")]
+    seed: u64,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+fn sigma(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
+        _ => Err("expected a positive number".into()),
+    }
+}
+
+fn level(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if 0.0 < x && x < 1.0 => Ok(x),
+        _ => Err("expected a number between 0 and 1".into()),
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    if args.samples { compare_samples(args) } else { compare_trials(args) }
+}
+
+fn compare_samples(args: &Args) -> Done {
+    let (z, y) = (samples::read(&args.a)?, samples::read(&args.b)?);
+    samples::same_columns((&args.a, &z), (&args.b, &y))?;
+    let result = score_samples(z.view(), y.view(), args.align_mean, args.sigma);
+    if args.json {
+        show::json(&result);
+    } else {
+        eprintln!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
+        eprintln!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
+    }
+    Ok(())
+}
+
+#[derive(serde::Serialize)]
+struct Report {
+    a: String,
+    b: String,
+    synthetic: bool,
+    #[serde(flatten)]
+    comparison: Comparison,
+}
+
+fn compare_trials(args: &Args) -> Done {
+    let (a, scene, a_synthetic) = find(&args.a)?;
+    let (b, of_b, b_synthetic) = find(&args.b)?;
+    let scene = args.sources.narrow(scene.with(of_b))?;
+    let options = TestOptions {
+        samples: 400,
+        repetitions: 10,
+        permutations: args.permutations,
+        alpha: args.alpha,
+        seed: args.seed,
+    };
+    let comparison = compare(&a, &b, &scene, &options)?;
+    let synthetic = a_synthetic || b_synthetic;
+    let report = Report { a: a.key.to_string(), b: b.key.to_string(), synthetic, comparison };
+    if args.json {
+        show::json(&report);
+    } else {
+        tell(&report, args.alpha);
+    }
+    Ok(())
+}
+
+fn tell(report: &Report, alpha: f64) {
+    let mark = if report.synthetic { "  (synthetic)" } else { "" };
+    eprintln!("A  {}\nB  {}{mark}\n", report.a, report.b);
+    eprintln!("source     score n·MMD²    MMD²          σ             κ             p");
+    for s in &report.comparison.sources {
+        eprintln!(
+            "{:<10} {:<15.4} {:<13.4e} {:<13.4e} {:<13.4e} {:<7.4}{}",
+            s.source,
+            s.score,
+            s.mmd2,
+            s.sigma,
+            s.kappa,
+            s.p_value,
+            if s.p_value <= alpha { " differ" } else { "" }
+        );
+    }
+    eprintln!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
+}
+
+/// The trial that an argument names, with the scene of its library, and whether it is synthetic.
+fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
+    if argument.is_dir() {
+        return from_folder(argument);
+    }
+    let text = argument.to_string_lossy();
+    let mut parts = text.split(':');
+    let (Some(data), Some(surface), Some(number)) = (parts.next(), parts.next(), parts.next())
+    else {
+        return Err(Failure::Failed(format!(
+            "{text}: no such folder; expected the folder of a trial (LIBRARY/SURFACE/TRIAL), or \
+             DATA:SURFACE:NUMBER[:USER]"
+        )));
+    };
+    let user = parts.next();
+    let library = super::open(Path::new(data))?;
+    let found = library.entries.iter().find(|entry| {
+        entry.key.surface == surface
+            && entry.key.number.to_string() == number
+            && user.is_none_or(|user| entry.key.user == user)
+    });
+    let Some(entry) = found else {
+        return Err(Failure::Failed(format!(
+            "{data}: no trial {number} of `{surface}`{}; its surfaces: {}",
+            user.map(|user| format!(" by {user}")).unwrap_or_default(),
+            library.surfaces().join(", ")
+        )));
+    };
+    Ok((entry.load()?, library.scene.clone(), library.synthetic))
+}
+
+fn from_folder(folder: &Path) -> Result<(Trial, Scene, bool), Failure> {
+    let one = crate::library::recording::open_trial(folder, &Scene::lmt108())?;
+    let entry = &one.entries[0];
+    Ok((entry.load()?, one.scene.clone(), one.synthetic))
+}

@@ -1,0 +1,142 @@
+//! `surfaced eval`: accuracy by protocol.
+
+use std::path::PathBuf;
+
+use super::method::{MethodArgs, WithMethod};
+use super::{Done, Failure, SourceArgs, show};
+use crate::evaluate::{self, EvaluateError, Fold, Outcome, Protocol};
+use crate::library::Entry;
+use crate::recognise::Method;
+use crate::scene::{Phase, Scene};
+
+/// Measure how well a method names surfaces
+#[derive(clap::Args)]
+#[command(after_help = "Example: surfaced eval LMT_108_SurfaceMaterials_Database \
+                        --protocol leave-one-trial-out --sources mi2 --json")]
+pub struct Args {
+    /// Recordings: a library, or the LMT108 database
+    data: PathBuf,
+    /// How queries and library are split
+    #[arg(long, value_enum)]
+    protocol: Protocol,
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    method: MethodArgs,
+    /// Use only the first seconds of each query's drag
+    #[arg(long, value_name = "X", value_parser = seconds)]
+    query_seconds: Option<f64>,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Parses a duration.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
+        _ => Err("expected a positive number of seconds".into()),
+    }
+}
+
+/// The JSON document: the outcome, and what it was measured on.
+#[derive(serde::Serialize)]
+struct Report {
+    #[serde(flatten)]
+    outcome: Outcome,
+    protocol: &'static str,
+    data: String,
+    synthetic: bool,
+    query_seconds: Option<f64>,
+}
+
+struct Evaluation<'a> {
+    entries: &'a [Entry],
+    folds: &'a [Fold],
+    scene: &'a Scene,
+    query_seconds: Option<f64>,
+}
+
+impl WithMethod for Evaluation<'_> {
+    type Output = Result<Outcome, EvaluateError>;
+
+    fn with(self, method: impl Method + 'static) -> Self::Output {
+        let steps = show::Steps::new();
+        let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
+        let progress = |step, done, of| steps.tell(step, done, of);
+        evaluate::run(&method, self.entries, self.folds, as_query, &progress)
+            .map(|(outcome, _)| outcome)
+    }
+}
+
+/// The entry with its drag cut to the first seconds.
+pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
+    let Some(seconds) = seconds else { return entry.clone() };
+    let scene = scene.clone();
+    entry.clone().changed(move |trial| {
+        trial.first_seconds(seconds, |id| {
+            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
+        })
+    })
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let library = super::open(&args.data)?;
+    let scene = args.sources.narrow(library.scene.clone())?;
+    let entries: Vec<Entry> = (library.entries.iter())
+        .map(|entry| entry.clone().within(&scene))
+        .filter(|entry| !entry.sources.is_empty())
+        .collect();
+    if entries.is_empty() {
+        let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
+        return Err(Failure::Failed(format!(
+            "{}: no trial holds any of the sources {}; see above for what was found",
+            super::shown(&args.data),
+            asked.join(", ")
+        )));
+    }
+    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let folds = evaluate::folds(args.protocol, &keys)?;
+    let query_seconds = args.query_seconds;
+    let evaluation = Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds };
+    let outcome = args.method.apply(&scene, evaluation)?;
+    let report = Report {
+        outcome,
+        protocol: args.protocol.name(),
+        data: library.name.clone(),
+        synthetic: library.synthetic,
+        query_seconds,
+    };
+    if args.json {
+        show::json(&report);
+    } else {
+        tell(&report);
+    }
+    Ok(())
+}
+
+fn tell(report: &Report) {
+    let o = &report.outcome;
+    let sources: Vec<_> = o.sources.iter().map(|id| id.as_str()).collect();
+    let mark = if report.synthetic { ", on synthetic data" } else { "" };
+    eprintln!();
+    eprintln!("{} · {} · {}{mark}", report.protocol, o.method, sources.join(", "));
+    eprintln!(
+        "accuracy   {} ± {} over {} folds (95 % interval over queries: {} to {})",
+        show::percent(o.accuracy_mean),
+        show::percent(o.accuracy_std),
+        o.folds.len(),
+        show::percent(o.accuracy_low),
+        show::percent(o.accuracy_high)
+    );
+    eprintln!("precision  {}", show::percent(o.precision_mean));
+    eprintln!(
+        "           {} surfaces, {} queries against {} library trials",
+        o.classes, o.queries, o.library_trials
+    );
+    eprintln!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
+    for (truth, answer, count) in o.confusion.worst(5) {
+        eprintln!("           {count} × {truth} taken for {answer}");
+    }
+}

@@ -1,0 +1,107 @@
+//! The command line: what was said, checked, turned into what the library works with, and shown.
+//!
+//! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
+
+mod compare;
+mod dependence;
+mod duration;
+mod eval;
+mod method;
+mod samples;
+mod show;
+mod synth;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::dataset;
+use crate::library::Library;
+use crate::scene::{Scene, SourceId};
+
+/// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
+#[derive(Parser)]
+#[command(name = "surfaced", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Eval(eval::Args),
+    Compare(compare::Args),
+    Dependence(dependence::Args),
+    Duration(duration::Args),
+    Synth(synth::Args),
+}
+
+/// How a command ended, short of doing all that it was asked to.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// Exit code 1.
+    Failed(String),
+    /// Exit code 2.
+    Usage(String),
+    /// Exit code 3: done, but something in use was lost or damaged.
+    Damaged(String),
+}
+
+/// Anything that went wrong while working is a failure; wrong usage says so itself.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+type Done = Result<(), Failure>;
+
+/// Runs the command that the process was started with.
+pub fn run() -> ExitCode {
+    let done = match Cli::parse().command {
+        Command::Eval(args) => eval::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Dependence(args) => dependence::run(&args),
+        Command::Duration(args) => duration::run(&args),
+        Command::Synth(args) => synth::run(&args),
+    };
+    let (code, kind, message) = match done {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Failed(message)) => (1, "error", message),
+        Err(Failure::Usage(message)) => (2, "error", message),
+        Err(Failure::Damaged(message)) => (3, "warning", message),
+    };
+    eprintln!("{kind}: {message}");
+    ExitCode::from(code)
+}
+
+/// Which sources a comparison uses.
+#[derive(clap::Args)]
+pub(crate) struct SourceArgs {
+    /// Sources to compare, with commas between them (default: all that the data have)
+    #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
+    sources: Vec<SourceId>,
+}
+
+impl SourceArgs {
+    /// The scene with only the sources that were asked for.
+    fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        if self.sources.is_empty() {
+            return Ok(scene);
+        }
+        scene.only(&self.sources).map_err(|error| Failure::Usage(error.to_string()))
+    }
+}
+
+/// Opens recordings of any form, and tells on stderr what was found.
+pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
+    let library = dataset::open(path, &Scene::lmt108())?;
+    show::library(&library);
+    Ok(library)
+}
+
+/// A file that a person named, for messages.
+pub(crate) fn shown(path: &PathBuf) -> String {
+    path.display().to_string()
+}

@@ -1,0 +1,64 @@
+//! What people see: summaries, progress, tables. All of it on stderr.
+
+use std::sync::Mutex;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::library::Library;
+
+/// Says what a library holds, and what was passed over.
+pub fn library(library: &Library) {
+    let surfaces = library.surfaces().len();
+    let mark = if library.synthetic { " (synthetic)" } else { "" };
+    eprintln!("{}{mark}: {} trials of {surfaces} surfaces", library.name, library.entries.len());
+    for remark in &library.remarks {
+        eprintln!("  {remark}");
+    }
+}
+
+/// Prints one JSON document, or one line of a stream of them, on stdout.
+pub fn json(value: &impl serde::Serialize) {
+    // Plain structs, numbers and text: nothing here that JSON cannot express.
+    println!("{}", serde_json::to_string(value).expect("plain data"));
+}
+
+/// A fraction as a percentage.
+pub fn percent(fraction: f64) -> String {
+    format!("{:.1} %", fraction * 100.0)
+}
+
+/// A progress bar on stderr that appears where a person looks at it, one for each step of a work.
+pub struct Steps(Mutex<Option<(&'static str, ProgressBar)>>);
+
+impl Steps {
+    /// No step yet.
+    pub fn new() -> Self {
+        Self(Mutex::new(None))
+    }
+
+    /// Tells how much of a step is done.
+    pub fn tell(&self, step: &'static str, done: usize, of: usize) {
+        // A thread that panicked while it held the lock left a bar that can still be drawn.
+        let mut bar = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if bar.as_ref().is_none_or(|(name, _)| *name != step) {
+            if let Some((_, old)) = bar.take() {
+                old.finish_and_clear();
+            }
+            let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} · {eta} left");
+            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+            let new = ProgressBar::new(of as u64).with_style(style).with_message(step);
+            *bar = Some((step, new));
+        }
+        if let Some((_, bar)) = bar.as_ref() {
+            bar.set_position(done as u64);
+        }
+    }
+}
+
+impl Drop for Steps {
+    fn drop(&mut self) {
+        if let Ok(Some((_, bar))) = self.0.get_mut() {
+            bar.finish_and_clear();
+        }
+    }
+}

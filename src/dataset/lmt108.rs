@@ -1,0 +1,255 @@
+//! The LMT108 surface materials database (Strese et al. 2017), in its own layout (method.md §7).
+//!
+//! Training trials are the expert's; Testing trial u is that of user `user{u}`. Read leniently: any
+//! subset of the database will do, and the library's remarks say what was found.
+
+mod name;
+
+use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
+use std::path::{Path, PathBuf};
+
+use name::Part;
+
+use crate::library::files::{self, Listed};
+use crate::library::loader::{Headers, SourceFiles};
+use crate::library::recording::{self, Seen};
+use crate::library::{Library, LibraryError};
+use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::trial::{EXPERT, TrialKey};
+
+/// Folders of the database; one of them is enough to know it by.
+const FOLDERS: [&str; 6] = [
+    "AccelScansComponents",
+    "SoundScans",
+    "FricScans",
+    "ReflectanceScans",
+    "MetalDetectionScans",
+    "ImageScans",
+];
+
+/// Rate of everything but sound.
+const TEXT_RATE_HZ: f64 = 10_000.0;
+
+/// How deep its folders go: `FricScans/FSR1/Training`, and one to spare.
+const DEEPEST: usize = 4;
+
+/// Whether a folder with these things in it is the database's root.
+pub(super) fn is_root(listed: &[Listed]) -> bool {
+    listed.iter().any(is_scans)
+}
+
+fn is_scans(item: &Listed) -> bool {
+    item.is_dir && FOLDERS.iter().any(|name| item.name.eq_ignore_ascii_case(name))
+}
+
+/// Opens the database at its root.
+///
+/// # Errors
+/// If a folder or a WAV header cannot be read, or contradicts the scene, or nothing is found.
+pub(super) fn open(
+    root: &Path,
+    listed: &[Listed],
+    defaults: &Scene,
+) -> Result<Library, LibraryError> {
+    let mut found = Found::default();
+    for item in listed.iter().filter(|item| is_scans(item)) {
+        found.walk(item, &mut Vec::new())?;
+    }
+    let mut headers = Headers::default();
+    let mut entries = Vec::new();
+    let mut passed = found.passed;
+    for (key, parts) in found.trials {
+        let mut sources = BTreeMap::new();
+        for (source, channels) in parts {
+            let Some(spec) = defaults.get(source) else {
+                let what = format!("not used, the scene describes no source `{source}`");
+                Seen::count(&mut passed, what, key.to_string());
+                continue;
+            };
+            match complete(spec, channels)? {
+                Ok(paths) => {
+                    let files = source_files(&mut headers, spec, paths)?;
+                    sources.insert(spec.id.clone(), files);
+                }
+                Err(why) => Seen::count(&mut passed, why, key.to_string()),
+            }
+        }
+        if !sources.is_empty() {
+            entries.push(recording::entry(key, sources));
+        }
+    }
+    let mut remarks = Vec::new();
+    if !entries.is_empty() {
+        let keys = entries.iter().map(|entry| (&entry.key, entry.sources.as_slice()));
+        remarks = summary(&keys.collect::<Vec<_>>(), defaults);
+    }
+    remarks.extend(passed.into_iter().map(|(what, seen)| seen.say(&what)));
+    if entries.is_empty() {
+        let mut problem = "the LMT108 database, but without a single whole recording; looked for \
+                           names such as SoundScans/Movement/Training/\
+                           G1EpoxyRasterPlate_Sound_Movement_train1.wav"
+            .to_string();
+        for remark in &remarks {
+            problem.push_str("\n  ");
+            problem.push_str(remark);
+        }
+        return Err(LibraryError::NothingFound { path: root.to_path_buf(), problem });
+    }
+    Ok(Library {
+        name: "LMT108".into(),
+        scene: defaults.clone(),
+        entries,
+        synthetic: false,
+        remarks,
+    })
+}
+
+type Channels = BTreeMap<usize, PathBuf>;
+
+#[derive(Default)]
+struct Found {
+    trials: BTreeMap<TrialKey, BTreeMap<&'static str, Channels>>,
+    passed: BTreeMap<String, Seen>,
+}
+
+impl Found {
+    /// Takes in all files below `folder`; `above` names its folders from the root, in lower case.
+    fn walk(&mut self, folder: &Listed, above: &mut Vec<String>) -> Result<(), LibraryError> {
+        above.push(folder.name.to_ascii_lowercase());
+        for item in files::list(&folder.path)? {
+            if item.is_hidden() {
+                continue;
+            }
+            if item.is_dir {
+                if above.len() < DEEPEST {
+                    self.walk(&item, above)?;
+                } else {
+                    self.pass_over(&item, "not used, the database has no folders as deep as this");
+                }
+            } else {
+                self.file(item, above);
+            }
+        }
+        above.pop();
+        Ok(())
+    }
+
+    fn file(&mut self, item: Listed, folders: &[String]) {
+        let (stem, extension) = item.stem_and_extension();
+        let part = match name::parse(folders, stem) {
+            Ok(part) => part,
+            Err(why) => return self.pass_over(&item, &format!("not used, {why}")),
+        };
+        let expected: &[&str] = match part.source {
+            "ca1" | "ca2" => &["jpg", "jpeg", "png"],
+            "mi1" | "mi2" => &["wav"],
+            _ => &["txt"],
+        };
+        if !expected.contains(&extension.as_str()) {
+            let why = format!("not used, expected a .{} file for this", expected[0]);
+            return self.pass_over(&item, &why);
+        }
+        let Part { key, source, channel, contradicts } = part;
+        if contradicts {
+            self.pass_over(
+                &item,
+                "its folder and its name disagree on whether this is training; the folder counts",
+            );
+        }
+        let channels = self.trials.entry(key).or_default().entry(source).or_default();
+        if let Entry::Vacant(free) = channels.entry(channel) {
+            free.insert(item.path);
+        } else {
+            self.pass_over(&item, "not used, another file is this very recording; remove one");
+        }
+    }
+
+    fn pass_over(&mut self, item: &Listed, why: &str) {
+        Seen::count(&mut self.passed, why.to_string(), item.name.clone());
+    }
+}
+
+/// The files of a source, one a channel, or what is missing.
+///
+/// # Errors
+/// If the scene gives the source another number of channels than the database does.
+fn complete(
+    spec: &SourceSpec,
+    channels: Channels,
+) -> Result<Result<Vec<PathBuf>, String>, LibraryError> {
+    let names: &[&str] = match spec.id.as_str() {
+        "ac" => &["X", "Y", "Z"],
+        "fr" => &["FSR1", "FSR2"],
+        _ => &[""],
+    };
+    let image = spec.domain == Domain::Image;
+    let is_image = matches!(spec.id.as_str(), "ca1" | "ca2");
+    if image != is_image || !image && spec.channels != names.len() {
+        let path = channels.into_values().next().unwrap_or_default();
+        let problem = format!(
+            "the database has {} for source `{}`; correct its description in the configuration",
+            if is_image { "an image".into() } else { format!("{} channel(s)", names.len()) },
+            spec.id,
+        );
+        return Err(LibraryError::file(&path, problem));
+    }
+    let missing: Vec<_> =
+        (0..names.len()).filter(|at| !channels.contains_key(at)).map(|at| names[at]).collect();
+    if missing.is_empty() {
+        return Ok(Ok(channels.into_values().collect()));
+    }
+    let (id, missing) = (&spec.id, missing.join(", "));
+    Ok(Err(format!("source `{id}` not used, files missing: {missing}")))
+}
+
+fn source_files(
+    headers: &mut Headers,
+    spec: &SourceSpec,
+    mut paths: Vec<PathBuf>,
+) -> Result<SourceFiles, LibraryError> {
+    Ok(match spec.id.as_str() {
+        // One file each: `complete` saw to it.
+        "mi1" | "mi2" => headers.wav(spec, None, &paths.remove(0))?,
+        "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
+        _ => SourceFiles::Columns { paths, rate_hz: TEXT_RATE_HZ },
+    })
+}
+
+/// What was found and what is missing, a line each, for people.
+fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
+    let surfaces: BTreeSet<_> = entries.iter().map(|(key, _)| key.surface.as_str()).collect();
+    let experts = entries.iter().filter(|(key, _)| key.user == EXPERT).count();
+    let (mut found, mut missing, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
+    for spec in scene.sources() {
+        let holds = |is_expert: bool| {
+            let of_split = entries.iter().filter(|(key, _)| (key.user == EXPERT) == is_expert);
+            of_split.filter(|(_, sources)| sources.contains(&spec.id)).count()
+        };
+        let (expert, users) = (holds(true), holds(false));
+        match (expert, users) {
+            (0, 0) => missing.push(spec.id.to_string()),
+            (_, 0) => found.push(format!("{} × {expert} (expert)", spec.id)),
+            (0, _) => found.push(format!("{} × {users} (users)", spec.id)),
+            _ => found.push(format!("{} × {expert} (expert) + {users} (users)", spec.id)),
+        }
+        let lacking = entries.len() - expert - users;
+        if lacking > 0 && lacking < entries.len() {
+            gaps.push(format!("{} in {lacking} of {} trials", spec.id, entries.len()));
+        }
+    }
+    let mut remarks = vec![format!(
+        "found: {} surface{}, trials: {experts} of the expert, {} of users; {}",
+        surfaces.len(),
+        if surfaces.len() == 1 { "" } else { "s" },
+        entries.len() - experts,
+        found.join(", "),
+    )];
+    if !missing.is_empty() {
+        remarks.push(format!("missing: {}", missing.join(", ")));
+    }
+    if !gaps.is_empty() {
+        remarks.push(format!("missing here and there: {}", gaps.join(", ")));
+    }
+    remarks
+}

@@ -1,0 +1,271 @@
+//! What a file of LMT108 is, by its name and its folders.
+//!
+//! Some names are known, others inferred (method.md §7), so upper and lower case do not matter, and
+//! what the folders say need not be said again by the name.
+
+use crate::trial::{EXPERT, TrialKey};
+
+/// One channel of one source of one trial.
+#[derive(Debug, PartialEq)]
+pub(super) struct Part {
+    pub key: TrialKey,
+    pub source: &'static str,
+    /// Counted from 0; always 0 where a file holds the whole source.
+    pub channel: usize,
+    /// The folder says Training and the name says test, or the other way round.
+    pub contradicts: bool,
+}
+
+/// The words that end the surface's name.
+const WORDS: [&str; 12] = [
+    "movement",
+    "tapping",
+    "sound",
+    "image",
+    "reflectance",
+    "metaldetection",
+    "metal",
+    "friction",
+    "frictionfsr1",
+    "frictionfsr2",
+    "fsr1",
+    "fsr2",
+];
+
+#[derive(Clone, Copy, PartialEq)]
+enum Split {
+    Training,
+    Testing,
+}
+
+/// What a file is; `folders` are those above it, from the database's root, in lower case, and
+/// `stem` is its name without the extension.
+///
+/// # Errors
+/// With the reason, if it is no part of a trial that the program knows.
+pub(super) fn parse(folders: &[String], stem: &str) -> Result<Part, &'static str> {
+    let in_folder = |name: &str| folders.iter().any(|folder| folder == name);
+    let said = split_in_folders(folders);
+    let (rest, split_in_name, number) = cut_number(stem)?;
+    let split =
+        said.or(split_in_name).ok_or("neither its folder nor its name says train or test")?;
+    let contradicts = split_in_name.is_some_and(|name| name != split);
+
+    let mut parts: Vec<&str> = rest.split('_').filter(|part| !part.is_empty()).collect();
+    let mut flash = in_folder("flash");
+    if parts.first().is_some_and(|first| is(first, &["flash", "noflash"])) {
+        flash |= is(parts.remove(0), &["flash"]);
+    }
+    let words_at = parts.iter().skip(1).position(|part| is(part, &WORDS)).map(|at| at + 1);
+    let (surface, words) = parts.split_at(words_at.ok_or("its name does not say what it is")?);
+    let words: Vec<String> = words.iter().map(|word| word.to_ascii_lowercase()).collect();
+    let has = |word: &str| words.iter().any(|w| w == word);
+    let tap = has("tapping") || !has("movement") && in_folder("tapping");
+
+    let mut trial = number;
+    let (source, channel) = if has("image") {
+        // The pairs are (1, 1), (10, 2), (2, 3), …, (9, 10): the first number is the trial.
+        if let Some(number) = words.last().and_then(|word| word.parse().ok()) {
+            trial = number;
+        }
+        (if flash { "ca2" } else { "ca1" }, 0)
+    } else if has("sound") || in_folder("soundscans") {
+        (if tap { "mi1" } else { "mi2" }, 0)
+    } else if words.iter().any(|word| word.ends_with("fsr1")) || in_folder("fsr1") {
+        ("fr", 0)
+    } else if words.iter().any(|word| word.ends_with("fsr2")) || in_folder("fsr2") {
+        ("fr", 1)
+    } else if has("reflectance") {
+        ("ir", 0)
+    } else if has("metaldetection") || has("metal") {
+        ("me", 0)
+    } else if has("friction") {
+        return Err("its name does not say which of the two force sensors it is");
+    } else {
+        let axis =
+            words.last().and_then(|word| ["x", "y", "z"].iter().position(|axis| axis == word));
+        match (tap, axis) {
+            (true, Some(2)) => ("act", 0),
+            (true, _) => return Err("of the tapping acceleration only axis Z is known"),
+            (false, Some(axis)) => ("ac", axis),
+            (false, None) => return Err("its name does not say which axis it is"),
+        }
+    };
+    let user = match split {
+        Split::Training => EXPERT.to_string(),
+        Split::Testing => format!("user{trial}"),
+    };
+    Ok(Part { key: TrialKey::new(surface.join("_"), user, trial), source, channel, contradicts })
+}
+
+fn is(part: &str, words: &[&str]) -> bool {
+    words.iter().any(|word| part.eq_ignore_ascii_case(word))
+}
+
+fn split_in_folders(folders: &[String]) -> Option<Split> {
+    folders.iter().rev().find_map(|folder| match folder.as_str() {
+        "training" | "train" => Some(Split::Training),
+        "testing" | "test" => Some(Split::Testing),
+        _ => None,
+    })
+}
+
+/// Cuts `_train7` off `…_train7`: what is left, the split if it is said, the number.
+fn cut_number(stem: &str) -> Result<(&str, Option<Split>, u32), &'static str> {
+    let head = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+    let number = stem[head.len()..].parse().map_err(|_| "its name does not end with a number")?;
+    let head = head.trim_end_matches('_');
+    let words = [
+        ("training", Split::Training),
+        ("train", Split::Training),
+        ("testing", Split::Testing),
+        ("test", Split::Testing),
+    ];
+    for (word, split) in words {
+        let at = head.len().wrapping_sub(word.len());
+        if head.get(at..).is_some_and(|end| end.eq_ignore_ascii_case(word)) {
+            return Ok((head[..at].trim_end_matches('_'), Some(split), number));
+        }
+    }
+    Ok((head, None, number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(path: &str) -> Result<(String, &'static str, usize), &'static str> {
+        let mut folders: Vec<String> = path.split('/').map(str::to_ascii_lowercase).collect();
+        folders.pop();
+        let stem = path.rsplit('/').next().unwrap().rsplit_once('.').unwrap().0;
+        let part = parse(&folders, stem)?;
+        let TrialKey { surface, user, number } = part.key;
+        Ok((format!("{surface} {user} {number}"), part.source, part.channel))
+    }
+
+    #[track_caller]
+    fn expect(path: &str, key: &str, source: &str, channel: usize) {
+        assert_eq!(parsed(path), Ok((key.to_string(), source, channel)), "{path}");
+    }
+
+    #[test]
+    fn every_name_of_the_database_is_understood() {
+        expect(
+            "AccelScansComponents/Movement/Training/G1Mesh_Movement_Y_train7.txt",
+            "G1Mesh expert 7",
+            "ac",
+            1,
+        );
+        expect(
+            "AccelScansComponents/Tapping/Training/G1Mesh_Tapping_Z_train10.txt",
+            "G1Mesh expert 10",
+            "act",
+            0,
+        );
+        expect(
+            "SoundScans/Movement/Testing/G1Mesh_Sound_Movement_test2.wav",
+            "G1Mesh user2 2",
+            "mi2",
+            0,
+        );
+        expect(
+            "SoundScans/Tapping/Training/G1Mesh_Sound_Tapping_train2.wav",
+            "G1Mesh expert 2",
+            "mi1",
+            0,
+        );
+        expect(
+            "FricScans/FSR1/Training/G1Mesh_FrictionFSR1_Movement_train1.txt",
+            "G1Mesh expert 1",
+            "fr",
+            0,
+        );
+        expect(
+            "FricScans/FSR2/Testing/G1Mesh_FrictionFSR2_Movement_test1.txt",
+            "G1Mesh user1 1",
+            "fr",
+            1,
+        );
+        expect(
+            "ReflectanceScans/Training/G1Mesh_Reflectance_Movement_train3.txt",
+            "G1Mesh expert 3",
+            "ir",
+            0,
+        );
+        expect(
+            "MetalDetectionScans/Testing/G1Mesh_MetalDetection_Movement_test3.txt",
+            "G1Mesh user3 3",
+            "me",
+            0,
+        );
+    }
+
+    #[test]
+    fn the_first_number_of_an_image_is_its_trial() {
+        expect(
+            "ImageScans/NoFlash/Training/G1Mesh_Image_1_train1.jpg",
+            "G1Mesh expert 1",
+            "ca1",
+            0,
+        );
+        expect(
+            "ImageScans/NoFlash/Training/G1Mesh_Image_10_train2.jpg",
+            "G1Mesh expert 10",
+            "ca1",
+            0,
+        );
+        expect("ImageScans/NoFlash/Testing/G1Mesh_Image_9_test0.jpg", "G1Mesh user9 9", "ca1", 0);
+        expect(
+            "ImageScans/Flash/Training/Flash_G1Mesh_Image_2_train3.jpg",
+            "G1Mesh expert 2",
+            "ca2",
+            0,
+        );
+        expect("ImageScans/Flash/Training/G1Mesh_Image_2_train3.jpg", "G1Mesh expert 2", "ca2", 0);
+    }
+
+    #[test]
+    fn case_and_missing_words_do_not_matter() {
+        expect("soundscans/g4Oak_sound_movement_TRAIN3.WAV", "g4Oak expert 3", "mi2", 0);
+        expect("SoundScans/Tapping/Training/G4Oak_Sound_3.wav", "G4Oak expert 3", "mi1", 0);
+        expect(
+            "FricScans/FSR2/Testing/G4Oak_Friction_Movement_test4.txt",
+            "G4Oak user4 4",
+            "fr",
+            1,
+        );
+        expect(
+            "MetalDetectionScans/Testing/G4Oak_Metal_Movement_test4.txt",
+            "G4Oak user4 4",
+            "me",
+            0,
+        );
+    }
+
+    #[test]
+    fn the_folder_wins_over_the_name() {
+        let folders = ["soundscans".to_string(), "testing".to_string()];
+        let part = parse(&folders, "G1Mesh_Sound_Movement_train3").unwrap();
+        assert_eq!((part.key.user.as_str(), part.contradicts), ("user3", true));
+    }
+
+    #[test]
+    fn what_is_not_understood_says_why() {
+        assert!(parsed("SoundScans/Movement/Training/readme.txt").is_err());
+        assert!(
+            parsed("SoundScans/G1Mesh_Sound_Movement_3.wav").unwrap_err().contains("train or test")
+        );
+        assert!(
+            parsed("FricScans/Training/G1Mesh_Friction_Movement_1.txt")
+                .unwrap_err()
+                .contains("which")
+        );
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_name_is_too_odd(stem in "\\PC{0,40}|[a-zA-Z_0-9ä]{0,30}") {
+            let _ = parse(&["training".to_string()], &stem);
+        }
+    }
+}

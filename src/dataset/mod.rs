@@ -1,0 +1,86 @@
+//! Collections of recordings in the forms that others gave them.
+
+mod lmt108;
+pub mod synth;
+
+use std::path::Path;
+
+use crate::library::files::{self, Listed};
+use crate::library::recording::{self, DESCRIPTION};
+use crate::library::{Library, LibraryError};
+use crate::scene::Scene;
+
+/// Opens whatever recordings a folder holds: finds out their form, then reads them with it.
+///
+/// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
+///   its folders, here or one folder further down),
+/// - otherwise the recording format, version 1 (see [`recording`]).
+///
+/// The sources are those of `defaults`, and those that the library itself describes. Data are read
+/// when an entry is loaded; [`Library::remarks`] says what was found and what is missing.
+///
+/// # Errors
+/// If the folder cannot be read, holds no recordings, or holds some that contradict their
+/// description; and for the authors' processed MATLAB files, which are not read yet.
+pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+    let listed = files::list(path)?;
+    if let Some(library) = open_lmt108(path, &listed, defaults) {
+        return library;
+    }
+    // A folder that describes itself is taken at its word.
+    if !listed.iter().any(|item| item.name == DESCRIPTION) {
+        let mut found = Vec::new();
+        for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
+            // What cannot be listed here is reported by whoever needs it.
+            let inner = files::list(&item.path).unwrap_or_default();
+            if lmt108::is_root(&inner) || is_processed(&inner) {
+                found.push((item, inner));
+            }
+        }
+        match found.as_slice() {
+            [] => {}
+            [(item, inner)] => {
+                if let Some(library) = open_lmt108(&item.path, inner, defaults) {
+                    return library;
+                }
+            }
+            [(a, _), (b, _), ..] => {
+                return Err(LibraryError::file(
+                    path,
+                    format!(
+                        "more than one copy of the LMT108 database (`{}`, `{}`); name one of them",
+                        a.name, b.name
+                    ),
+                ));
+            }
+        }
+    }
+    recording::open(path, defaults)
+}
+
+fn open_lmt108(
+    path: &Path,
+    listed: &[Listed],
+    defaults: &Scene,
+) -> Option<Result<Library, LibraryError>> {
+    if lmt108::is_root(listed) {
+        return Some(lmt108::open(path, listed, defaults));
+    }
+    is_processed(listed).then(|| {
+        Err(LibraryError::file(
+            path,
+            "the authors' processed MATLAB files: not read yet; use the database's own files, in \
+             the folder that holds SoundScans/ and AccelScansComponents/",
+        ))
+    })
+}
+
+/// The authors' processed form: one MATLAB file a trial.
+fn is_processed(listed: &[Listed]) -> bool {
+    listed.iter().any(|item| {
+        item.is_dir && item.name.eq_ignore_ascii_case("DataLMT108")
+            || !item.is_dir
+                && item.name.starts_with("surfaceList_LMT108")
+                && item.name.ends_with(".mat")
+    })
+}

@@ -1,0 +1,128 @@
+//! How a physical value comes about: a centre, moved by the surface, by the user and by the trial.
+//!
+//! Every quantity of the scene is a sum of independent normal effects (a random-effects model), so
+//! the whole scene is calibrated by changing numbers in `Difficulty`, and what separates surfaces
+//! stands beside what confuses them.
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::seed;
+use crate::trial::{EXPERT, TrialKey};
+
+/// One quantity: its centre, and the standard deviations of what moves it, all in its own unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Effect {
+    /// the value with which surfaces, users and trials play
+    pub centre: f64,
+    /// between surfaces: what a recogniser can use
+    pub surface: f64,
+    /// between users; the expert is the zero, so this is the distance between expert and user
+    pub user: f64,
+    /// between trials of one surface by one user
+    pub trial: f64,
+}
+
+impl Effect {
+    /// A quantity with this centre and these spreads.
+    pub const fn new(centre: f64, surface: f64, user: f64, trial: f64) -> Self {
+        Self { centre, surface, user, trial }
+    }
+}
+
+/// What is drawn for one trial. Keyed by name, so a quantity does not depend on which others exist,
+/// nor a trial on which others are made.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Draws<'a> {
+    pub seed: u64,
+    pub key: &'a TrialKey,
+}
+
+impl Draws<'_> {
+    /// The value of a quantity in this trial.
+    pub fn value(&self, name: &str, effect: Effect) -> f64 {
+        self.nth(name, 0, effect)
+    }
+
+    /// The value of one of several like quantities, such as the heights of bumps.
+    pub fn nth(&self, name: &str, index: u32, effect: Effect) -> f64 {
+        let (name, index) = (name.as_bytes(), &index.to_le_bytes()[..]);
+        let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
+        let number = self.key.number.to_le_bytes();
+        let draw = |sd: f64, key: &[&[u8]]| match sd {
+            0.0 => 0.0,
+            _ => sd * normal(&mut seed::rng(self.seed, key)),
+        };
+        let hand = if self.key.user == EXPERT { 0.0 } else { effect.user };
+        effect.centre
+            + draw(effect.surface, &[b"surface", name, index, surface])
+            + draw(hand, &[b"user", name, index, user])
+            + draw(effect.trial, &[b"trial", name, index, surface, user, &number])
+    }
+
+    /// A uniform number in [0, 1) that belongs to the surface.
+    pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
+        let index = index.to_le_bytes();
+        let key = [b"uniform", name.as_bytes(), &index, self.key.surface.as_bytes()];
+        uniform(&mut seed::rng(self.seed, &key))
+    }
+
+    /// A generator for noise that belongs to this trial alone.
+    pub fn noise(&self, name: &str) -> ChaCha8Rng {
+        let number = self.key.number.to_le_bytes();
+        let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
+        seed::rng(self.seed, &[b"noise", name.as_bytes(), surface, user, &number])
+    }
+}
+
+/// A number from the standard normal distribution (Box and Muller 1958).
+pub(super) fn normal(rng: &mut impl Rng) -> f64 {
+    // 1 − u lies in (0, 1], so the logarithm is finite.
+    let radius = (-2.0 * (1.0 - uniform(rng)).ln()).sqrt();
+    radius * (std::f64::consts::TAU * uniform(rng)).cos()
+}
+
+/// A number from the uniform distribution on [0, 1).
+pub(super) fn uniform(rng: &mut impl Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A number between 0 and 1 from one on the whole line.
+pub(super) fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEVEL: Effect = Effect::new(1.0, 0.5, 0.25, 0.125);
+
+    fn value(key: TrialKey, effect: Effect) -> f64 {
+        Draws { seed: 7, key: &key }.value("level", effect)
+    }
+
+    #[test]
+    fn the_expert_is_the_zero_of_the_user_effect() {
+        let hands = Effect { surface: 0.0, trial: 0.0, ..LEVEL };
+        assert_eq!(value(TrialKey::new("A", EXPERT, 1), hands), 1.0);
+        assert_ne!(value(TrialKey::new("A", "user1", 1), hands), 1.0);
+    }
+
+    #[test]
+    fn a_surface_effect_is_shared_by_all_trials_of_the_surface() {
+        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
+        let first = value(TrialKey::new("A", EXPERT, 1), surfaces);
+        assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
+        assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
+    }
+
+    #[test]
+    fn normal_numbers_have_mean_0_and_variance_1() {
+        let mut rng = seed::rng(1, &[b"test"]);
+        let xs: Vec<f64> = (0..20_000).map(|_| normal(&mut rng)).collect();
+        let mean = xs.iter().sum::<f64>() / xs.len() as f64;
+        let variance = xs.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / xs.len() as f64;
+        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+    }
+}

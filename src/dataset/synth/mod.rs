@@ -1,0 +1,148 @@
+//! A synthetic scene: surfaces, a stylus and hands that exist only as numbers.
+//!
+//! It serves tests, demonstrations and stress, and stands in no headline; every library made here
+//! says that it is synthetic. Each trial is generated when it is loaded, from the seed, the surface,
+//! the user and the number alone, so that any of them can be had by itself and on any thread. One
+//! machine gives the same bytes each time; between processors the last bits of a transform, and so
+//! now and then the last bit of a sample, may differ.
+//!
+//! [`Difficulty`] holds every constant of the model; `effect` says how they make a trial.
+
+mod contact;
+mod effect;
+mod hand;
+mod noise;
+mod parameters;
+mod picture;
+mod tap;
+mod vibration;
+
+pub use effect::Effect;
+pub use parameters::{Difficulty, Parameters};
+
+use std::sync::Arc;
+
+use effect::Draws;
+use hand::Hand;
+
+use crate::library::{Entry, Library, LibraryError, LoadTrial};
+use crate::scene::{Scene, SourceId};
+use crate::trial::{EXPERT, Image, Series, Signal, SignalError, Trial, TrialKey};
+
+/// Kinds of material, in turn from surface to surface; the names are LMT108's.
+const MATERIALS: [&str; 9] =
+    ["Mesh", "Stone", "Glossy", "Wood", "Rubber", "Carpet", "Foam", "Plastic", "Textile"];
+/// The kinds of which some conduct.
+const CONDUCTORS: [&str; 2] = ["Mesh", "Glossy"];
+/// Rate of the microphone in Hz.
+const SOUND_RATE_HZ: f64 = 44_100.0;
+/// Rate of all that comes over the serial line in Hz.
+const SERIAL_RATE_HZ: f64 = 10_000.0;
+/// Sound samples of a 4.8 s drag in LMT108: the microphone stops a moment early.
+const SOUND_FRAMES_A_SECOND: f64 = 211_611.0 / 4.8;
+/// Samples of a tap, as in LMT108.
+const TAP_FRAMES: usize = 10_501;
+/// No drag is longer, in seconds.
+const LONGEST_DRAG_S: f64 = 600.0;
+
+/// A scene as a library: for each surface `trials` trials by the expert, and trial u by user u.
+///
+/// Nothing is generated before an entry is loaded.
+pub fn library(parameters: &Parameters) -> Library {
+    let scene = Scene::lmt108();
+    let sources: Vec<SourceId> = scene.sources().map(|spec| spec.id.clone()).collect();
+    let shared = Arc::new((parameters.clone(), scene.clone()));
+    let mut entries = Vec::new();
+    for index in 0..parameters.surfaces {
+        let surface = surface_name(index);
+        let by_expert = (1..=parameters.trials).map(|n| TrialKey::new(&surface, EXPERT, n));
+        let by_users =
+            (1..=parameters.users).map(|u| TrialKey::new(&surface, format!("user{u}"), u));
+        for key in by_expert.chain(by_users) {
+            let loader = Generated { shared: Arc::clone(&shared), key: key.clone() };
+            entries.push(Entry::new(key, sources.clone(), Arc::new(loader)));
+        }
+    }
+    entries.sort_by(|a, b| a.key.cmp(&b.key));
+    Library {
+        name: format!("synthetic scene, seed {}", parameters.seed),
+        scene,
+        entries,
+        synthetic: true,
+        remarks: Vec::new(),
+    }
+}
+
+/// The scene that is played where no data are given: a dozen surfaces, with four trials by the
+/// expert to compare with, and one trial by each of three users to be named.
+pub fn embedded() -> Library {
+    library(&Parameters { surfaces: 12, trials: 4, users: 3, ..Parameters::default() })
+}
+
+/// Name of a surface, counted from 0.
+fn surface_name(index: usize) -> String {
+    format!("Synth{:03}{}", index + 1, MATERIALS[index % MATERIALS.len()])
+}
+
+/// A trial that is made when asked for.
+#[derive(Debug)]
+struct Generated {
+    shared: Arc<(Parameters, Scene)>,
+    key: TrialKey,
+}
+
+impl LoadTrial for Generated {
+    fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
+        let (parameters, scene) = &*self.shared;
+        let mut signals = std::collections::BTreeMap::new();
+        for spec in scene.sources().filter(|spec| wanted.contains(&spec.id)) {
+            let made = generate(parameters, &self.key, spec.id.as_str());
+            let signal = made.map_err(|error| {
+                let path = format!("synthetic trial {}, {}", self.key, spec.id).into();
+                LibraryError::Signal { path, error }
+            })?;
+            signals.insert(spec.id.clone(), signal);
+        }
+        Ok(Trial { key: self.key.clone(), signals })
+    }
+}
+
+/// One source of one trial.
+///
+/// # Errors
+/// If a number in [`Difficulty`] is so extreme that samples are not finite.
+fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
+    let (draws, d) = (&Draws { seed: p.seed, key }, &p.difficulty);
+    let hand = &Hand::draw(draws, d);
+    // At least one frame: `max` passes over a NaN.
+    let seconds = p.drag_seconds.min(LONGEST_DRAG_S);
+    let frames = |rate_hz: f64| (seconds * rate_hz).round().max(1.0) as usize;
+    let drag = frames(SERIAL_RATE_HZ);
+    let serial = SERIAL_RATE_HZ;
+    let (rate_hz, channels, samples) = match source {
+        "ca1" | "ca2" => {
+            let rgb = picture::picture(draws, d, source == "ca2");
+            return Image::new(Image::COLS, Image::ROWS, rgb).map(Signal::Image);
+        }
+        "mi1" => (SOUND_RATE_HZ, 1, tap::sound(draws, d, hand, TAP_FRAMES, SOUND_RATE_HZ)),
+        "mi2" => {
+            let frames = frames(SOUND_FRAMES_A_SECOND);
+            (SOUND_RATE_HZ, 1, vibration::sound(draws, d, hand, frames, SOUND_RATE_HZ))
+        }
+        "ac" => (serial, 3, vibration::acceleration(draws, d, hand, drag, serial)),
+        "fr" => (serial, 2, contact::friction(draws, d, hand, drag, serial)),
+        "ir" => (serial, 1, contact::reflectance(draws, d, hand, drag, serial)),
+        // The scene is LMT108's, so this is the eighth: `me`.
+        _ => (serial, 1, contact::metal(draws, d, conducts(draws, d), drag, serial)),
+    };
+    Series::new(rate_hz, channels, samples).map(Signal::Series)
+}
+
+/// Whether a surface conducts: some meshes and glossy plates do.
+fn conducts(draws: &Draws<'_>, d: &Difficulty) -> bool {
+    CONDUCTORS.iter().any(|kind| draws.key.surface.ends_with(kind))
+        && draws.surface_uniform("metal", 0) < d.metal_fraction
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,164 @@
+//! Noise, the raw material of every signal: white, coloured by a spectrum, or with a correlation
+//! time.
+//!
+//! Speed matters here and exact tails do not, so normal numbers are sums of four uniform ones
+//! (they end at 3.5 standard deviations).
+
+use std::cell::RefCell;
+
+use rand::Rng;
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
+
+thread_local! {
+    /// Plans and buffers are reused from trial to trial, one set a thread.
+    static TRANSFORM: RefCell<Transform> = RefCell::default();
+}
+
+#[derive(Default)]
+struct Transform {
+    planner: Option<RealFftPlanner<f32>>,
+    bins: Vec<Complex<f32>>,
+    scratch: Vec<Complex<f32>>,
+    time: Vec<f32>,
+}
+
+/// Distance in Hz between the points at which a spectrum is evaluated; linear in between.
+const KNOT_HZ: f64 = 10.0;
+
+/// Fills `out` with nearly normal numbers of mean 0 and variance 1.
+pub(super) fn fill_normal(rng: &mut impl Rng, out: &mut [f32]) {
+    // Four 16-bit numbers have mean 4·(2^16 − 1)/2 and variance 4·(2^32 − 1)/12.
+    const MEAN: f32 = 131_070.0;
+    const SCALE: f32 = 2.642_898e-5;
+    let mut bytes = [0u8; 4096];
+    for block in out.chunks_mut(bytes.len() / 8) {
+        let bytes = &mut bytes[..block.len() * 8];
+        rng.fill_bytes(bytes);
+        for (x, b) in block.iter_mut().zip(bytes.chunks_exact(8)) {
+            let word = |at: usize| u32::from(u16::from_le_bytes([b[at], b[at + 1]]));
+            let sum = word(0) + word(2) + word(4) + word(6);
+            *x = (sum as f32 - MEAN) * SCALE;
+        }
+    }
+}
+
+/// Stationary noise of `frames` samples with the given spectrum.
+///
+/// `density` maps a frequency in Hz to an amplitude per √Hz; above `end_hz` there is nothing. The
+/// variance is the integral of the squared density.
+pub(super) fn coloured(
+    rng: &mut impl Rng,
+    frames: usize,
+    rate_hz: f64,
+    end_hz: f64,
+    density: impl Fn(f64) -> f64,
+) -> Vec<f32> {
+    let len = smooth_length(frames);
+    let bin_hz = rate_hz / len as f64;
+    let count = ((end_hz / bin_hz) as usize).clamp(1, len / 2);
+    // A bin of amplitude a and its mirror image add 4a² to the variance of the inverse transform.
+    let scale = 0.5 * bin_hz.sqrt();
+    let knots: Vec<f32> = (0..=(count as f64 * bin_hz / KNOT_HZ) as usize + 1)
+        .map(|k| (scale * density(k as f64 * KNOT_HZ)) as f32)
+        .collect();
+    let mut normals = vec![0.0; 2 * count];
+    fill_normal(rng, &mut normals);
+    TRANSFORM.with_borrow_mut(|t| {
+        let plan = t.planner.get_or_insert_with(RealFftPlanner::new).plan_fft_inverse(len);
+        t.bins.clear();
+        t.bins.push(Complex::default());
+        for (k, pair) in normals.chunks_exact(2).enumerate() {
+            let at = (k + 1) as f32 * (bin_hz / KNOT_HZ) as f32;
+            let knot = (at as usize).min(knots.len() - 2);
+            let part = at - knot as f32;
+            let amplitude = knots[knot] + part * (knots[knot + 1] - knots[knot]);
+            t.bins.push(Complex::new(amplitude * pair[0], amplitude * pair[1]));
+        }
+        t.bins.resize(len / 2 + 1, Complex::default());
+        // Without an imaginary part at the last frequency the result is real.
+        t.bins[len / 2].im = 0.0;
+        t.time.resize(len, 0.0);
+        t.scratch.resize(plan.get_scratch_len(), Complex::default());
+        // The plan asks for len/2 + 1 bins, len samples and its own scratch: given just above.
+        plan.process_with_scratch(&mut t.bins, &mut t.time, &mut t.scratch)
+            .expect("buffers have the lengths that the plan asks for");
+        t.time[..frames].to_vec()
+    })
+}
+
+/// Noise of mean 0 and variance 1 whose correlation falls to 1/e after `time_frames` (AR(1)).
+pub(super) fn correlated(rng: &mut impl Rng, frames: usize, time_frames: f64) -> Vec<f32> {
+    let keep = (-1.0 / time_frames.max(1e-3)).exp();
+    let (keep, fresh) = (keep as f32, (1.0 - keep * keep).sqrt() as f32);
+    let mut noise = vec![0.0; frames];
+    fill_normal(rng, &mut noise);
+    let mut state = noise.first().copied().unwrap_or(0.0);
+    for x in &mut noise {
+        state = keep * state + fresh * *x;
+        *x = state;
+    }
+    noise
+}
+
+/// What a 16-bit converter makes of a value: 1 is its full scale.
+pub(super) fn quantised(x: f32) -> f32 {
+    // Between 256 and 512 an f32 has steps of 2^-15, so this sum rounds to 16 bits.
+    ((x.clamp(-1.0, 1.0 - 1.0 / 32_768.0)) + 384.0) - 384.0
+}
+
+/// The smallest even length from `n` on that has no prime factor above 5.
+fn smooth_length(n: usize) -> usize {
+    let smooth = |mut x: usize| {
+        for p in [2, 3, 5] {
+            while x.is_multiple_of(p) {
+                x /= p;
+            }
+        }
+        x == 1
+    };
+    (n.max(2)..).find(|&x| x.is_multiple_of(2) && smooth(x)).unwrap_or(n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::seed;
+
+    fn variance(xs: &[f32]) -> f64 {
+        xs.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / xs.len() as f64
+    }
+
+    #[test]
+    fn white_noise_has_variance_1() {
+        let mut noise = vec![0.0; 100_000];
+        fill_normal(&mut seed::rng(1, &[b"white"]), &mut noise);
+        assert!((variance(&noise) - 1.0).abs() < 0.02);
+        assert!(noise.iter().sum::<f32>().abs() / 1e5 < 0.01);
+    }
+
+    #[test]
+    fn coloured_noise_has_the_variance_of_its_spectrum() {
+        let rng = &mut seed::rng(1, &[b"coloured"]);
+        let noise = coloured(rng, 50_001, 10_000.0, 1_000.0, |_| 0.1);
+        assert_eq!(noise.len(), 50_001);
+        assert!((variance(&noise) - 10.0).abs() < 0.5, "{}", variance(&noise));
+    }
+
+    #[test]
+    fn correlated_noise_forgets_at_its_pace() {
+        let noise = correlated(&mut seed::rng(1, &[b"ar"]), 200_000, 20.0);
+        let lagged = noise.iter().zip(&noise[20..]).map(|(a, b)| a * b).sum::<f32>();
+        let correlation = lagged / noise.iter().map(|a| a * a).sum::<f32>();
+        assert!((correlation - (-1f32).exp()).abs() < 0.05, "{correlation}");
+    }
+
+    #[test]
+    fn quantised_values_are_16_bit() {
+        for x in [-2.0, -0.3, 0.0, 0.123_456, 0.99, 7.0] {
+            let steps = quantised(x) * 32_768.0;
+            assert_eq!(steps, steps.round());
+            assert!((-32_768.0..=32_767.0).contains(&steps));
+        }
+    }
+}

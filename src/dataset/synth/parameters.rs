@@ -1,0 +1,201 @@
+//! The numbers of the scene: how large it is, and how hard.
+//!
+//! Calibration means changing numbers here and nothing else. They are rough first values and rank no
+//! method: a scene made by a formula serves tests, demonstrations and stress.
+
+use super::effect::Effect;
+
+/// What to generate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// number of surfaces; surface k is the same however many there are
+    pub surfaces: usize,
+    /// trials of each surface by the expert
+    pub trials: u32,
+    /// users with one trial of each surface: trial u is by user u
+    pub users: u32,
+    /// the same seed gives the same scene
+    pub seed: u64,
+    /// length of a drag in seconds
+    pub drag_seconds: f64,
+    /// how well sources tell surfaces apart, and how much hands differ
+    pub difficulty: Difficulty,
+}
+
+impl Default for Parameters {
+    /// The size of LMT108: 108 surfaces, ten trials by the expert and one by each of ten users.
+    fn default() -> Self {
+        Self {
+            surfaces: 108,
+            trials: 10,
+            users: 10,
+            seed: 1,
+            drag_seconds: 4.8,
+            difficulty: Difficulty::default(),
+        }
+    }
+}
+
+/// Every quantity of the scene, with what moves it.
+///
+/// `ln` marks quantities that are kept as natural logarithms, so that a spread of 0.1 is about
+/// 10 %; `logit` marks those between 0 and 1. Levels are fractions of the converter's full scale.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difficulty {
+    // The hand, shared by all sources of a trial.
+    /// ln of the pressing force; 0 is the expert's mean
+    pub force: Effect,
+    /// ln of the speed; it stretches spectra and shortens correlation times
+    pub speed: Effect,
+    /// spread of the ln of the force within one drag
+    pub force_drift: f64,
+
+    // Sound, tap and drag (mi1, mi2).
+    /// ln of the microphone's gain: distance and setting
+    pub microphone_gain: Effect,
+    /// ln of the level of the room's noise
+    pub room_level: Effect,
+    /// slope of the room's noise: amplitude falls as frequency to minus this
+    pub room_slope: Effect,
+    /// ln of the level of the dragging sound
+    pub sound_level: Effect,
+    /// slope of the dragging sound's spectrum
+    pub sound_slope: Effect,
+    /// ln of the height of each bump of that spectrum, over its slope
+    pub sound_bump: Effect,
+    /// ln of the centre of each bump, in Hz
+    pub sound_centre: Effect,
+    /// ln of the level of a tap
+    pub tap_level: Effect,
+    /// ln of the relative strength of each resonance of a tap
+    pub tap_mode: Effect,
+    /// ln of the frequency of each resonance, in Hz
+    pub tap_frequency: Effect,
+    /// ln of the time in which a resonance decays to 1/e, in s
+    pub tap_decay: Effect,
+    /// ln of the relative strength of the click, broad in frequency
+    pub tap_click: Effect,
+
+    // Vibration (ac).
+    /// ln of the level of the acceleration
+    pub acceleration_level: Effect,
+    /// ln of the share of each axis
+    pub acceleration_axis: Effect,
+    /// slope of the acceleration's spectrum
+    pub acceleration_slope: Effect,
+    /// ln of the height of each bump of that spectrum
+    pub acceleration_bump: Effect,
+    /// ln of the centre of each bump, in Hz
+    pub acceleration_centre: Effect,
+
+    // Forces (fr).
+    /// ln of the mean load on both resistors
+    pub friction_level: Effect,
+    /// logit of the first resistor's share
+    pub friction_share: Effect,
+    /// ln of the relative fluctuation that both see
+    pub friction_common: Effect,
+    /// ln of the relative fluctuation that moves load from one to the other
+    pub friction_swing: Effect,
+    /// ln of the correlation time of the fluctuations, in s
+    pub friction_correlation: Effect,
+
+    // Infrared reflectance (ir).
+    /// logit of the mean reflectance
+    pub reflectance_level: Effect,
+    /// ln of its standard deviation
+    pub reflectance_width: Effect,
+    /// skewness of its distribution, 0 for none
+    pub reflectance_skew: Effect,
+    /// ln of its correlation time, in s
+    pub reflectance_correlation: Effect,
+
+    // Metal (me).
+    /// share of the meshes and the glossy surfaces that conduct
+    pub metal_fraction: f64,
+    /// logit of the share of the time in which a conductor is seen
+    pub metal_contact: Effect,
+    /// correlation time of contact and gap, in s
+    pub metal_correlation_s: f64,
+
+    // Pictures (ca1, ca2).
+    /// hue of the base colour, in turns
+    pub hue: Effect,
+    /// logit of the saturation of the base colour
+    pub saturation: Effect,
+    /// logit of the value (brightness) of the base colour
+    pub value: Effect,
+    /// ln of the contrast of the texture
+    pub contrast: Effect,
+    /// hue of the second colour, in turns from the base colour
+    pub accent: Effect,
+    /// ln of the wavelength of the texture, in pixels
+    pub wavelength: Effect,
+    /// ln of the grain: noise of single pixels
+    pub grain: Effect,
+    /// logit of the glossiness: size and strength of the flash's reflection
+    pub gloss: Effect,
+    /// ln of the light without flash
+    pub light: Effect,
+    /// warmth of that light: red over blue, as a ln
+    pub warmth: Effect,
+    /// ln of the light with flash
+    pub flash: Effect,
+}
+
+impl Default for Difficulty {
+    fn default() -> Self {
+        let e = Effect::new;
+        Self {
+            force: e(0.0, 0.0, 0.25, 0.15),
+            speed: e(0.0, 0.0, 0.20, 0.15),
+            force_drift: 0.15,
+
+            microphone_gain: e(0.0, 0.0, 0.20, 0.03),
+            room_level: e(-7.6, 0.0, 0.40, 0.10),
+            room_slope: e(0.8, 0.0, 0.10, 0.02),
+            sound_level: e(-4.2, 0.45, 0.20, 0.15),
+            sound_slope: e(0.5, 0.15, 0.0, 0.03),
+            sound_bump: e(0.7, 0.70, 0.15, 0.15),
+            sound_centre: e(7.0, 0.80, 0.0, 0.0),
+            tap_level: e(-2.2, 0.45, 0.10, 0.10),
+            tap_mode: e(-1.0, 0.80, 0.10, 0.10),
+            tap_frequency: e(6.9, 0.80, 0.0, 0.01),
+            tap_decay: e(-4.8, 0.70, 0.05, 0.05),
+            tap_click: e(-0.7, 0.60, 0.10, 0.10),
+
+            acceleration_level: e(-3.0, 0.55, 0.15, 0.12),
+            acceleration_axis: e(0.0, 0.30, 0.05, 0.05),
+            acceleration_slope: e(0.3, 0.15, 0.0, 0.03),
+            acceleration_bump: e(1.0, 0.80, 0.10, 0.10),
+            acceleration_centre: e(5.5, 0.70, 0.0, 0.0),
+
+            friction_level: e(-1.4, 0.15, 0.15, 0.05),
+            friction_share: e(0.0, 0.30, 0.15, 0.05),
+            friction_common: e(-2.2, 0.50, 0.20, 0.15),
+            friction_swing: e(-2.2, 0.50, 0.20, 0.15),
+            friction_correlation: e(-4.0, 0.70, 0.10, 0.10),
+
+            reflectance_level: e(0.0, 0.80, 0.30, 0.05),
+            reflectance_width: e(-3.2, 0.70, 0.15, 0.15),
+            reflectance_skew: e(0.0, 0.60, 0.05, 0.05),
+            reflectance_correlation: e(-4.2, 0.90, 0.05, 0.05),
+
+            metal_fraction: 0.75,
+            metal_contact: e(1.5, 2.00, 0.20, 0.20),
+            metal_correlation_s: 0.02,
+
+            hue: e(0.08, 0.25, 0.0, 0.005),
+            saturation: e(-0.8, 0.90, 0.05, 0.05),
+            value: e(0.2, 0.80, 0.0, 0.03),
+            contrast: e(-1.6, 0.50, 0.05, 0.08),
+            accent: e(0.0, 0.05, 0.0, 0.005),
+            wavelength: e(3.2, 0.60, 0.05, 0.05),
+            grain: e(-3.8, 0.50, 0.10, 0.05),
+            gloss: e(-0.5, 1.00, 0.0, 0.05),
+            light: e(0.0, 0.0, 0.12, 0.03),
+            warmth: e(0.0, 0.0, 0.05, 0.01),
+            flash: e(0.25, 0.0, 0.15, 0.06),
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! What any scene promises.
+
+use rayon::prelude::*;
+
+use super::*;
+
+fn small() -> Parameters {
+    Parameters { surfaces: 10, trials: 3, users: 2, drag_seconds: 0.3, ..Parameters::default() }
+}
+
+fn load_all(parameters: &Parameters) -> Vec<Trial> {
+    library(parameters).entries.iter().map(|entry| entry.load().unwrap()).collect()
+}
+
+fn series<'a>(trial: &'a Trial, source: &str) -> &'a Series {
+    match &trial.signals[source] {
+        Signal::Series(series) => series,
+        Signal::Image(_) => panic!("{source} is an image"),
+    }
+}
+
+fn image<'a>(trial: &'a Trial, source: &str) -> &'a Image {
+    match &trial.signals[source] {
+        Signal::Image(image) => image,
+        Signal::Series(_) => panic!("{source} is a series"),
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_trials() {
+    assert_eq!(load_all(&small()), load_all(&small()));
+}
+
+#[test]
+fn another_seed_gives_other_signals_in_every_source_but_metal() {
+    let other = load_all(&Parameters { seed: 2, ..small() });
+    for (a, b) in load_all(&small()).iter().zip(&other) {
+        assert_eq!(a.key, b.key);
+        for (id, signal) in a.signals.iter().filter(|(id, _)| id.as_str() != "me") {
+            assert_ne!(signal, &b.signals[id], "{id} of {}", a.key);
+        }
+    }
+}
+
+#[test]
+fn a_trial_does_not_depend_on_what_else_is_made_or_on_which_thread() {
+    let all = load_all(&small());
+    let larger = library(&Parameters { surfaces: 20, trials: 5, users: 4, ..small() });
+    let same: Vec<_> = larger
+        .entries
+        .par_iter()
+        .filter(|entry| all.iter().any(|trial| trial.key == entry.key))
+        .map(|entry| entry.load().unwrap())
+        .collect();
+    assert_eq!(all, same);
+}
+
+#[test]
+fn a_full_trial_has_the_shapes_of_lmt108() {
+    let parameters = Parameters { surfaces: 1, trials: 1, users: 0, ..Parameters::default() };
+    let trial = load_all(&parameters).remove(0);
+    let shape = |source| {
+        let series = series(&trial, source);
+        (series.rate_hz(), series.frames(), series.channels())
+    };
+    assert_eq!(shape("mi1"), (44_100.0, 10_501, 1));
+    assert_eq!(shape("mi2"), (44_100.0, 211_611, 1));
+    assert_eq!(shape("ac"), (10_000.0, 48_000, 3));
+    assert_eq!(shape("fr"), (10_000.0, 48_000, 2));
+    assert_eq!(shape("ir"), (10_000.0, 48_000, 1));
+    assert_eq!(shape("me"), (10_000.0, 48_000, 1));
+    assert_eq!(image(&trial, "ca1").rgb().len(), 480 * 320 * 3);
+    assert_eq!(image(&trial, "ca2").rgb().len(), 480 * 320 * 3);
+}
+
+#[test]
+fn every_signal_is_finite_in_range_and_moves() {
+    for trial in load_all(&small()) {
+        for source in ["mi1", "mi2", "ac", "fr", "ir"] {
+            let samples = series(&trial, source).samples();
+            assert!(samples.iter().all(|x| (-1.0..=1.0).contains(x)), "{source} {}", trial.key);
+            let full = samples.iter().filter(|x| x.abs() > 0.999).count();
+            assert!(full * 100 < samples.len(), "{source} of {} is saturated", trial.key);
+            assert!(samples.iter().any(|x| *x != samples[0]), "{source} {}", trial.key);
+        }
+        assert!(series(&trial, "me").samples().iter().all(|x| *x == 0.0 || *x == 1.0));
+    }
+}
+
+#[test]
+fn only_meshes_and_glossy_surfaces_are_metal_and_some_are() {
+    let trials = load_all(&small());
+    let felt = |trial: &&Trial| series(trial, "me").samples().contains(&1.0);
+    let felt: Vec<_> = trials.iter().filter(felt).collect();
+    assert!(!felt.is_empty());
+    for trial in felt {
+        let surface = &trial.key.surface;
+        assert!(surface.ends_with("Mesh") || surface.ends_with("Glossy"), "{surface}");
+    }
+}
+
+#[test]
+fn a_scene_says_that_it_is_synthetic() {
+    let library = library(&small());
+    assert!(library.synthetic && library.name.starts_with("synthetic"));
+    assert!(embedded().synthetic);
+}
+
+#[test]
+fn user_u_makes_trial_u_of_every_surface() {
+    let library = library(&small());
+    for surface in library.surfaces() {
+        let keys: Vec<_> = library.entries.iter().map(|e| &e.key).collect();
+        let keys: Vec<_> = keys.into_iter().filter(|k| k.surface == surface).collect();
+        let expected = [(EXPERT, 1), (EXPERT, 2), (EXPERT, 3), ("user1", 1), ("user2", 2)];
+        let found: Vec<_> = keys.iter().map(|k| (k.user.as_str(), k.number)).collect();
+        assert_eq!(found, expected);
+    }
+}
+
+#[test]
+fn drags_of_no_length_and_of_no_number_still_have_a_sample() {
+    for drag_seconds in [0.0, -1.0, f64::NAN] {
+        let parameters = Parameters { surfaces: 1, trials: 1, users: 0, drag_seconds, ..small() };
+        assert_eq!(series(&load_all(&parameters)[0], "ac").frames(), 1);
+    }
+}
+
+/// Mean colour of a picture.
+fn colour(trial: &Trial) -> Vec<f64> {
+    let rgb = image(trial, "ca1").rgb();
+    let mean = |c: usize| rgb[c..].iter().step_by(3).map(|&x| f64::from(x)).sum::<f64>();
+    (0..3).map(|c| mean(c) / (rgb.len() / 3) as f64).collect()
+}
+
+/// ln of the energy of a tap, early and late.
+fn tap(trial: &Trial) -> Vec<f64> {
+    let samples = series(trial, "mi1").samples();
+    let energy = |part: &[f32]| part.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().ln();
+    vec![energy(&samples[..1_100]), energy(&samples[1_100..2_000]), energy(&samples[2_000..])]
+}
+
+#[test]
+fn surfaces_differ_more_than_trials_of_one_surface() {
+    let trials = load_all(&Parameters { users: 0, drag_seconds: 0.01, ..small() });
+    for (name, feature) in [("ca1", colour as fn(&Trial) -> Vec<f64>), ("mi1", tap)] {
+        let features: Vec<_> = trials.iter().map(|t| (&t.key.surface, feature(t))).collect();
+        let (mut same, mut other) = (Vec::new(), Vec::new());
+        for (i, (surface, x)) in features.iter().enumerate() {
+            for (surface2, y) in &features[..i] {
+                let d2: f64 = x.iter().zip(y).map(|(x, y)| (x - y).powi(2)).sum();
+                if surface == surface2 { same.push(d2) } else { other.push(d2) }
+            }
+        }
+        let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+        assert!(mean(&other) > 4.0 * mean(&same), "{name}: {} {}", mean(&other), mean(&same));
+    }
+}
+
+/// Prints the time that a full scene takes. Run with
+/// `cargo test --release --lib dataset::synth -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement, not a check"]
+fn time_to_generate_a_full_scene() {
+    let library = library(&Parameters::default());
+    let start = std::time::Instant::now();
+    let frames: usize = library
+        .entries
+        .par_iter()
+        .map(|entry| series(&entry.load().unwrap(), "mi2").frames())
+        .sum();
+    let seconds = start.elapsed().as_secs_f64();
+    let trials = library.entries.len();
+    println!(
+        "{trials} trials ({frames} sound samples) in {seconds:.1} s on {} threads: {:.1} ms each",
+        rayon::current_num_threads(),
+        1e3 * seconds / trials as f64
+    );
+}

@@ -1,0 +1,190 @@
+//! Which trials are queries and which are the library, fold by fold (method §3).
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::EvaluateError;
+use crate::trial::{EXPERT, TrialKey};
+
+/// How queries and library are split.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Protocol {
+    /// The expert's trials are the library; each other user is a fold of queries (1 vs 10).
+    ExpertVsUsers,
+    /// Fold k: trial k of every surface against the same person's other trials (1 vs 1).
+    LeaveOneTrialOut,
+    /// Each user is a fold; the library is everybody else (10 vs 1).
+    AllVsOneUser,
+}
+
+impl Protocol {
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ExpertVsUsers => "expert-vs-users",
+            Self::LeaveOneTrialOut => "leave-one-trial-out",
+            Self::AllVsOneUser => "all-vs-one-user",
+        }
+    }
+}
+
+/// Queries and the library that they are compared with, by index into the trials.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fold {
+    /// User or trial that is left out.
+    pub name: String,
+    /// Trials to compare with.
+    pub library: Vec<usize>,
+    /// Trials to name. Each one's surface is in the library.
+    pub queries: Vec<usize>,
+}
+
+/// Splits trials into folds. A query whose surface is not in its library is left out: it is no
+/// test of the method. Folds without queries are left out.
+///
+/// # Errors
+/// If no fold remains, or a library has fewer than two surfaces.
+pub fn folds(protocol: Protocol, keys: &[TrialKey]) -> Result<Vec<Fold>, EvaluateError> {
+    let groups = match protocol {
+        Protocol::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
+        Protocol::AllVsOneUser => by_user(keys, |key, user| key.user != user),
+        Protocol::LeaveOneTrialOut => by_trial(keys),
+    };
+    let folds: Vec<Fold> = groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect();
+    let surfaces =
+        |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
+    if folds.is_empty() || folds.iter().any(|fold| surfaces(fold) < 2) {
+        let needs = match protocol {
+            Protocol::ExpertVsUsers => {
+                "trials of at least two surfaces by `expert`, and trials of them by other users"
+            }
+            Protocol::LeaveOneTrialOut => {
+                "at least two surfaces with at least two trials each by one person"
+            }
+            Protocol::AllVsOneUser => {
+                "trials of at least two surfaces by at least two people, one of them not `expert`"
+            }
+        };
+        return Err(EvaluateError::Protocol {
+            protocol: protocol.name(),
+            needs,
+            found: found(keys),
+        });
+    }
+    Ok(folds)
+}
+
+fn found(keys: &[TrialKey]) -> String {
+    let count = |of: fn(&TrialKey) -> &str| keys.iter().map(of).collect::<BTreeSet<_>>().len();
+    let experts = keys.iter().filter(|key| key.user == EXPERT).count();
+    format!(
+        "{} trial(s) of {} surface(s) by {} user(s), {experts} of them by `expert`",
+        keys.len(),
+        count(|key| &key.surface),
+        count(|key| &key.user)
+    )
+}
+
+/// Sorts `user2` before `user10`.
+fn natural(name: &str) -> (&str, u64) {
+    let digits = name.bytes().rev().take_while(u8::is_ascii_digit).count();
+    let (stem, number) = name.split_at(name.len() - digits);
+    (stem, number.parse().unwrap_or(0))
+}
+
+fn by_user(keys: &[TrialKey], in_library: impl Fn(&TrialKey, &str) -> bool) -> Vec<Fold> {
+    let users: BTreeSet<&str> = keys.iter().map(|k| k.user.as_str()).collect();
+    let mut users: Vec<&str> = users.into_iter().filter(|&user| user != EXPERT).collect();
+    users.sort_by_key(|user| natural(user));
+    let select = |keep: &dyn Fn(&TrialKey) -> bool| {
+        (0..keys.len()).filter(|&i| keep(&keys[i])).collect::<Vec<_>>()
+    };
+    let fold = |user: &str| Fold {
+        name: user.into(),
+        library: select(&|key| in_library(key, user)),
+        queries: select(&|key| key.user == user),
+    };
+    users.into_iter().map(fold).collect()
+}
+
+/// One fold a trial number; each query meets the trials of its own person alone, so persons with
+/// one number in common make folds of their own.
+fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
+    let mut groups: BTreeMap<(u32, (&str, u64)), Vec<usize>> = BTreeMap::new();
+    for (i, key) in keys.iter().enumerate() {
+        groups.entry((key.number, natural(&key.user))).or_default().push(i);
+    }
+    let fold = |((number, user), queries): ((u32, (&str, u64)), Vec<usize>)| {
+        let library = (0..keys.len())
+            .filter(|&i| natural(&keys[i].user) == user && keys[i].number != number)
+            .collect();
+        let user = &keys[queries[0]].user;
+        let name = if user == EXPERT {
+            format!("trial {number}")
+        } else {
+            format!("{user} trial {number}")
+        };
+        Fold { name, library, queries }
+    };
+    groups.into_iter().map(fold).collect()
+}
+
+fn known_only(mut fold: Fold, keys: &[TrialKey]) -> Option<Fold> {
+    let known: BTreeSet<&str> = fold.library.iter().map(|&i| keys[i].surface.as_str()).collect();
+    fold.queries.retain(|&i| known.contains(keys[i].surface.as_str()));
+    (!fold.queries.is_empty()).then_some(fold)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys() -> Vec<TrialKey> {
+        let mut keys = Vec::new();
+        for surface in ["a", "b"] {
+            keys.extend((1..=3).map(|n| TrialKey::new(surface, EXPERT, n)));
+            keys.extend((1..=2).map(|u| TrialKey::new(surface, format!("user{u}"), u)));
+        }
+        keys
+    }
+
+    #[test]
+    fn expert_vs_users_has_a_fold_a_user_and_the_expert_as_library() {
+        let folds = folds(Protocol::ExpertVsUsers, &keys()).unwrap();
+        assert_eq!(folds.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["user1", "user2"]);
+        assert!(folds.iter().all(|f| f.library == [0, 1, 2, 5, 6, 7] && f.queries.len() == 2));
+    }
+
+    #[test]
+    fn leave_one_trial_out_stays_within_a_person() {
+        let folds = folds(Protocol::LeaveOneTrialOut, &keys()).unwrap();
+        assert_eq!(folds.len(), 3, "users with a single trial have no library of their own");
+        assert_eq!(
+            folds[1],
+            Fold { name: "trial 2".into(), library: vec![0, 2, 5, 7], queries: vec![1, 6] }
+        );
+    }
+
+    #[test]
+    fn all_vs_one_user_leaves_out_just_that_user() {
+        let folds = folds(Protocol::AllVsOneUser, &keys()).unwrap();
+        assert_eq!(folds[0].library, [0, 1, 2, 4, 5, 6, 7, 9]);
+    }
+
+    #[test]
+    fn a_stray_trial_is_neither_a_class_nor_a_loss() {
+        let mut keys = keys();
+        keys.push(TrialKey::new("stray", "user1", 1));
+        let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
+        assert!(folds.iter().all(|f| f.queries.len() == 2));
+    }
+
+    #[test]
+    fn too_little_data_says_what_was_needed_and_found() {
+        let keys = [TrialKey::new("a", EXPERT, 1)];
+        let error = folds(Protocol::LeaveOneTrialOut, &keys).unwrap_err().to_string();
+        assert!(
+            error.contains("at least two surfaces") && error.contains("1 trial(s) of 1"),
+            "{error}"
+        );
+    }
+}

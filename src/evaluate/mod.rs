@@ -1,0 +1,29 @@
+//! How well a method names surfaces: protocols, folds, accuracies.
+
+mod fold;
+mod outcome;
+mod run;
+
+pub use fold::{Fold, Protocol, folds};
+pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
+pub use run::{Progress, run};
+
+use crate::recognise::RecogniseError;
+
+/// Why an evaluation cannot be done.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// the data do not hold what the protocol needs
+    #[error("the protocol {protocol} needs {needs}; the data hold {found}")]
+    Protocol {
+        /// its name
+        protocol: &'static str,
+        /// what it needs
+        needs: &'static str,
+        /// what was found
+        found: String,
+    },
+    /// a trial cannot be compared
+    #[error(transparent)]
+    Recognise(#[from] RecogniseError),
+}

@@ -1,0 +1,246 @@
+//! What came of an evaluation: accuracies, precision, confusion, latencies.
+
+use std::collections::BTreeMap;
+
+use crate::scene::SourceId;
+use crate::trial::TrialKey;
+
+/// One query's answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prediction {
+    /// The query; its surface is the truth.
+    pub key: TrialKey,
+    /// Index of its fold.
+    pub fold: usize,
+    /// The answer.
+    pub surface: String,
+    /// ln of the ratio of the second score to the first.
+    pub margin: f64,
+    /// From raw samples to the answer, in milliseconds.
+    pub query_ms: f64,
+    /// The sources that were compared.
+    pub sources: Vec<SourceId>,
+}
+
+impl Prediction {
+    /// Whether the answer is the truth.
+    pub fn is_correct(&self) -> bool {
+        self.surface == self.key.surface
+    }
+}
+
+/// Accuracy within one fold.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct FoldAccuracy {
+    /// User or trial that was left out.
+    pub name: String,
+    /// Share of queries named right, 0 to 1.
+    pub accuracy: f64,
+    /// Number of queries.
+    pub queries: usize,
+}
+
+/// How often each surface was taken for which.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Confusion {
+    /// The surfaces, sorted.
+    pub labels: Vec<String>,
+    /// `counts[truth][answer]`.
+    pub counts: Vec<Vec<u32>>,
+}
+
+/// Result of an evaluation. Accuracies are fractions from 0 to 1.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Outcome {
+    /// Mean over folds of the share of queries named right.
+    pub accuracy_mean: f64,
+    /// Sample standard deviation over folds (n − 1); 0 for a single fold.
+    pub accuracy_std: f64,
+    /// Lower end of the 95 % Wilson interval over queries.
+    pub accuracy_low: f64,
+    /// Upper end of the 95 % Wilson interval over queries.
+    pub accuracy_high: f64,
+    /// Mean over classes of TP/(TP+FP), 0 where a class is never the answer.
+    pub precision_mean: f64,
+    /// Number of surfaces that could be the answer.
+    pub classes: usize,
+    /// Number of queries.
+    pub queries: usize,
+    /// Number of trials in the library of one fold (the largest, where they differ).
+    pub library_trials: usize,
+    /// Median time from raw samples to the answer, in milliseconds.
+    pub query_ms_p50: f64,
+    /// 99th percentile of that time.
+    pub query_ms_p99: f64,
+    /// The method.
+    pub method: String,
+    /// Sources that were compared.
+    pub sources: Vec<SourceId>,
+    /// Accuracy fold by fold.
+    pub folds: Vec<FoldAccuracy>,
+    /// Truth against answer.
+    pub confusion: Confusion,
+}
+
+impl Outcome {
+    /// Sums predictions up. `fold_names` are indexed by [`Prediction::fold`]; `labels` are the
+    /// surfaces that could be the answer, sorted.
+    ///
+    /// Returns `None` without predictions.
+    pub fn new(
+        predictions: &[Prediction],
+        fold_names: &[String],
+        labels: Vec<String>,
+        library_trials: usize,
+        method: &str,
+    ) -> Option<Self> {
+        let of_fold = |(fold, name): (usize, &String)| {
+            let of_this = predictions.iter().filter(|p| p.fold == fold);
+            let (right, queries) =
+                of_this.fold((0, 0), |(right, n), p| (right + usize::from(p.is_correct()), n + 1));
+            let accuracy = right as f64 / queries as f64;
+            (queries > 0).then(|| FoldAccuracy { name: name.clone(), accuracy, queries })
+        };
+        let folds: Vec<_> = fold_names.iter().enumerate().filter_map(of_fold).collect();
+        let (accuracy_mean, accuracy_std) = mean_and_std(folds.iter().map(|f| f.accuracy))?;
+        let right = predictions.iter().filter(|p| p.is_correct()).count();
+        let (accuracy_low, accuracy_high) = wilson_interval(right, predictions.len());
+        let confusion = Confusion::new(predictions, labels);
+        let mut times: Vec<f64> = predictions.iter().map(|p| p.query_ms).collect();
+        times.sort_by(f64::total_cmp);
+        let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
+        sources.sort();
+        sources.dedup();
+        Some(Self {
+            accuracy_mean,
+            accuracy_std,
+            accuracy_low,
+            accuracy_high,
+            precision_mean: confusion.precision_mean(),
+            classes: confusion.labels.len(),
+            queries: predictions.len(),
+            library_trials,
+            query_ms_p50: percentile(&times, 0.50),
+            query_ms_p99: percentile(&times, 0.99),
+            method: method.into(),
+            sources,
+            folds,
+            confusion,
+        })
+    }
+}
+
+impl Confusion {
+    fn new(predictions: &[Prediction], labels: Vec<String>) -> Self {
+        let index: BTreeMap<&str, usize> =
+            labels.iter().enumerate().map(|(i, label)| (label.as_str(), i)).collect();
+        let mut counts = vec![vec![0; labels.len()]; labels.len()];
+        for p in predictions {
+            if let (Some(&truth), Some(&answer)) =
+                (index.get(p.key.surface.as_str()), index.get(p.surface.as_str()))
+            {
+                counts[truth][answer] += 1;
+            }
+        }
+        Self { labels, counts }
+    }
+
+    /// The most frequent mistakes as (truth, answer, count), the worst first.
+    pub fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
+        let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
+            row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
+        });
+        let mut mistakes: Vec<_> = cells.filter(|(t, a, count)| t != a && *count > 0).collect();
+        mistakes.sort_by_key(|&(truth, answer, count)| (std::cmp::Reverse(count), truth, answer));
+        let named = |(t, a, count): (usize, usize, u32)| {
+            (self.labels[t].as_str(), self.labels[a].as_str(), count)
+        };
+        mistakes.into_iter().take(most).map(named).collect()
+    }
+
+    fn precision_mean(&self) -> f64 {
+        let of_class = |class: usize| {
+            let answered: u32 = self.counts.iter().map(|row| row[class]).sum();
+            if answered == 0 {
+                0.0
+            } else {
+                f64::from(self.counts[class][class]) / f64::from(answered)
+            }
+        };
+        (0..self.labels.len()).map(of_class).sum::<f64>() / self.labels.len() as f64
+    }
+}
+
+fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)> {
+    let n = values.clone().count();
+    if n == 0 {
+        return None;
+    }
+    let mean = values.clone().sum::<f64>() / n as f64;
+    let squares: f64 = values.map(|x| (x - mean).powi(2)).sum();
+    Some((mean, if n > 1 { (squares / (n - 1) as f64).sqrt() } else { 0.0 }))
+}
+
+/// Value at a share of a sorted list, by nearest rank.
+fn percentile(sorted: &[f64], share: f64) -> f64 {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
+/// 95 % confidence interval of a share of successes (Wilson 1927, "Probable inference, the law of
+/// succession, and statistical inference"). (0, 1) without trials.
+pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
+    /// The 97.5 % quantile of the normal distribution.
+    const Z: f64 = 1.959_963_984_540_054;
+    if trials == 0 {
+        return (0.0, 1.0);
+    }
+    let n = trials as f64;
+    let p = successes as f64 / n;
+    let centre = p + Z * Z / (2.0 * n);
+    let spread = Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 + Z * Z / n;
+    (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
+        Prediction {
+            key: TrialKey::new(truth, "user1", 1),
+            fold,
+            surface: answer.into(),
+            margin: 0.0,
+            query_ms: 1.0,
+            sources: vec![],
+        }
+    }
+
+    #[test]
+    fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
+        let predictions =
+            [prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)];
+        let labels = ["a", "b", "c"].map(String::from).to_vec();
+        let names = ["user1", "user2"].map(String::from);
+        let outcome = Outcome::new(&predictions, &names, labels, 9, "reference").unwrap();
+        assert_eq!(outcome.accuracy_mean, 0.75);
+        assert!((outcome.accuracy_std - 0.125f64.sqrt()).abs() < 1e-15);
+        // a: 1 of 2, b: never the answer, c: 1 of 1.
+        assert_eq!(outcome.precision_mean, 0.5);
+        assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
+    }
+
+    #[test]
+    fn the_wilson_interval_of_ten_of_ten_is_known() {
+        let (low, high) = wilson_interval(10, 10);
+        assert!((low - 0.722_467).abs() < 1e-6 && (high - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_percentile_is_a_value_that_occurred() {
+        assert_eq!(percentile(&[1.0, 2.0, 3.0, 4.0], 0.5), 2.0);
+        assert_eq!(percentile(&[1.0, 2.0, 3.0, 4.0], 0.99), 4.0);
+    }
+}

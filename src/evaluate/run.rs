@@ -1,0 +1,88 @@
+//! Runs a method over the folds of a protocol.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::outcome::{Outcome, Prediction};
+use super::{EvaluateError, Fold};
+use crate::library::Entry;
+use crate::recognise::{Method, RecogniseError};
+
+/// Told after each step: what is being done, how much is done, how much there is to do.
+pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
+
+/// Names every query of every fold.
+///
+/// Library trials are prepared once and shared by the folds. Queries are named one after the
+/// other, so that the latencies are those of a single query with the machine to itself: from its
+/// raw samples in memory to the answer. `as_query` turns an entry into a query (cut short, say);
+/// the library keeps it as it is.
+///
+/// # Errors
+/// If a trial cannot be read or compared.
+pub fn run<M: Method>(
+    method: &M,
+    entries: &[Entry],
+    folds: &[Fold],
+    as_query: impl Fn(&Entry) -> Entry,
+    progress: Progress<'_>,
+) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
+    let in_library: BTreeSet<usize> = folds.iter().flat_map(|f| f.library.clone()).collect();
+    let prepared = prepare(method, entries, &in_library, progress)?;
+
+    let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
+    let mut predictions = Vec::with_capacity(total);
+    for (index, fold) in folds.iter().enumerate() {
+        let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
+        let model = method.fit(library)?;
+        for &query in &fold.queries {
+            let entry = as_query(&entries[query]);
+            let trial = entry.load().map_err(RecogniseError::from)?;
+            let start = Instant::now();
+            let query = method.prepare(&entry, &trial)?;
+            let ranking = method.rank(&model, &query)?;
+            let query_ms = start.elapsed().as_secs_f64() * 1e3;
+            predictions.push(Prediction {
+                key: entry.key.clone(),
+                fold: index,
+                surface: ranking.surface().into(),
+                margin: ranking.margin,
+                query_ms,
+                sources: ranking.sources,
+            });
+            progress("naming queries", predictions.len(), total);
+        }
+    }
+    let names: Vec<_> = folds.iter().map(|fold| fold.name.clone()).collect();
+    let labels: BTreeSet<_> = in_library.iter().map(|&i| entries[i].key.surface.clone()).collect();
+    let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
+    let outcome =
+        Outcome::new(&predictions, &names, labels.into_iter().collect(), largest, method.name());
+    // `folds` gives no fold without queries, so there is a prediction to sum up.
+    Ok((outcome.expect("every fold has queries"), predictions))
+}
+
+fn prepare<M: Method>(
+    method: &M,
+    entries: &[Entry],
+    wanted: &BTreeSet<usize>,
+    progress: Progress<'_>,
+) -> Result<Vec<Option<Arc<M::Prepared>>>, RecogniseError> {
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    (0..entries.len())
+        .into_par_iter()
+        .map(|i| {
+            if !wanted.contains(&i) {
+                return Ok(None);
+            }
+            let trial = entries[i].load()?;
+            let prepared = method.prepare(&entries[i], &trial)?;
+            let so_far = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress("preparing the library", so_far, wanted.len());
+            Ok(Some(Arc::new(prepared)))
+        })
+        .collect()
+}

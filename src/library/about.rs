@@ -1,0 +1,146 @@
+//! `trial.toml`: what is known of one recorded trial beside its data.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{LibraryError, files};
+
+/// Name of the file.
+pub(crate) const FILE: &str = "trial.toml";
+
+/// What `trial.toml` says; every entry is optional, unknown ones are refused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct About {
+    /// The label, where the folder's name is not it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<String>,
+    /// Who moved the stylus.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub user: Option<String>,
+    /// Number of the repetition, where the folder's name does not end with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trial: Option<u32>,
+    /// When the recording began, as a TOML date or any text.
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "date_or_text")]
+    pub started_at: Option<String>,
+    /// For people.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub notes: Option<String>,
+    /// Made by a generator, not recorded.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub synthetic: bool,
+    /// Cut short, for example by a loss of power: not to be compared with.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub incomplete: bool,
+    /// When the tap and the drag were; the files hold these parts already cut out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scan: Option<ScanMarks>,
+    /// Which device each source came from.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub devices: BTreeMap<String, String>,
+}
+
+/// Start and end of the parts of a scan, in seconds since the recording began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScanMarks {
+    /// The tap.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tap_s: Option<[f64; 2]>,
+    /// The drag.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drag_s: Option<[f64; 2]>,
+}
+
+fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<String>, D::Error> {
+    match toml::Value::deserialize(from)? {
+        toml::Value::String(text) => Ok(Some(text)),
+        toml::Value::Datetime(date) => Ok(Some(date.to_string())),
+        other => Err(serde::de::Error::custom(format!(
+            "{} is neither a date nor text; expected for example 2025-01-31T12:00:00Z",
+            other.type_str()
+        ))),
+    }
+}
+
+impl About {
+    /// Reads `trial.toml` of a trial's folder; without one, all is as if it were empty.
+    ///
+    /// # Errors
+    /// With the line, if the file is not TOML, has an unknown key or an impossible value.
+    pub fn read(trial: &Path) -> Result<Self, LibraryError> {
+        let path = trial.join(FILE);
+        match files::read_text_if_there(&path)? {
+            None => Ok(Self::default()),
+            Some(text) => {
+                Self::from_toml(&text).map_err(|problem| LibraryError::file(&path, problem))
+            }
+        }
+    }
+
+    /// The file's text, in the form that [`About::read`] takes.
+    pub fn to_toml(&self) -> String {
+        // Strings, numbers and tables: nothing here that TOML cannot express.
+        toml::to_string(self).expect("what is known of a trial is plain TOML")
+    }
+
+    fn from_toml(text: &str) -> Result<Self, String> {
+        let about: Self =
+            toml::from_str(text).map_err(|error| error.to_string().trim_end().to_string())?;
+        let names = [("surface", &about.surface), ("user", &about.user)];
+        if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
+            return Err(format!("{key} = \"\"; expected a name, or no such line"));
+        }
+        let marks = about.scan.unwrap_or_default();
+        for (key, part) in [("tap_s", marks.tap_s), ("drag_s", marks.drag_s)] {
+            if let Some([start, end]) = part
+                && !(0.0 <= start && start < end && end.is_finite())
+            {
+                return Err(format!(
+                    "[scan] {key} = [{start}, {end}]; expected 0 ≤ start < end, in seconds"
+                ));
+            }
+        }
+        Ok(about)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_known_survives_being_written() {
+        let about = About {
+            surface: Some("steel \"A\"\n".into()),
+            user: Some("expert".into()),
+            trial: Some(3),
+            started_at: Some("2025-01-31T12:00:00Z".into()),
+            notes: Some("pressed hard".into()),
+            synthetic: true,
+            incomplete: true,
+            scan: Some(ScanMarks { tap_s: Some([0.1, 0.3]), drag_s: Some([0.5, 5.3]) }),
+            devices: BTreeMap::from([("mi2".into(), "hw:1".into())]),
+        };
+        assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
+        assert_eq!(About::from_toml(""), Ok(About::default()));
+    }
+
+    #[test]
+    fn a_start_may_be_a_date_or_text() {
+        let start = |text: &str| About::from_toml(text).map(|about| about.started_at.unwrap());
+        assert_eq!(start("started_at = 2025-01-31T12:00:00Z").unwrap(), "2025-01-31T12:00:00Z");
+        assert_eq!(start("started_at = \"noon\"").unwrap(), "noon");
+        let error = start("notes = \"\"\nstarted_at = 12").unwrap_err();
+        assert!(error.contains("line 2") && error.contains("neither a date"), "{error}");
+    }
+
+    #[test]
+    fn marks_that_run_backwards_are_refused() {
+        let error = About::from_toml("[scan]\ndrag_s = [5, 1]").unwrap_err();
+        assert!(error.contains("drag_s = [5, 1]; expected 0 ≤ start < end"), "{error}");
+    }
+}

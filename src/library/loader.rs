@@ -1,0 +1,119 @@
+//! Trials that lie in files: what was promised when the library was opened, read when needed.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::wav::{self, Header};
+use super::{LibraryError, LoadTrial, picture, text};
+use crate::scene::{Domain, SourceId, SourceSpec};
+use crate::trial::{Signal, Trial, TrialKey};
+
+/// Where the data of one source of one trial are.
+#[derive(Debug)]
+pub(crate) enum SourceFiles {
+    /// One WAV file, and what its header said.
+    Wav { path: PathBuf, header: Header },
+    /// One picture.
+    Picture(PathBuf),
+    /// One text file a channel.
+    Columns { paths: Vec<PathBuf>, rate_hz: f64 },
+}
+
+/// Reads one trial from its files.
+#[derive(Debug)]
+pub(crate) struct FileTrial {
+    pub key: TrialKey,
+    pub sources: BTreeMap<SourceId, SourceFiles>,
+}
+
+impl LoadTrial for FileTrial {
+    fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
+        let signals = self
+            .sources
+            .iter()
+            .filter(|(id, _)| wanted.contains(id))
+            .map(|(id, files)| Ok((id.clone(), files.read()?)))
+            .collect::<Result<_, LibraryError>>()?;
+        Ok(Trial { key: self.key.clone(), signals })
+    }
+}
+
+impl SourceFiles {
+    fn read(&self) -> Result<Signal, LibraryError> {
+        match self {
+            Self::Wav { path, header } => {
+                let series = wav::read(path)?;
+                let found = Header { rate_hz: series.rate_hz(), channels: series.channels() };
+                if found != *header {
+                    let problem = "it changed since the library was opened; open it again";
+                    return Err(LibraryError::file(path, problem));
+                }
+                Ok(Signal::Series(series))
+            }
+            Self::Picture(path) => picture::read(path).map(Signal::Image),
+            Self::Columns { paths, rate_hz } => text::read(paths, *rate_hz).map(Signal::Series),
+        }
+    }
+}
+
+/// Checks headers while a library is opened: channels as described, one rate a source.
+#[derive(Debug, Default)]
+pub(crate) struct Headers {
+    first: BTreeMap<SourceId, (f64, PathBuf)>,
+}
+
+impl Headers {
+    /// A WAV file as the data of a source. `declared_hz` is the rate that the library's own
+    /// description demands.
+    ///
+    /// # Errors
+    /// If the source is an image, if the file cannot be read, or if its channels or its rate are
+    /// not those expected.
+    pub fn wav(
+        &mut self,
+        spec: &SourceSpec,
+        declared_hz: Option<f64>,
+        path: &Path,
+    ) -> Result<SourceFiles, LibraryError> {
+        let id = &spec.id;
+        let fail = |problem| Err(LibraryError::file(path, problem));
+        if spec.domain == Domain::Image {
+            return fail(format!(
+                "a WAV file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
+            ));
+        }
+        let header = wav::probe(path)?;
+        if header.channels != spec.channels {
+            return fail(format!(
+                "{}, but source `{id}` has {}; expected one channel a column: record again, or \
+                 correct `channels` of [sources.{id}] in library.toml",
+                channels(header.channels),
+                spec.channels,
+            ));
+        }
+        if let Some(declared) = declared_hz
+            && declared != header.rate_hz
+        {
+            return fail(format!(
+                "its header says {} Hz, but library.toml says rate_hz = {declared} for source \
+                 `{id}`; correct library.toml, or record again",
+                header.rate_hz
+            ));
+        }
+        let (rate_hz, first) =
+            self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));
+        if *rate_hz != header.rate_hz {
+            return fail(format!(
+                "two rates in one source: `{id}` has {} Hz here, but {rate_hz} Hz in {}; resample \
+                 one of them (for example with `sox IN.wav -r {rate_hz} OUT.wav`), or remove it",
+                header.rate_hz,
+                first.display(),
+            ));
+        }
+        Ok(SourceFiles::Wav { path: path.to_path_buf(), header })
+    }
+}
+
+fn channels(count: usize) -> String {
+    if count == 1 { "1 channel".into() } else { format!("{count} channels") }
+}

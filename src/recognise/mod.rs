@@ -1,0 +1,129 @@
+//! Names the surface of a trial: sampling ─► kernel ─► score ─► rank.
+//!
+//! A [`Method`] is a way of comparing trials. It prepares each trial once, fits a model to the
+//! prepared library, and ranks the library's surfaces for a prepared query. [`Reference`] is the
+//! paper's method, exactly.
+
+mod colour;
+mod compare;
+mod domain;
+mod prepared;
+mod rank;
+mod reference;
+mod sampling;
+mod score;
+mod spectrum;
+
+pub use colour::hsv;
+pub use compare::{Comparison, SourceComparison, TestOptions, compare};
+pub use domain::DomainSamples;
+pub use prepared::PreparedTrial;
+pub use rank::{Candidate, RankedSurface, Ranking, rank};
+pub use reference::{PositionMode, Reference, ReferenceOptions};
+pub use sampling::{Extent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
+pub use score::{
+    Precision, QuerySet, SCORE_FLOOR, SampleScore, SampleSet, log_score, score_samples, score_sets,
+};
+pub use spectrum::{amplitude_spectrum, band_bins};
+
+use std::sync::Arc;
+
+use crate::library::{Entry, LibraryError};
+use crate::scene::SourceId;
+use crate::trial::Trial;
+
+/// Why a trial cannot be named.
+#[derive(Debug, thiserror::Error)]
+pub enum RecogniseError {
+    /// a trial of the library cannot be read
+    #[error(transparent)]
+    Library(#[from] LibraryError),
+    /// nothing to choose between
+    #[error(
+        "the library holds {trials} trial(s) of {surfaces} surface(s); naming needs trials of at \
+         least two surfaces: enrol more, or open another library"
+    )]
+    TooFewSurfaces {
+        /// number of surfaces
+        surfaces: usize,
+        /// number of trials
+        trials: usize,
+    },
+    /// no source in common
+    #[error("no source in common: the query has {query}; the library has {library}")]
+    NothingInCommon {
+        /// the query's sources
+        query: String,
+        /// the library's sources
+        library: String,
+    },
+    /// two rates in one source
+    #[error(
+        "{source_name}: {query_hz} Hz in the query, but {library_hz} Hz in {trial}; one source has \
+         one rate: resample one of them"
+    )]
+    Rates {
+        /// the source
+        source_name: SourceId,
+        /// the query's rate
+        query_hz: f64,
+        /// the library's rate
+        library_hz: f64,
+        /// the library's trial
+        trial: String,
+    },
+    /// a number of channels that the scene does not describe
+    #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
+    Channels {
+        /// the source
+        source_name: SourceId,
+        /// what the trial has
+        found: usize,
+        /// what the scene says
+        expected: usize,
+        /// the trial
+        trial: String,
+    },
+    /// a series where an image should be, or an image where a series should be
+    #[error("{source_name}: {trial} holds {found}, but the scene says {expected}")]
+    Kind {
+        /// the source
+        source_name: SourceId,
+        /// the trial
+        trial: String,
+        /// what the trial holds
+        found: &'static str,
+        /// what the scene says
+        expected: &'static str,
+    },
+}
+
+/// A way of comparing trials.
+pub trait Method: Send + Sync {
+    /// What a comparison needs to know of one trial.
+    type Prepared: Send + Sync;
+    /// A library, ready to be compared with.
+    type Model: Send + Sync;
+
+    /// The method's name, as on the command line.
+    fn name(&self) -> &'static str;
+
+    /// Does for one trial what need be done but once, whatever it is then compared with. `entry`
+    /// can load the trial again, so that its raw samples need not stay in memory.
+    ///
+    /// # Errors
+    /// If the trial does not fit the scene.
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Self::Prepared, RecogniseError>;
+
+    /// Makes a model of a library.
+    ///
+    /// # Errors
+    /// If the library holds fewer than two surfaces.
+    fn fit(&self, library: Vec<Arc<Self::Prepared>>) -> Result<Self::Model, RecogniseError>;
+
+    /// Ranks the library's surfaces, the most alike first.
+    ///
+    /// # Errors
+    /// If the query has no source in common with the library, or another sample rate.
+    fn rank(&self, model: &Self::Model, query: &Self::Prepared) -> Result<Ranking, RecogniseError>;
+}

@@ -1,0 +1,183 @@
+//! A trial made ready for the method `reference`: its sources cut to length and sampled.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::RecogniseError;
+use super::domain::DomainSamples;
+use super::score::SampleSet;
+use crate::library::Entry;
+use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::seed;
+use crate::trial::{Signal, Trial, TrialKey};
+
+/// One source of a trial, cut to some length and ready to be compared.
+pub(super) struct Cut {
+    /// One set a repetition; empty where positions are drawn for each pair.
+    pub sets: Vec<SampleSet>,
+    /// Kept only where positions are drawn for each pair.
+    pub domain: Option<DomainSamples>,
+}
+
+/// How many lengths of one source stay in memory beside the trial's own.
+const KEPT_LENGTHS: usize = 3;
+
+/// A trial, ready to be compared.
+pub struct PreparedTrial {
+    entry: Entry,
+    /// Rate and frames of each source that the scene describes; an image has neither.
+    shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
+    content: u64,
+    /// By length in frames; the trial's own length first.
+    cuts: Mutex<BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>>,
+}
+
+impl PreparedTrial {
+    /// Prepares those sources of a trial that the scene describes, at their own lengths.
+    pub(super) fn new(
+        entry: &Entry,
+        trial: &Trial,
+        scene: &Scene,
+        cut: impl Fn(&SourceSpec, &Signal, usize) -> Cut,
+    ) -> Result<Self, RecogniseError> {
+        let mut shapes = BTreeMap::new();
+        let mut cuts = BTreeMap::new();
+        let mut content = 0;
+        for (id, signal) in &trial.signals {
+            let Some(spec) = scene.get(id.as_str()) else { continue };
+            let shape = shape(spec, signal, &entry.key)?;
+            let frames = shape.map_or(0, |(_, frames)| frames);
+            content = seed::stable_hash(&[
+                &u64::to_le_bytes(content),
+                id.as_str().as_bytes(),
+                &signal.content_hash().to_le_bytes(),
+            ]);
+            shapes.insert(id.clone(), shape);
+            cuts.insert(id.clone(), vec![(frames, Arc::new(cut(spec, signal, frames)))]);
+        }
+        Ok(Self { entry: entry.clone(), shapes, content, cuts: Mutex::new(cuts) })
+    }
+
+    /// Which trial this is.
+    pub fn key(&self) -> &TrialKey {
+        &self.entry.key
+    }
+
+    /// Hash of all raw samples, so that what is drawn for a pair depends neither on names nor on
+    /// order.
+    pub(super) fn content(&self) -> u64 {
+        self.content
+    }
+
+    /// Sample rate of a source, if the trial has it and it is no image.
+    fn rate_hz(&self, id: &SourceId) -> Option<f64> {
+        self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
+    }
+
+    /// Frames that two trials both have of a source: the shorter's; 0 for images; `None` if one
+    /// lacks the source.
+    pub(super) fn common_frames(&self, other: &Self, id: &SourceId) -> Option<usize> {
+        match (self.shapes.get(id)?, other.shapes.get(id)?) {
+            (Some((_, mine)), Some((_, others))) => Some(*mine.min(others)),
+            _ => Some(0),
+        }
+    }
+
+    /// The source cut to `frames`: kept, or made by `cut` from the trial, loaded again.
+    pub(super) fn at_length(
+        &self,
+        id: &SourceId,
+        frames: usize,
+        cut: impl Fn(&Signal) -> Cut,
+    ) -> Result<Arc<Cut>, RecogniseError> {
+        if let Some(cuts) = self.lock().get(id)
+            && let Some((_, cut)) = cuts.iter().find(|(at, _)| *at == frames)
+        {
+            return Ok(cut.clone());
+        }
+        let trial = self.entry.load()?;
+        let made = Arc::new(cut(&trial.signals[id]));
+        let mut cuts = self.lock();
+        let kept = cuts.entry(id.clone()).or_default();
+        if kept.len() > KEPT_LENGTHS {
+            kept.remove(1);
+        }
+        kept.push((frames, made.clone()));
+        Ok(made)
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>> {
+        // A thread that panicked while it held the lock left at most a cut unsaved.
+        self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Checks a signal against the scene's words; gives rate and frames of a series.
+fn shape(
+    spec: &SourceSpec,
+    signal: &Signal,
+    key: &TrialKey,
+) -> Result<Option<(f64, usize)>, RecogniseError> {
+    let kind = |found, expected| RecogniseError::Kind {
+        source_name: spec.id.clone(),
+        trial: key.to_string(),
+        found,
+        expected,
+    };
+    match (signal, spec.domain == Domain::Image) {
+        (Signal::Image(_), true) => Ok(None),
+        (Signal::Image(_), false) => Err(kind("an image", "a series")),
+        (Signal::Series(_), true) => Err(kind("a series", "an image")),
+        (Signal::Series(series), false) if series.channels() != spec.channels => {
+            Err(RecogniseError::Channels {
+                source_name: spec.id.clone(),
+                found: series.channels(),
+                expected: spec.channels,
+                trial: key.to_string(),
+            })
+        }
+        (Signal::Series(series), false) => Ok(Some((series.rate_hz(), series.frames()))),
+    }
+}
+
+/// The sources that a query shares with a library, sorted by name.
+///
+/// # Errors
+/// If there is none, or if the rates of one differ.
+pub(super) fn shared_sources<'a>(
+    scene: &'a Scene,
+    query: &PreparedTrial,
+    library: &[Arc<PreparedTrial>],
+) -> Result<Vec<&'a SourceSpec>, RecogniseError> {
+    let sources: Vec<&SourceSpec> = (scene.sources())
+        .filter(|s| query.shapes.contains_key(&s.id))
+        .filter(|s| library.iter().any(|trial| trial.shapes.contains_key(&s.id)))
+        .collect();
+    if sources.is_empty() {
+        return Err(RecogniseError::NothingInCommon {
+            query: names(query.shapes.keys()),
+            library: names(library.iter().flat_map(|trial| trial.shapes.keys())),
+        });
+    }
+    for spec in &sources {
+        let Some(query_hz) = query.rate_hz(&spec.id) else { continue };
+        for trial in library {
+            if let Some(library_hz) = trial.rate_hz(&spec.id)
+                && library_hz != query_hz
+            {
+                return Err(RecogniseError::Rates {
+                    source_name: spec.id.clone(),
+                    query_hz,
+                    library_hz,
+                    trial: trial.entry.key.to_string(),
+                });
+            }
+        }
+    }
+    Ok(sources)
+}
+
+fn names<'a>(ids: impl IntoIterator<Item = &'a SourceId>) -> String {
+    let ids: BTreeSet<_> = ids.into_iter().map(SourceId::as_str).collect();
+    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
+}
