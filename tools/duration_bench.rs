@@ -4,7 +4,9 @@
 
 use std::time::Instant;
 
-use surfaced::duration::{Rule, Search, Settings, Trials, simulate};
+use surfaced::duration::{
+    OnlineDuration, OnlineSettings, Rule, Search, Settings, Trials, simulate,
+};
 use surfaced::kernel::Threshold;
 use surfaced::seed;
 
@@ -25,6 +27,32 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "  {name:17} {seconds:6.3} s, {:5.2} µs a test (mean κ {:.5})",
             seconds * 1e6 / 500_000.0,
             kappa / 1000.0
+        );
+    }
+    online()
+}
+
+/// The online form fed with 20 s of a stream in blocks of 10 ms.
+fn online() -> Result<(), Box<dyn std::error::Error>> {
+    const SECONDS: usize = 20;
+    println!("online form, 10 kHz, one estimate every 0.5 s");
+    for (channels, tau) in [(1, 20.0), (1, 200.0), (3, 200.0)] {
+        let mut rng = seed::rng(2, &[b"bench"]);
+        let stream = simulate::ar1(SECONDS * 10_000 * channels, tau * channels as f64, &mut rng);
+        let mut online = OnlineDuration::new(1e4, channels, OnlineSettings::default());
+        let (mut spent, mut slowest, mut last) = (0.0, 0.0f64, None);
+        for block in stream.chunks(100 * channels) {
+            let start = Instant::now();
+            last = online.push(block)?.or(last);
+            let seconds = start.elapsed().as_secs_f64();
+            spent += seconds;
+            slowest = slowest.max(seconds);
+        }
+        println!(
+            "  {channels} channel(s), τ = {tau}: {:.2} % of a core, slowest block {:.1} ms, T* {:?}",
+            100.0 * spent / SECONDS as f64,
+            slowest * 1e3,
+            last.and_then(|estimate| estimate.t_star_samples)
         );
     }
     Ok(())

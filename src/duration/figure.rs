@@ -106,7 +106,8 @@ fn panel(
             .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))
             .map_err(drawing)?;
         let text = format!("T* = {at:.2} ms");
-        let beside = (at + 0.01 * ms(end), 0.53 * top);
+        // Low in the panel, where no curve is.
+        let beside = (at + 0.01 * ms(end), 0.1 * top);
         chart
             .draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))
             .map_err(drawing)?;

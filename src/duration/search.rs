@@ -211,7 +211,7 @@ impl<'a> Search<'a> {
         if let Some(&point) = self.curve.get(&lag) {
             return point;
         }
-        let Settings { draws, alpha, seed, .. } = self.settings;
+        let Settings { draws, alpha, threshold, seed, .. } = self.settings;
         let mut rng = seed::rng(seed, &[b"duration", &lag.to_le_bytes()]);
         let mut order: Vec<usize> = (0..self.trials.count()).collect();
         let mut hsic = Vec::with_capacity(draws + Batch::TESTS);
@@ -219,8 +219,10 @@ impl<'a> Search<'a> {
         while hsic.len() < draws {
             for test in 0..Batch::TESTS {
                 let t1 = below(&mut rng, self.starts);
-                // Another order of the trials for each test: see the batch.
-                order.shuffle(&mut rng);
+                // Another order of the trials for each test: see the batch. Moments need none.
+                if matches!(threshold, Threshold::Permutations(_)) {
+                    order.shuffle(&mut rng);
+                }
                 for (slot, &trial) in order.iter().enumerate() {
                     self.batch.set(0, test, slot, self.trials.sample(trial, t1));
                     self.batch.set(1, test, slot, self.trials.sample(trial, t1 + lag));
