@@ -163,8 +163,9 @@ fn permute_once(batch: &mut Batch) {
     }
     let mut value = map2(off, trace, |o, t| 2.0 * o + t);
     for slot in &mut batch.top {
-        let larger = map2(*slot, value, f64::max);
-        value = map2(*slot, value, f64::min);
+        // No NaN can be here: sums of finite numbers.
+        let larger = map2(*slot, value, |a, b| if a > b { a } else { b });
+        value = map2(*slot, value, |a, b| if a > b { b } else { a });
         *slot = larger;
     }
 }

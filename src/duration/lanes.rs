@@ -81,14 +81,14 @@ pub(super) fn sorting_network(count: usize) -> Vec<(u32, u32)> {
     network
 }
 
-/// Sorts each lane upwards by the network.
+/// Sorts each lane upwards by the network. No value may be NaN.
 #[inline(always)]
 pub(super) fn sort_lanes(values: &mut [Lane], network: &[(u32, u32)]) {
     for &(low, high) in network {
         let (a, b) = (values[low as usize], values[high as usize]);
-        // No NaN can be here: distances of finite numbers.
-        values[low as usize] = map2(a, b, |x, y| if x < y { x } else { y });
-        values[high as usize] = map2(a, b, |x, y| if x < y { y } else { x });
+        // Not `if x < y`: of that the compiler makes masked stores, which are three times slower.
+        values[low as usize] = map2(a, b, f64::min);
+        values[high as usize] = map2(a, b, f64::max);
     }
 }
 
