@@ -235,7 +235,7 @@ fn median_by_selection(values: &[Lane], lane: usize, count: usize) -> f64 {
     let mut one: Vec<f64> = values.iter().map(|v| v[lane]).collect();
     let (below, &mut upper, _) = one.select_nth_unstable_by(count / 2, f64::total_cmp);
     match below.iter().copied().max_by(f64::total_cmp) {
-        Some(lower) if count % 2 == 0 => 0.5 * (lower + upper),
+        Some(lower) if count.is_multiple_of(2) => 0.5 * (lower + upper),
         _ => upper,
     }
 }

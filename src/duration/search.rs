@@ -289,10 +289,10 @@ impl<'a> Search<'a> {
             let lag = next_coarse(below).min(self.largest_lag);
             let point = self.at(lag);
             let point_near = point.bound(rule) < point.kappa * near;
-            if below_near || point_near {
-                if let Some(found) = self.upwards(rule, below + 1, lag) {
-                    return Some(found);
-                }
+            if (below_near || point_near)
+                && let Some(found) = self.upwards(rule, below + 1, lag)
+            {
+                return Some(found);
             }
             if lag == self.largest_lag {
                 return None;
