@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
+use super::estimate::CurvePoint;
 use super::report::SourceDuration;
-use super::search::CurvePoint;
 
 const PANEL: (u32, u32) = (640, 380);
 const HSIC: RGBColor = RGBColor(0, 90, 160);

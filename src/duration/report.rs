@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use super::estimate::{CurvePoint, Estimate, Outcome, Rule, Settings};
 use super::need::{SAMPLES, START_S, ScanNeed, Second};
-use super::search::{CurvePoint, Estimate, Outcome, Rule, Search, Settings};
+use super::search::Search;
 use super::trials::{DurationError, Trials};
 use crate::library::{Entry, Library, LibraryError};
 use crate::scene::{Domain, SourceId};
