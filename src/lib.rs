@@ -14,12 +14,15 @@
 
 pub mod cli;
 pub mod dataset;
+pub mod device;
 pub mod duration;
 pub mod evaluate;
 pub mod kernel;
 pub mod library;
 pub mod recognise;
 pub mod record;
+pub mod ring;
+pub mod scan;
 pub mod scene;
 pub mod seed;
 pub mod trial;

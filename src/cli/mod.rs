@@ -7,6 +7,7 @@ mod dependence;
 mod duration;
 mod eval;
 mod method;
+mod replay;
 mod samples;
 mod show;
 mod synth;
@@ -30,6 +31,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Replay(replay::Args),
     Eval(eval::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
@@ -60,6 +62,7 @@ type Done = Result<(), Failure>;
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
+        Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),

@@ -65,7 +65,11 @@ pub fn run<M: Method>(
     Ok((outcome.expect("every fold has queries"), predictions))
 }
 
-fn prepare<M: Method>(
+/// Loads and prepares those trials that are `wanted`, by index; the others stay `None`.
+///
+/// # Errors
+/// If one of them cannot be read or does not fit the scene.
+pub fn prepare<M: Method>(
     method: &M,
     entries: &[Entry],
     wanted: &BTreeSet<usize>,

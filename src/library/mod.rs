@@ -73,7 +73,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
 }
 
 #[derive(Debug)]
-struct InMemory(Trial);
+struct InMemory(Arc<Trial>);
 
 impl LoadTrial for InMemory {
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
@@ -119,7 +119,8 @@ impl Entry {
     }
 
     /// An entry for a trial that is already in memory.
-    pub fn in_memory(trial: Trial) -> Self {
+    pub fn in_memory(trial: impl Into<Arc<Trial>>) -> Self {
+        let trial = trial.into();
         let sources = trial.signals.keys().cloned().collect();
         Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory(trial)) }
     }

@@ -1,9 +1,11 @@
 //! One recorded interaction with one surface: all its sources, as they came from the sensors.
 
 mod label;
+mod quality;
 mod signal;
 
 pub use label::{EXPERT, TrialKey};
+pub use quality::{Flaw, flaws};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;

@@ -49,7 +49,9 @@ pub(super) fn reflectance(
     let level = logistic(draws.value("reflectance level", d.reflectance_level)) as f32;
     let width = draws.value("reflectance width", d.reflectance_width).exp() as f32;
     let skew = 0.5 * draws.value("reflectance skew", d.reflectance_skew).tanh() as f32;
-    // x + skew·(x² − 1) has mean 0 and this standard deviation.
+    // Near black and near white there is less room to move.
+    let width = width * 4.0 * level * (1.0 - level);
+    // For a normal x, x + skew·(x² − 1) has mean 0 and variance 1 + 2·skew².
     let scale = width / (1.0 + 2.0 * skew * skew).sqrt();
     let mut samples = correlated(&mut draws.noise("reflectance"), frames, time_s * rate_hz);
     for x in &mut samples {

@@ -20,6 +20,7 @@ mod vibration;
 pub use effect::Effect;
 pub use parameters::{Difficulty, Parameters};
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use effect::Draws;
@@ -94,14 +95,14 @@ struct Generated {
 impl LoadTrial for Generated {
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
         let (parameters, scene) = &*self.shared;
-        let mut signals = std::collections::BTreeMap::new();
-        for spec in scene.sources().filter(|spec| wanted.contains(&spec.id)) {
-            let made = generate(parameters, &self.key, spec.id.as_str());
+        let mut signals = BTreeMap::new();
+        for id in wanted.iter().filter(|id| scene.get(id.as_str()).is_some()) {
+            let made = generate(parameters, &self.key, id.as_str());
             let signal = made.map_err(|error| {
-                let path = format!("synthetic trial {}, {}", self.key, spec.id).into();
+                let path = format!("synthetic trial {}, {id}", self.key).into();
                 LibraryError::Signal { path, error }
             })?;
-            signals.insert(spec.id.clone(), signal);
+            signals.insert(id.clone(), signal);
         }
         Ok(Trial { key: self.key.clone(), signals })
     }
@@ -114,8 +115,8 @@ impl LoadTrial for Generated {
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
     let (draws, d) = (&Draws { seed: p.seed, key }, &p.difficulty);
     let hand = &Hand::draw(draws, d);
+    let seconds = p.drag_seconds.clamp(0.0, LONGEST_DRAG_S);
     // At least one frame: `max` passes over a NaN.
-    let seconds = p.drag_seconds.min(LONGEST_DRAG_S);
     let frames = |rate_hz: f64| (seconds * rate_hz).round().max(1.0) as usize;
     let drag = frames(SERIAL_RATE_HZ);
     let serial = SERIAL_RATE_HZ;

@@ -103,7 +103,7 @@ pub struct Difficulty {
     // Infrared reflectance (ir).
     /// logit of the mean reflectance
     pub reflectance_level: Effect,
-    /// ln of its standard deviation
+    /// ln of its standard deviation at middle reflectance; towards 0 and 1 it shrinks
     pub reflectance_width: Effect,
     /// skewness of its distribution, 0 for none
     pub reflectance_skew: Effect,
@@ -158,13 +158,13 @@ impl Default for Difficulty {
             sound_slope: e(0.5, 0.15, 0.0, 0.03),
             sound_bump: e(0.7, 0.70, 0.15, 0.15),
             sound_centre: e(7.0, 0.80, 0.0, 0.0),
-            tap_level: e(-2.2, 0.45, 0.10, 0.10),
+            tap_level: e(-3.0, 0.45, 0.10, 0.10),
             tap_mode: e(-1.0, 0.80, 0.10, 0.10),
             tap_frequency: e(6.9, 0.80, 0.0, 0.01),
             tap_decay: e(-4.8, 0.70, 0.05, 0.05),
             tap_click: e(-0.7, 0.60, 0.10, 0.10),
 
-            acceleration_level: e(-3.0, 0.55, 0.15, 0.12),
+            acceleration_level: e(-4.5, 0.55, 0.15, 0.12),
             acceleration_axis: e(0.0, 0.30, 0.05, 0.05),
             acceleration_slope: e(0.3, 0.15, 0.0, 0.03),
             acceleration_bump: e(1.0, 0.80, 0.10, 0.10),
@@ -176,8 +176,8 @@ impl Default for Difficulty {
             friction_swing: e(-2.2, 0.50, 0.20, 0.15),
             friction_correlation: e(-4.0, 0.70, 0.10, 0.10),
 
-            reflectance_level: e(0.0, 0.80, 0.30, 0.05),
-            reflectance_width: e(-3.2, 0.70, 0.15, 0.15),
+            reflectance_level: e(-0.7, 0.80, 0.30, 0.05),
+            reflectance_width: e(-3.4, 0.55, 0.15, 0.15),
             reflectance_skew: e(0.0, 0.60, 0.05, 0.05),
             reflectance_correlation: e(-4.2, 0.90, 0.05, 0.05),
 

@@ -1,0 +1,159 @@
+//! A device's line to its session: asks whether to stop, and reports states, marks and warnings.
+
+use std::cell::RefCell;
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{SendTimeoutError, Sender};
+
+use super::{DeviceError, Mark};
+use crate::ring::Stop;
+
+/// How a device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DeviceState {
+    /// Not there, so far.
+    Absent,
+    /// Found, and being set up.
+    Opening,
+    /// Its data arrive.
+    Streaming,
+    /// There, but its data do not arrive.
+    Stalled,
+    /// It was there, and is gone.
+    Lost,
+}
+
+impl fmt::Display for DeviceState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Absent => "absent",
+            Self::Opening => "opening",
+            Self::Streaming => "streaming",
+            Self::Stalled => "stalled",
+            Self::Lost => "lost",
+        })
+    }
+}
+
+/// What a device tells its session.
+#[derive(Debug)]
+pub struct Report {
+    /// Which device, counted from 0 in the order in which the session got them.
+    pub device: usize,
+    /// What it tells.
+    pub kind: ReportKind,
+}
+
+/// The kinds of report.
+#[derive(Debug)]
+pub enum ReportKind {
+    /// It has changed its state.
+    State {
+        /// how it is now
+        state: DeviceState,
+        /// for people: why, and what to do
+        detail: String,
+    },
+    /// A mark of a scan.
+    Mark(Mark),
+    /// For people: something was wrong, and it went on.
+    Warning(String),
+    /// Its thread has ended; sent by the session.
+    Ended(Result<(), DeviceError>),
+}
+
+/// A device's line to its session.
+#[derive(Debug)]
+pub struct Control {
+    device: usize,
+    stop: Stop,
+    reports: Sender<Report>,
+    last: RefCell<Option<DeviceState>>,
+}
+
+impl Control {
+    /// A line for device number `device`.
+    pub fn new(device: usize, stop: Stop, reports: Sender<Report>) -> Self {
+        Self { device, stop, reports, last: RefCell::new(None) }
+    }
+
+    /// Whether to come to an end.
+    pub fn stopped(&self) -> bool {
+        self.stop.requested()
+    }
+
+    /// The request to stop, for what waits on it.
+    pub fn stop(&self) -> &Stop {
+        &self.stop
+    }
+
+    /// Sleeps until `instant`, or until a stop is requested. False if it is time to stop.
+    pub fn sleep_until(&self, instant: Instant) -> bool {
+        const LOOK: Duration = Duration::from_millis(20);
+        while !self.stopped() {
+            let left = instant.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return true;
+            }
+            std::thread::sleep(left.min(LOOK));
+        }
+        false
+    }
+
+    /// Reports a state; only a change is told.
+    pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
+        if self.last.replace(Some(state)) != Some(state) {
+            self.send(ReportKind::State { state, detail: detail.into() });
+        }
+    }
+
+    /// Reports a mark.
+    pub fn mark(&self, mark: Mark) {
+        self.send(ReportKind::Mark(mark));
+    }
+
+    /// Reports something that was wrong but does not end the device. What may go wrong a thousand
+    /// times a second is to be summed up by the device, not told each time.
+    pub fn warn(&self, text: impl Into<String>) {
+        self.send(ReportKind::Warning(text.into()));
+    }
+
+    /// Sends what must arrive, waiting for room unless it is time to stop.
+    fn send(&self, kind: ReportKind) {
+        let mut report = Report { device: self.device, kind };
+        loop {
+            match self.reports.send_timeout(report, Duration::from_millis(20)) {
+                Ok(()) => return,
+                Err(SendTimeoutError::Timeout(back)) if !self.stopped() => report = back,
+                Err(SendTimeoutError::Timeout(_)) => return,
+                Err(SendTimeoutError::Disconnected(_)) => return self.stop.request(),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_is_told_once_a_change() {
+        let (sender, reports) = crossbeam_channel::bounded(8);
+        let control = Control::new(0, Stop::default(), sender);
+        control.state(DeviceState::Opening, "");
+        control.state(DeviceState::Streaming, "");
+        control.state(DeviceState::Streaming, "");
+        assert_eq!(reports.len(), 2);
+    }
+
+    #[test]
+    fn a_session_that_is_gone_stops_the_device() {
+        let (sender, reports) = crossbeam_channel::bounded(8);
+        drop(reports);
+        let control = Control::new(0, Stop::default(), sender);
+        control.mark(Mark::End { at: Instant::now() });
+        assert!(control.stopped());
+    }
+}

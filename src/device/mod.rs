@@ -1,0 +1,74 @@
+//! What produces streams: the stylus, a microphone, a camera, or a recording that is played.
+//!
+//! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
+//! one ring a stream, and reports its state and the marks of scans through its [`Control`].
+//! Nothing downstream can tell a recording from a sensor.
+
+mod control;
+mod mark;
+mod replay;
+
+pub use control::{Control, DeviceState, Report, ReportKind};
+pub use mark::{Begin, Mark, Open};
+pub use replay::{Replay, Speed};
+
+use crate::ring::{Sink, Stopped};
+use crate::scene::SourceId;
+
+/// A source of streams.
+pub trait Device: Send {
+    /// For people: which device this is.
+    fn name(&self) -> &str;
+
+    /// What it will push, in the order of the sinks that [`Device::run`] gets. Asked once, before
+    /// it runs; names are unique in a session.
+    fn streams(&self) -> Vec<StreamSpec>;
+
+    /// Whether it can wait for whoever listens. One that cannot loses what does not fit; when all
+    /// can, nothing in the session is lost or dropped anywhere.
+    fn waits(&self) -> bool {
+        false
+    }
+
+    /// Pushes until there is no more, or `control` says stop; to be looked at every 50 ms or so.
+    /// `sinks` holds one sink a stream. Losing the hardware is no reason to return: a driver
+    /// reports its state and tries again.
+    ///
+    /// # Errors
+    /// If it cannot go on at all.
+    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError>;
+}
+
+/// One stream of a device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamSpec {
+    /// Its name.
+    pub id: SourceId,
+    /// What it carries.
+    pub kind: StreamKind,
+}
+
+/// What a stream carries.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum StreamKind {
+    /// Samples in time.
+    Series {
+        /// samples a frame
+        channels: usize,
+        /// nominal rate in Hz, which sizes the ring; the mark of each scan tells the actual one
+        rate_hz: f64,
+    },
+    /// Pictures.
+    Images,
+}
+
+/// Why a device cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// it was asked to stop while it waited; no failure
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
+    /// what is wrong, and what to do
+    #[error("{0}")]
+    Failed(String),
+}

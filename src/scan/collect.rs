@@ -1,0 +1,196 @@
+//! The collector: one thread that empties the rings, follows the marks and tells of scans.
+//!
+//! A turn of its loop: take all that the rings hold, *then* read the reports. A device reports the
+//! begin of a source before it pushes the source's first frame, so frames that were taken have
+//! their marks read in the same turn, before anything old is forgotten.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, Select};
+
+use super::cut::cut;
+use super::mark::Marked;
+use super::outbox::Outbox;
+use super::progress::{self, Told};
+use super::stream::Stream;
+use super::{Event, Options, Totals};
+use crate::device::{DeviceError, DeviceState, Mark, Report, ReportKind};
+use crate::ring::Stop;
+
+/// The longest time between two looks at the rings.
+const TURN: Duration = Duration::from_millis(5);
+
+pub(super) struct Collector {
+    pub options: Options,
+    pub streams: Vec<Stream>,
+    pub reports: Receiver<Report>,
+    pub woken: Receiver<()>,
+    pub stop: Stop,
+    pub outbox: Outbox,
+    /// Names of the devices, and whether each has ended.
+    pub devices: Vec<(String, bool)>,
+    pub scans: VecDeque<Marked>,
+    pub begun: u32,
+}
+
+impl Collector {
+    pub fn run(mut self) -> Totals {
+        let mut stop_seen: Option<Instant> = None;
+        let mut next_trace = Instant::now();
+        loop {
+            // Before the drain: a device that has ended has pushed all it ever will.
+            let over = self.devices.iter().all(|(_, ended)| *ended);
+            let looked = Instant::now();
+            let mut moved = self.drain();
+            while let Ok(report) = self.reports.try_recv() {
+                moved = true;
+                self.heed(report);
+            }
+            self.tell_scans(looked, false);
+            if let Some(every_s) = self.options.trace_every_s
+                && Instant::now() >= next_trace
+            {
+                next_trace = Instant::now() + Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
+                self.trace();
+            }
+            self.forget();
+            self.outbox.flush();
+            if over && self.reports.is_empty() {
+                break;
+            }
+            if self.stop.requested() {
+                let since = *stop_seen.get_or_insert_with(Instant::now);
+                if since.elapsed() >= self.options.stop_limit {
+                    break;
+                }
+            }
+            if !moved {
+                let mut select = Select::new();
+                select.recv(&self.woken);
+                select.recv(&self.reports);
+                let _ = select.ready_timeout(TURN);
+                let _ = self.woken.try_recv();
+            }
+        }
+        self.finish()
+    }
+
+    fn drain(&mut self) -> bool {
+        let longest_s = self.options.longest_scan_s;
+        let mut any = false;
+        for stream in &mut self.streams {
+            any |= stream.drain(longest_s);
+        }
+        any
+    }
+
+    fn heed(&mut self, Report { device, kind }: Report) {
+        let name = self.devices[device].0.clone();
+        match kind {
+            ReportKind::Warning(text) => self.outbox.warn(format!("{name}: {text}")),
+            ReportKind::State { state, detail } => {
+                self.outbox.tell(Event::Device { device: name, state, detail });
+            }
+            ReportKind::Mark(Mark::Begin(begin)) => {
+                self.abandon(|_| true, "another scan began before it ended");
+                self.begun += 1;
+                self.scans.push_back(Marked::new(self.begun, device, begin));
+            }
+            ReportKind::Mark(mark) => {
+                let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
+                    return self.outbox.warn(format!("{name}: a mark outside of any scan"));
+                };
+                let number = scan.number;
+                if let Err(problem) = scan.follow(mark, &self.streams) {
+                    self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+                }
+            }
+            ReportKind::Ended(result) => {
+                self.devices[device].1 = true;
+                self.abandon(|scan| scan.device == device, "its device ended");
+                if let Err(DeviceError::Failed(problem)) = result {
+                    self.outbox.totals.failed.push((name.clone(), problem.clone()));
+                    let state = DeviceState::Lost;
+                    self.outbox.tell(Event::Device { device: name, state, detail: problem });
+                }
+            }
+        }
+    }
+
+    /// Gives up the scan that goes on, if it is `of` the kind in question.
+    fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
+        if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
+            self.outbox.warn(format!("scan {} was cut off: {why}", scan.number));
+            self.scans.pop_back();
+        }
+    }
+
+    /// Tells how the first scan goes on and, once it is whole, the scan; then the next one.
+    ///
+    /// A scan whose data do not come is told without them once the rings were `looked` at long
+    /// enough after its end (by then, not by now: telling may have waited for a slow reader), or
+    /// when all is `over`.
+    fn tell_scans(&mut self, looked: Instant, over: bool) {
+        while let Some(mut scan) = self.scans.pop_front() {
+            self.tell_progress(&mut scan);
+            let told_late = |(_, learnt): (Instant, Instant)| {
+                over || looked.saturating_duration_since(learnt) > self.options.deliver_limit
+            };
+            if !(scan.complete(&self.streams) || scan.ended.is_some_and(told_late)) {
+                return self.scans.push_front(scan);
+            }
+            if let Some(scan) = cut(scan, &self.streams) {
+                self.outbox.tell(Event::Scan(Box::new(scan)));
+            }
+        }
+    }
+
+    fn tell_progress(&mut self, scan: &mut Marked) {
+        let Some(every_s) = self.options.progress_every_s else { return };
+        let exact = self.outbox.waits;
+        while let Some((step, snapshot)) = progress::next(scan, &self.streams, every_s, exact) {
+            let told = Told::of(&snapshot);
+            if !self.outbox.tell_snapshot(Event::Progress(snapshot)) {
+                return;
+            }
+            progress::told(scan, step, &told);
+        }
+    }
+
+    fn trace(&mut self) {
+        let (ends, trace) = progress::trace(&self.streams);
+        if !trace.fresh.is_empty() && self.outbox.tell_snapshot(Event::Trace(trace)) {
+            for (stream, end) in self.streams.iter_mut().zip(ends) {
+                stream.traced = end;
+            }
+        }
+    }
+
+    fn forget(&mut self) {
+        for (index, stream) in self.streams.iter_mut().enumerate() {
+            let cuts = self.scans.iter().flat_map(|scan| scan.cuts.values());
+            let needed = cuts
+                .filter(|cut| cut.stream == index)
+                .map(|cut| (cut.start, cut.rate_hz))
+                .min_by_key(|(start, _)| *start);
+            stream.forget(needed, self.options.lookback_s, self.options.longest_scan_s);
+        }
+    }
+
+    fn finish(mut self) -> Totals {
+        self.abandon(|_| true, "the session ended");
+        // Whatever a device that hangs still owes will not come.
+        self.drain();
+        self.tell_scans(Instant::now(), true);
+        for (name, ended) in self.devices.clone() {
+            if !ended {
+                self.outbox.warn(format!("{name} did not stop in time and is left to itself"));
+                self.outbox.totals.abandoned.push(name);
+            }
+        }
+        let counts = |stream: &Stream| (stream.id().clone(), stream.meter().counts());
+        self.outbox.totals.streams = self.streams.iter().map(counts).collect();
+        self.outbox.finish()
+    }
+}

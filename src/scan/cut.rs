@@ -1,0 +1,134 @@
+//! Cuts a scan out of the histories, and says what was lost in it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::Scan;
+use super::history::SeriesHistory;
+use super::mark::{Cut, Marked};
+use super::stream::{Intake, Stream};
+use crate::scene::{Phase, SourceId};
+use crate::trial::{Series, Signal, Trial, TrialKey};
+
+/// The longest gap that is bridged, in seconds.
+const BRIDGED_S: f64 = 1e-3;
+
+/// What was cut for one source.
+struct Piece {
+    signal: Option<Signal>,
+    lost: u64,
+    spoiled: Option<String>,
+}
+
+/// Makes the scan of marks whose data have been delivered, as far as they ever will be.
+pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
+    let (ended_at, _) = marked.ended?;
+    let mut signals = BTreeMap::new();
+    let mut lost_by_source = BTreeMap::new();
+    let mut spoiled = Vec::new();
+    for (source, cut) in &marked.cuts {
+        let piece = cut_source(source, cut, &streams[cut.stream]);
+        lost_by_source.insert(source.clone(), piece.lost);
+        spoiled.extend(piece.spoiled);
+        if let Some(signal) = piece.signal {
+            signals.insert(source.clone(), signal);
+        }
+    }
+    if signals.is_empty() {
+        spoiled.push("no source of the scene has any data in this scan".into());
+    }
+    let scan_s = duration_s(&signals, |id| marked.cuts[id].phase == Phase::Drag);
+    let scan_s = if scan_s > 0.0 { scan_s } else { duration_s(&signals, |_| true) };
+    Some(Scan {
+        number: marked.number,
+        trial: Trial { key: TrialKey::new("", "", marked.number), signals },
+        truth: marked.begin.truth,
+        synthetic: marked.begin.synthetic,
+        scan_s,
+        lost_samples: lost_by_source.values().sum(),
+        lost_by_source,
+        spoiled,
+        ended_at,
+    })
+}
+
+fn duration_s(signals: &BTreeMap<SourceId, Signal>, of: impl Fn(&SourceId) -> bool) -> f64 {
+    signals
+        .iter()
+        .filter(|(id, _)| of(id))
+        .map(|(_, signal)| match signal {
+            Signal::Series(series) => series.duration_s(),
+            Signal::Image(_) => 0.0,
+        })
+        .fold(0.0, f64::max)
+}
+
+fn cut_source(source: &SourceId, cut: &Cut, stream: &Stream) -> Piece {
+    let end = cut.end.unwrap_or(cut.start);
+    match stream.intake() {
+        Intake::Series { history, .. } => cut_series(source, cut, end, history),
+        Intake::Images { history, .. } => match history.get(cut.start) {
+            Some(image) => {
+                let image = Arc::unwrap_or_clone(image.clone());
+                Piece { signal: Some(Signal::Image(image)), lost: 0, spoiled: None }
+            }
+            None => Piece {
+                signal: None,
+                lost: 1,
+                spoiled: Some(format!("{source}: the picture was lost")),
+            },
+        },
+    }
+}
+
+fn cut_series(source: &SourceId, cut: &Cut, end: u64, history: &SeriesHistory) -> Piece {
+    let span = cut.start..end;
+    let ms = |frames: u64| frames as f64 / cut.rate_hz * 1e3;
+    let (first, samples) = history.frames(span.clone());
+    let kept = (samples.len() / history.channels()) as u64;
+    let mut gaps: Vec<_> = history.missing_in(first..first + kept).collect();
+    // What was forgotten or never delivered is missing as well.
+    let gone = (end - cut.start).saturating_sub(kept);
+    let in_gaps: u64 = gaps.iter().map(|gap| gap.end - gap.start).sum();
+    let lost = gone + in_gaps;
+    let mut spoiled = None;
+    if lost == end - cut.start {
+        let spoiled = format!("{source}: none of its {:.1} ms arrived", ms(lost));
+        return Piece { signal: None, lost, spoiled: Some(spoiled) };
+    }
+    let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
+    if gone > 0 {
+        spoiled =
+            Some(format!("{source}: {:.1} ms of it were not kept or never arrived", ms(gone)));
+    } else if worst as f64 > BRIDGED_S * cut.rate_hz {
+        spoiled = Some(format!(
+            "{source}: a gap of {:.1} ms, longer than the {:.0} ms that can be bridged",
+            ms(worst),
+            BRIDGED_S * 1e3
+        ));
+    }
+    let mut own = narrow(samples, history.channels(), cut.channels);
+    // A gap at the very begin has no frame of this source before it: take the one after it.
+    if let Some(gap) = gaps.drain(..).find(|gap| gap.start <= first && gap.end > first) {
+        let at = (gap.end - first) as usize * cut.channels;
+        if at < own.len() {
+            let next = own[at..at + cut.channels].to_vec();
+            own[..at].chunks_mut(cut.channels).for_each(|frame| frame.copy_from_slice(&next));
+        }
+    }
+    match Series::new(cut.rate_hz, cut.channels, own) {
+        Ok(series) => Piece { signal: Some(Signal::Series(series)), lost, spoiled },
+        Err(error) => {
+            let spoiled = Some(format!("{source} is left out: {error}"));
+            Piece { signal: None, lost, spoiled }
+        }
+    }
+}
+
+/// The first `channels` of frames that have `wide` channels.
+pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
+    if wide == channels {
+        return samples.to_vec();
+    }
+    samples.chunks(wide).flat_map(|frame| &frame[..channels]).copied().collect()
+}

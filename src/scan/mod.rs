@@ -1,0 +1,99 @@
+//! Makes scans out of streams: empties the rings, follows the marks, cuts the sources.
+//!
+//! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
+//! [`Scan`] holds nothing but what came out of the rings; what it truly is travels beside it.
+
+mod collect;
+mod cut;
+mod history;
+mod mark;
+mod outbox;
+mod progress;
+mod session;
+mod stream;
+
+pub use history::{ImageHistory, SeriesHistory};
+pub use progress::{Fresh, Progress, SoFar, Trace};
+pub use session::{Options, Session, SessionError, StreamMeter};
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use crate::device::DeviceState;
+use crate::ring::Counts;
+use crate::scene::SourceId;
+use crate::trial::{Trial, TrialKey};
+
+/// One interaction, as it came out of the rings.
+#[derive(Clone, Debug)]
+pub struct Scan {
+    /// Number of the scan in its session, counted from 1.
+    pub number: u32,
+    /// The data. Its key is neutral: no surface, no user, and the number of the scan.
+    pub trial: Trial,
+    /// What it truly is, where a recording says so: for reports, not for recognition.
+    pub truth: Option<TrialKey>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// Duration in seconds of the longest source of the drag; of all, if there was no drag.
+    pub scan_s: f64,
+    /// Frames (and pictures) lost within the scan, over all sources.
+    pub lost_samples: u64,
+    /// The same for each source that was marked.
+    pub lost_by_source: BTreeMap<SourceId, u64>,
+    /// For people: why the scan should not be trusted, a line each; empty if it may be. A gap of
+    /// at most 1 ms is bridged by repeating the frame before it, and spoils nothing.
+    pub spoiled: Vec<String>,
+    /// When its last sample was taken.
+    pub ended_at: Instant,
+}
+
+/// What a session tells.
+#[derive(Debug)]
+pub enum Event {
+    /// A scan is complete.
+    Scan(Box<Scan>),
+    /// A scan goes on: what is new in it.
+    Progress(Progress),
+    /// What is new in the streams, scan or not.
+    Trace(Trace),
+    /// A device has changed its state.
+    Device {
+        /// its name
+        device: String,
+        /// how it is now
+        state: DeviceState,
+        /// for people: why, and what to do
+        detail: String,
+    },
+    /// For people: something was lost, damaged or not understood, and work went on.
+    Warning(String),
+    /// All devices have ended and all they sent was dealt with; the last event.
+    Finished(Totals),
+}
+
+/// The account of a session.
+#[derive(Clone, Debug, Default)]
+pub struct Totals {
+    /// Scans that were told.
+    pub scans: u32,
+    /// What each stream carried.
+    pub streams: BTreeMap<SourceId, Counts>,
+    /// Devices that failed or panicked, and why.
+    pub failed: Vec<(String, String)>,
+    /// Devices that did not stop in time and were left to themselves.
+    pub abandoned: Vec<String>,
+    /// Warnings that were told.
+    pub warnings: u32,
+    /// Snapshots (progress, traces) that found their reader busy; the next one held their data.
+    pub late_snapshots: u64,
+    /// Other events that were dropped because their reader did not keep up or was gone.
+    pub dropped_events: u64,
+}
+
+impl Totals {
+    /// Frames lost over all streams, within scans or between them.
+    pub fn lost(&self) -> u64 {
+        self.streams.values().map(|counts| counts.lost).sum()
+    }
+}

@@ -1,0 +1,200 @@
+//! What a scan holds so far, told in steps of scan time: each snapshot carries only what is new.
+//!
+//! A snapshot that its reader had no time for is not repeated: the next one carries its data too,
+//! so a reader that adds them up ([`SoFar`]) always holds the scan without a hole.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::cut::narrow;
+use super::mark::{Cut, Marked};
+use super::stream::{Intake, Stream};
+use crate::scene::{Phase, SourceId};
+use crate::trial::{Image, Series, Signal, Trial, TrialKey};
+
+/// New frames of one source, or of one stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fresh {
+    /// The source, or the stream.
+    pub source: SourceId,
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Samples a frame.
+    pub channels: usize,
+    /// Index of the first frame, counted from the begin of the source, or of the stream.
+    pub start: u64,
+    /// Interleaved samples.
+    pub samples: Vec<f32>,
+}
+
+/// What is new in the scan that goes on.
+#[derive(Clone, Debug)]
+pub struct Progress {
+    /// Number of the scan.
+    pub number: u32,
+    /// Seconds of drag that the snapshots hold so far.
+    pub scan_s: f64,
+    /// New frames, a source each.
+    pub fresh: Vec<Fresh>,
+    /// New pictures.
+    pub images: Vec<(SourceId, Arc<Image>)>,
+}
+
+/// What is new in the streams, whether or not a scan goes on.
+#[derive(Clone, Debug)]
+pub struct Trace {
+    /// New frames, a stream each.
+    pub fresh: Vec<Fresh>,
+}
+
+/// Adds up the snapshots of a scan.
+#[derive(Clone, Debug, Default)]
+pub struct SoFar {
+    number: u32,
+    series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
+    images: BTreeMap<SourceId, Arc<Image>>,
+}
+
+impl SoFar {
+    /// Adds a snapshot; one of another scan starts anew.
+    pub fn add(&mut self, progress: &Progress) {
+        if self.number != progress.number {
+            *self = Self { number: progress.number, ..Self::default() };
+        }
+        for fresh in &progress.fresh {
+            let begin = || (fresh.rate_hz, fresh.channels, Vec::new());
+            let (_, _, samples) = self.series.entry(fresh.source.clone()).or_insert_with(begin);
+            samples.extend_from_slice(&fresh.samples);
+        }
+        self.images.extend(progress.images.iter().cloned());
+    }
+
+    /// The scan so far. Sources without usable data are left out.
+    pub fn trial(&self) -> Trial {
+        let series = self.series.iter().filter_map(|(id, (rate_hz, channels, samples))| {
+            let series = Series::new(*rate_hz, *channels, samples.clone()).ok()?;
+            Some((id.clone(), Signal::Series(series)))
+        });
+        let images = self.images.iter().map(|(id, image)| {
+            let image = Arc::unwrap_or_clone(image.clone());
+            (id.clone(), Signal::Image(image))
+        });
+        let key = TrialKey::new("", "", self.number);
+        Trial { key, signals: series.chain(images).collect() }
+    }
+}
+
+impl Cut {
+    /// Index after the frames of the first `seconds`, a begun frame included.
+    fn until(&self, seconds: f64) -> u64 {
+        self.start + (seconds * self.rate_hz).ceil() as u64
+    }
+}
+
+/// The next snapshot of a scan, in steps of `every_s` seconds of drag, and the number of its step.
+///
+/// With `exact`, it is taken at one step at a time and holds exactly what every source had by
+/// then, so that it does not depend on how the data came. Without, it is taken as soon as one
+/// source has got there, at the latest step that one has reached.
+pub(super) fn next(
+    marked: &Marked,
+    streams: &[Stream],
+    every_s: f64,
+    exact: bool,
+) -> Option<(u64, Progress)> {
+    let drags = || marked.cuts.values().filter(|cut| cut.phase == Phase::Drag);
+    let reached = |step: u64| {
+        let seconds = step as f64 * every_s;
+        drags().any(|cut| cut.available(streams) >= cut.until(seconds))
+    };
+    let mut step = marked.steps + 1;
+    if !reached(step) {
+        return None;
+    }
+    if exact {
+        let there = |cut: &Cut| {
+            let seconds = step as f64 * every_s;
+            let far = cut.phase == Phase::Drag && cut.available(streams) >= cut.until(seconds);
+            far || cut.delivered(streams)
+        };
+        if !marked.cuts.values().all(there) {
+            return None;
+        }
+    } else {
+        while reached(step + 1) {
+            step += 1;
+        }
+    }
+    let scan_s = step as f64 * every_s;
+    let mut progress = Progress { number: marked.number, scan_s, fresh: vec![], images: vec![] };
+    for (source, cut) in &marked.cuts {
+        match streams[cut.stream].intake() {
+            Intake::Series { history, .. } => {
+                let until = match cut.phase {
+                    Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
+                    _ => cut.available(streams),
+                };
+                let (_, samples) = history.frames(cut.start + cut.told..until);
+                if !samples.is_empty() {
+                    progress.fresh.push(Fresh {
+                        source: source.clone(),
+                        rate_hz: cut.rate_hz,
+                        channels: cut.channels,
+                        start: cut.told,
+                        samples: narrow(samples, history.channels(), cut.channels),
+                    });
+                }
+            }
+            Intake::Images { history, .. } => {
+                if let Some(image) = history.get(cut.start).filter(|_| cut.told == 0) {
+                    progress.images.push((source.clone(), image.clone()));
+                }
+            }
+        }
+    }
+    Some((step, progress))
+}
+
+/// Notes that a snapshot was told.
+pub(super) fn told(marked: &mut Marked, step: u64, progress: &Told) {
+    marked.steps = step;
+    for (source, frames) in &progress.0 {
+        if let Some(cut) = marked.cuts.get_mut(source) {
+            cut.told += frames;
+        }
+    }
+}
+
+/// How much a snapshot holds of each source.
+pub(super) struct Told(Vec<(SourceId, u64)>);
+
+impl Told {
+    pub fn of(progress: &Progress) -> Self {
+        let series = progress
+            .fresh
+            .iter()
+            .map(|fresh| (fresh.source.clone(), (fresh.samples.len() / fresh.channels) as u64));
+        let images = progress.images.iter().map(|(source, _)| (source.clone(), 1));
+        Self(series.chain(images).collect())
+    }
+}
+
+/// What is new in the streams since each was last traced, and up to where.
+pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
+    let mut fresh = Vec::new();
+    for stream in streams {
+        if let Intake::Series { history, rate_hz, .. } = stream.intake() {
+            let (start, samples) = history.frames(stream.traced..u64::MAX);
+            if !samples.is_empty() {
+                fresh.push(Fresh {
+                    source: stream.id().clone(),
+                    rate_hz: *rate_hz,
+                    channels: history.channels(),
+                    start,
+                    samples: samples.to_vec(),
+                });
+            }
+        }
+    }
+    (streams.iter().map(Stream::end).collect(), Trace { fresh })
+}

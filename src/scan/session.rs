@@ -1,0 +1,304 @@
+//! Runs devices and their collector, each on a thread of its own, and ends them again.
+
+use std::any::Any;
+use std::collections::{BTreeSet, VecDeque};
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::collect::Collector;
+use super::outbox::Outbox;
+use super::stream::Stream;
+use super::{Event, Totals};
+use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind};
+use crate::ring::{self, Bell, Counts, Meter, Sink, Stop};
+use crate::scene::SourceId;
+
+/// Reports under way before a device waits.
+const REPORTS: usize = 1024;
+
+/// How a session works.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// How much the ring of a series holds, in seconds at its nominal rate; at least one frame.
+    pub ring_s: f64,
+    /// How many pictures the ring of a camera holds.
+    pub ring_images: usize,
+    /// A [`Progress`](super::Progress) each this many seconds of drag; `Some(0.05)` makes 20 a
+    /// second in real time. Off by default.
+    pub progress_every_s: Option<f64>,
+    /// A [`Trace`](super::Trace) each this many seconds of real time. Off by default.
+    pub trace_every_s: Option<f64>,
+    /// How much of each stream is kept for marks that look back, in seconds.
+    pub lookback_s: f64,
+    /// How much of a scan is kept at most, in seconds; a longer one is spoiled.
+    pub longest_scan_s: f64,
+    /// How long after its end a scan waits for data that do not come.
+    pub deliver_limit: Duration,
+    /// How long a stop waits for a device.
+    pub stop_limit: Duration,
+    /// How many events wait for their reader.
+    pub events: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            ring_s: 1.0,
+            ring_images: 4,
+            progress_every_s: None,
+            trace_every_s: None,
+            lookback_s: 5.0,
+            longest_scan_s: 120.0,
+            deliver_limit: Duration::from_secs(2),
+            stop_limit: Duration::from_secs(2),
+            events: 64,
+        }
+    }
+}
+
+/// Why a session cannot start or end.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// two streams of one name
+    #[error("two devices have a stream called {0}; rename one of them in the configuration")]
+    SameStream(SourceId),
+    /// an interval that is none
+    #[error("{what} = {value}; expected a positive number of seconds")]
+    Seconds {
+        /// which option
+        what: &'static str,
+        /// what it was
+        value: f64,
+    },
+    /// the system gave no thread
+    #[error("no thread for {name}: {error}")]
+    Thread {
+        /// what it was for
+        name: String,
+        /// what the system said
+        error: std::io::Error,
+    },
+    /// a defect of this program
+    #[error("the collector panicked: {0}; please report this")]
+    Collector(String),
+}
+
+/// What one stream carries, readable while it does.
+#[derive(Clone, Debug)]
+pub struct StreamMeter {
+    /// The stream.
+    pub id: SourceId,
+    /// Name of its device.
+    pub device: String,
+    meter: Arc<Meter>,
+}
+
+impl StreamMeter {
+    /// The figures now.
+    pub fn counts(&self) -> Counts {
+        self.meter.counts()
+    }
+}
+
+/// Devices at work. Dropping it asks them to stop, without waiting for it.
+#[derive(Debug)]
+pub struct Session {
+    events: Receiver<Event>,
+    stop: Stop,
+    bell: Bell,
+    meters: Vec<StreamMeter>,
+    devices: Vec<(String, JoinHandle<()>)>,
+    collector: Option<JoinHandle<Totals>>,
+}
+
+impl Session {
+    /// Starts the devices.
+    ///
+    /// # Errors
+    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
+    /// device that fails is no error here: it ends in an event.
+    pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
+        check(&options)?;
+        let stop = Stop::default();
+        let (bell, woken) = Bell::new();
+        let (report, reports) = crossbeam_channel::bounded(REPORTS);
+        let (tell, events) = crossbeam_channel::bounded(options.events.max(1));
+        let waits = devices.iter().all(|device| device.waits());
+        let outbox = Outbox::new(tell, stop.clone(), waits);
+        let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
+        let mut ready = Vec::new();
+        for device in devices {
+            let mut sinks = Vec::new();
+            for spec in device.streams() {
+                if !names.insert(spec.id.clone()) {
+                    return Err(SessionError::SameStream(spec.id));
+                }
+                let (sink, stream) = join(spec.id.clone(), spec.kind, &options, bell.clone());
+                let (device, meter) = (device.name().to_string(), stream.meter().clone());
+                meters.push(StreamMeter { id: spec.id, device, meter });
+                sinks.push(sink);
+                streams.push(stream);
+            }
+            ready.push((device, sinks));
+        }
+        let names = ready.iter().map(|(device, _)| (device.name().to_string(), false)).collect();
+        let collector = Collector {
+            options,
+            streams,
+            reports,
+            woken,
+            stop: stop.clone(),
+            outbox,
+            devices: names,
+            scans: VecDeque::new(),
+            begun: 0,
+        };
+        let collector = spawn("collector", move || {
+            // However it ends, no device may wait for it any more.
+            let _end = EndsAll(collector.stop.clone());
+            collector.run()
+        })?;
+        let mut session =
+            Self { events, stop, bell, meters, devices: vec![], collector: Some(collector) };
+        for (index, (device, sinks)) in ready.into_iter().enumerate() {
+            let name = device.name().to_string();
+            let control = Control::new(index, session.stop.clone(), report.clone());
+            let report = report.clone();
+            // If there is no thread, dropping the session stops those that run.
+            let thread = spawn(&name, move || run(device, sinks, &control, index, &report))?;
+            session.devices.push((name, thread));
+        }
+        Ok(session)
+    }
+
+    /// What happens; ends after [`Event::Finished`]. All clones draw from one queue.
+    pub fn events(&self) -> &Receiver<Event> {
+        &self.events
+    }
+
+    /// What each stream carries.
+    pub fn meters(&self) -> &[StreamMeter] {
+        &self.meters
+    }
+
+    /// Asks all devices to end, without waiting for it; events go on until the last.
+    pub fn request_stop(&self) {
+        self.stop.request();
+        self.bell.ring();
+    }
+
+    /// Ends all devices and the collector, and gives the account. Events that were not read are
+    /// lost. A device that does not end within the limit is left to itself, and named.
+    ///
+    /// # Errors
+    /// If the collector panicked.
+    pub fn stop(mut self) -> Result<Totals, SessionError> {
+        self.request_stop();
+        self.join()
+    }
+
+    /// Waits until all devices have ended by themselves, dropping events that were not read.
+    ///
+    /// # Errors
+    /// If the collector panicked.
+    pub fn wait(mut self) -> Result<Totals, SessionError> {
+        self.join()
+    }
+
+    fn join(&mut self) -> Result<Totals, SessionError> {
+        let Some(collector) = self.collector.take() else { return Ok(Totals::default()) };
+        // Ends when the collector does; until then nothing waits for a reader in vain.
+        while self.events.recv().is_ok() {}
+        let totals =
+            collector.join().map_err(|panic| SessionError::Collector(what(panic.as_ref())))?;
+        for (name, thread) in self.devices.drain(..) {
+            if !totals.abandoned.contains(&name) {
+                // Its last report was its last act; a panic was caught and told before that.
+                let _ = thread.join();
+            }
+        }
+        Ok(totals)
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        self.request_stop();
+    }
+}
+
+/// Requests a stop when it is dropped.
+struct EndsAll(Stop);
+
+impl Drop for EndsAll {
+    fn drop(&mut self) {
+        self.0.request();
+    }
+}
+
+fn check(options: &Options) -> Result<(), SessionError> {
+    let seconds = [
+        ("ring_s", Some(options.ring_s)),
+        ("progress_every_s", options.progress_every_s),
+        ("trace_every_s", options.trace_every_s),
+        ("lookback_s", Some(options.lookback_s)),
+        ("longest_scan_s", Some(options.longest_scan_s)),
+    ];
+    for (what, value) in seconds {
+        if let Some(value) = value.filter(|x| !(x.is_finite() && *x > 0.0)) {
+            return Err(SessionError::Seconds { what, value });
+        }
+    }
+    Ok(())
+}
+
+fn join(id: SourceId, kind: StreamKind, options: &Options, bell: Bell) -> (Sink, Stream) {
+    match kind {
+        StreamKind::Series { channels, rate_hz } => {
+            let capacity = (options.ring_s * rate_hz).ceil() as usize;
+            let (sink, tap) = ring::series(channels, capacity, bell);
+            (Sink::Series(sink), Stream::series(id, tap, rate_hz))
+        }
+        StreamKind::Images => {
+            let (sink, tap) = ring::images(options.ring_images, bell);
+            (Sink::Images(sink), Stream::images(id, tap))
+        }
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, SessionError> {
+    // A thread's name holds no NUL.
+    let builder = std::thread::Builder::new().name(name.replace('\0', ""));
+    builder.spawn(work).map_err(|error| SessionError::Thread { name: name.into(), error })
+}
+
+/// The life of a device's thread.
+fn run(
+    mut device: Box<dyn Device>,
+    mut sinks: Vec<Sink>,
+    control: &Control,
+    index: usize,
+    reports: &Sender<Report>,
+) {
+    let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, control)));
+    let result = ran.unwrap_or_else(|panic| {
+        let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
+        Err(DeviceError::Failed(problem))
+    });
+    // The streams are closed before the end is told, so that the end comes after all data.
+    drop(sinks);
+    let _ = reports.send(Report { device: index, kind: ReportKind::Ended(result) });
+}
+
+fn what(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_string());
+    text.or_else(|| panic.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "for an unknown reason".into())
+}

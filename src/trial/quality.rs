@@ -1,0 +1,111 @@
+//! Flaws that a person with the cable in hand would want to hear of: a channel that is stuck, or
+//! one that runs into its limits.
+
+use super::Series;
+
+/// What is wrong with one channel of a series.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Flaw {
+    /// Every sample has the same value.
+    Constant {
+        /// channel, counted from 1
+        channel: usize,
+        /// that value
+        value: f32,
+    },
+    /// The channel rests at its highest or lowest value too often to be chance.
+    Saturated {
+        /// channel, counted from 1
+        channel: usize,
+        /// share of samples at the limit, 0 to 1
+        share: f64,
+    },
+}
+
+impl std::fmt::Display for Flaw {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Constant { channel, value } => {
+                write!(f, "channel {channel} is stuck at {value}; check its cable")
+            }
+            Self::Saturated { channel, share } => write!(
+                f,
+                "channel {channel} is saturated: {:.1} % of its samples are at its limit; lower \
+                 the gain, or press less",
+                share * 100.0
+            ),
+        }
+    }
+}
+
+/// Fewer values than this are a switch or a coarse converter, whose limits are no flaw.
+const FEWEST_VALUES: usize = 16;
+/// So many samples in a row at a limit are no chance.
+const RUN: usize = 3;
+/// Share of samples in such runs that makes a flaw.
+const SHARE: f64 = 0.005;
+
+/// The flaws of a series, channel by channel.
+pub fn flaws(series: &Series) -> Vec<Flaw> {
+    (0..series.channels()).filter_map(|channel| flaw(series, channel)).collect()
+}
+
+fn flaw(series: &Series, channel: usize) -> Option<Flaw> {
+    let view = series.view();
+    let samples = view.column(channel);
+    let low = samples.fold(f32::INFINITY, |a, &x| a.min(x));
+    let high = samples.fold(f32::NEG_INFINITY, |a, &x| a.max(x));
+    if low == high {
+        return Some(Flaw::Constant { channel: channel + 1, value: low });
+    }
+    let mut seen = Vec::with_capacity(FEWEST_VALUES);
+    for &x in samples {
+        if seen.len() < FEWEST_VALUES && !seen.contains(&x) {
+            seen.push(x);
+        }
+    }
+    if seen.len() < FEWEST_VALUES {
+        return None;
+    }
+    let (mut at_limit, mut run) = (0, 0);
+    for &x in samples {
+        run = if x == low || x == high { run + 1 } else { 0 };
+        at_limit += match run {
+            0..RUN => 0,
+            RUN => RUN,
+            _ => 1,
+        };
+    }
+    let share = at_limit as f64 / samples.len() as f64;
+    (share >= SHARE).then_some(Flaw::Saturated { channel: channel + 1, share })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn one_channel(values: impl Iterator<Item = f32>) -> Vec<Flaw> {
+        flaws(&Series::new(100.0, 1, values.collect()).unwrap())
+    }
+
+    #[test]
+    fn a_stuck_channel_is_told_from_its_neighbour() {
+        let samples = (0..100).flat_map(|i| [i as f32, 4.0]).collect();
+        let found = flaws(&Series::new(100.0, 2, samples).unwrap());
+        assert_eq!(found, [Flaw::Constant { channel: 2, value: 4.0 }]);
+        assert!(found[0].to_string().contains("stuck at 4"));
+    }
+
+    #[test]
+    fn a_clipped_sine_is_saturated_and_a_whole_one_is_not() {
+        let sine = |i: i32| (i as f32 * 0.01).sin();
+        assert_eq!(one_channel((0..10_000).map(sine)), []);
+        let clipped = one_channel((0..10_000).map(|i| sine(i).clamp(-0.7, 0.7)));
+        assert!(matches!(clipped[..], [Flaw::Saturated { channel: 1, share }] if share > 0.3));
+    }
+
+    #[test]
+    fn a_switch_is_not_saturated() {
+        assert_eq!(one_channel((0..1000).map(|i| if i < 500 { 0.0 } else { 1.0 })), []);
+    }
+}
