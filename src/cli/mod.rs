@@ -3,6 +3,8 @@
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
 mod compare;
+mod dependence;
+mod duration;
 mod eval;
 mod method;
 mod replay;
@@ -32,6 +34,8 @@ enum Command {
     Replay(replay::Args),
     Eval(eval::Args),
     Compare(compare::Args),
+    Dependence(dependence::Args),
+    Duration(duration::Args),
     Synth(synth::Args),
 }
 
@@ -61,6 +65,8 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Dependence(args) => dependence::run(&args),
+        Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
     };
     let (code, kind, message) = match done {
