@@ -113,6 +113,7 @@ pub fn run(args: &Args) -> Done {
     let answer = answer.map_err(|error| match error {
         ReportError::Library(error) => Failure::Failed(error.to_string()),
         ReportError::Duration(error) => Failure::Usage(error.to_string()),
+        ReportError::Scene(error) => Failure::Usage(error.to_string()),
         ReportError::Nothing(problem) => {
             Failure::Failed(format!("{}: {problem}", super::shown(&args.lib)))
         }

@@ -7,12 +7,14 @@ mod dependence;
 mod duration;
 mod eval;
 mod method;
+mod need;
 mod replay;
 mod samples;
 mod show;
 mod synth;
+mod tally;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -105,6 +107,6 @@ pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
 }
 
 /// A file that a person named, for messages.
-pub(crate) fn shown(path: &PathBuf) -> String {
+pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
 }

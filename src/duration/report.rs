@@ -8,7 +8,7 @@ use super::need::{SAMPLES, START_S, ScanNeed, Second};
 use super::search::Search;
 use super::trials::{DurationError, Trials};
 use crate::library::{Entry, Library, LibraryError};
-use crate::scene::{Domain, SourceId};
+use crate::scene::{Domain, SceneError, SourceId};
 use crate::trial::{Series, Signal};
 
 /// What is asked of a library.
@@ -116,6 +116,9 @@ pub enum ReportError {
     /// settings that cannot work
     #[error(transparent)]
     Duration(#[from] DurationError),
+    /// a source that there is not
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// nothing to compute
     #[error("{0}")]
     Nothing(String),
@@ -144,11 +147,13 @@ pub fn report(
         )));
     }
     let mut durations = Vec::new();
+    // Only what is asked for is read.
+    let asked = library.scene.clone().only(&sources)?;
     for (done, surface) in surfaces.iter().enumerate() {
         progress(done, surfaces.len());
         let mut series: BTreeMap<&SourceId, Vec<Series>> = BTreeMap::new();
         for entry in entries(library, surface, question.user.as_deref()) {
-            let mut trial = entry.load()?;
+            let mut trial = entry.clone().within(&asked).load()?;
             for source in &sources {
                 if let Some(Signal::Series(one)) = trial.signals.remove(source) {
                     series.entry(source).or_default().push(one);
