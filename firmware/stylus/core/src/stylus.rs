@@ -104,8 +104,10 @@ impl<'a> Stylus<'a> {
             send(line, &Message::Hello(Hello { serial, firmware, sample_rate_hz, channels }));
         }
         let was_on = sampling.is_on();
+        let mut emptied = false;
         while room(line) {
             let Some(sample) = sampling.ring.pop() else {
+                emptied = true;
                 // Stopped before the ring was found empty: no sample can follow.
                 if !was_on {
                     self.flush(line);
@@ -118,7 +120,7 @@ impl<'a> Stylus<'a> {
             self.status_at = self.next_index + u64::from(self.identity.sample_rate_hz);
             self.status_due |= was_on;
         }
-        if self.status_due && room(line) && (was_on || self.filled == 0) {
+        if self.status_due && room(line) && (was_on || emptied) {
             self.status_due = false;
             send(line, &Message::Status(self.status(sampling)));
         }
