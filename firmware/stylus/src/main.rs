@@ -23,6 +23,17 @@ static TICKS: AtomicU32 = AtomicU32::new(0);
 
 #[interrupt]
 fn TIM2() {
+    tick();
+}
+
+/// Stands in for TIM2 under QEMU, see `board::start_timer`.
+#[cfg(feature = "qemu")]
+#[cortex_m_rt::exception]
+fn SysTick() {
+    tick();
+}
+
+fn tick() {
     let elapsed = board::acknowledge_tick();
     if elapsed > 0 {
         TICKS.fetch_add(1, Ordering::Relaxed);
