@@ -1,5 +1,6 @@
 //! The hardware: an STM32F405, wired as `firmware/README.md` says. Nothing else touches registers.
 
+#[cfg(not(feature = "qemu"))]
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::peripheral::NVIC;
@@ -17,9 +18,9 @@ pub const SERIAL_LEN: usize = 24;
 #[cfg(not(feature = "qemu"))]
 const CRYSTAL_MHZ: u8 = 8;
 
-/// Clock of TIM2: twice APB1 on the chip, 1 GHz in QEMU's model, which has no clock controller.
-const TIMER_HZ: u32 = if cfg!(feature = "qemu") { 1_000_000_000 } else { 84_000_000 };
-const TIMER_PERIOD: u32 = TIMER_HZ / SAMPLE_RATE_HZ;
+/// Clock of TIM2, twice APB1, over the sample rate.
+#[cfg(not(feature = "qemu"))]
+const TIMER_PERIOD: u32 = 84_000_000 / SAMPLE_RATE_HZ;
 
 /// 84 MHz (APB2) / 28 = 3 Mbaud exactly.
 const UART_DIVIDER: u32 = 28;
@@ -135,12 +136,10 @@ fn start_timer(p: &Peripherals) {
     p.TIM2.cr1.write(|w| w.cen().set_bit());
 }
 
-/// In QEMU 7.2 a TIM2 that interrupts periodically hangs the emulator, since its model sets the next
-/// alarm to the time of the last. There the processor's own timer takes its place, and TIM5, running
-/// freely, is the clock by which ticks are counted.
+/// In QEMU 7.2 a TIM2 that interrupts periodically does not tick: its model sets the next
+/// alarm to the time of the last. There the processor's own timer takes its place.
 #[cfg(feature = "qemu")]
-fn start_timer(p: &Peripherals) {
-    p.TIM5.cr1.write(|w| unsafe { w.bits(1) });
+fn start_timer(_: &Peripherals) {
     // SAFETY: nothing else uses the processor's timer.
     let mut core = unsafe { cortex_m::Peripherals::steal() };
     core.SYST.set_clock_source(cortex_m::peripheral::syst::SystClkSource::Core);
@@ -151,6 +150,7 @@ fn start_timer(p: &Peripherals) {
 }
 
 /// Where TIM5 stood at the last tick.
+#[cfg(not(feature = "qemu"))]
 static LAST: AtomicU32 = AtomicU32::new(0);
 
 /// For the sampling interrupt: ticks since the last call.
@@ -162,15 +162,11 @@ pub fn acknowledge_tick() -> u32 {
     now.wrapping_sub(LAST.swap(now, Ordering::Relaxed))
 }
 
-/// For the sampling interrupt: ticks since the last call, by TIM5.
+/// The emulated processor may be too slow for real time; a late tick then delays the recording's
+/// next sample instead of skipping it, so no tick is ever missed.
 #[cfg(feature = "qemu")]
 pub fn acknowledge_tick() -> u32 {
-    let last = LAST.load(Ordering::Relaxed);
-    let since = peripherals().TIM5.cnt.read().bits().wrapping_sub(last);
-    // To the nearest tick, for the two timers' rounding differs.
-    let elapsed = (since + TIMER_PERIOD / 2) / TIMER_PERIOD;
-    LAST.store(last.wrapping_add(elapsed.wrapping_mul(TIMER_PERIOD)), Ordering::Relaxed);
-    elapsed
+    1
 }
 
 /// Measures all channels, for the sampling interrupt.
