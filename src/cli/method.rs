@@ -1,6 +1,9 @@
 //! Which method compares trials, and with what settings.
 
-use crate::recognise::{Embedding, EmbeddingOptions, Method, PositionMode, Precision, Reference, ReferenceOptions};
+use crate::recognise::{
+    Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
+    ReferenceOptions,
+};
 use crate::scene::Scene;
 
 /// The methods, by name.
@@ -8,6 +11,8 @@ use crate::scene::Scene;
 pub enum MethodName {
     /// The paper's method, exactly.
     Reference,
+    /// The kernel two-sample test on samples that keep where they came from.
+    Joint,
     /// Fourier features and a shrinkage discriminant.
     Embedding,
 }
@@ -71,6 +76,7 @@ impl MethodArgs {
     /// Does `work` with the method that was asked for, on the sources of `scene`.
     pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
         match self.method {
+            MethodName::Joint => work.with(Joint::new(scene.clone())),
             MethodName::Embedding => {
                 work.with(Embedding::new(scene.clone(), self.embedding_options()))
             }

@@ -206,9 +206,8 @@ fn with_workspace(points: usize, work: impl FnOnce(&mut Workspace)) {
 impl Workspace {
     fn new(points: usize) -> Self {
         let plan = RealFftPlanner::<f32>::new().plan_fft_forward(points);
-        let hann = |n: usize| {
-            0.5 - 0.5 * (2.0 * std::f64::consts::PI * n as f64 / points as f64).cos()
-        };
+        let hann =
+            |n: usize| 0.5 - 0.5 * (2.0 * std::f64::consts::PI * n as f64 / points as f64).cos();
         let power: f64 = (0..points).map(|n| hann(n).powi(2)).sum();
         Self {
             window: (0..points).map(|n| hann(n) as f32).collect(),

@@ -69,7 +69,8 @@ fn view_scale(trials: &[&Framed], v: usize, align: bool) -> ViewScale {
         .collect();
     let view = &views[0].view;
     let (width, bands) = (view.width(), view.bands());
-    let shifts: Vec<f32> = views.iter().map(|f| if align { mean(&f.values) } else { 0.0 }).collect();
+    let shifts: Vec<f32> =
+        views.iter().map(|f| if align { mean(&f.values) } else { 0.0 }).collect();
     let frames: usize = views.iter().map(|f| f.frames()).sum();
     let every = frames.div_ceil(ENOUGH).max(1);
     let (mut centre, mut mads) = (Vec::with_capacity(width), Vec::with_capacity(width));

@@ -172,7 +172,8 @@ impl Pairs {
         sum_pairs(&self.first, &self.second, &self.weights, &mut sums);
         for (i, (slot, sum)) in out.iter_mut().zip(sums).enumerate() {
             let (j, k) = PRODUCTS[i / 2];
-            let scale = (if j == 0 { 1.0 } else { weight(j) }) * (if k == 0 { 1.0 } else { weight(k) });
+            let scale =
+                (if j == 0 { 1.0 } else { weight(j) }) * (if k == 0 { 1.0 } else { weight(k) });
             *slot = (sum * scale / weight_sum.max(1e-30)) as f32;
         }
     }
@@ -272,8 +273,7 @@ fn sin_cos_pi(u: &[f32; LANES]) -> ([f32; LANES], [f32; LANES]) {
             + x2 * (-0.5
                 + x2 * (1.0 / 24.0
                     + x2 * (-1.0 / 720.0
-                        + x2 * (1.0 / 40_320.0
-                            + x2 * (-1.0 / 3_628_800.0 + x2 / 479_001_600.0)))));
+                        + x2 * (1.0 / 40_320.0 + x2 * (-1.0 / 3_628_800.0 + x2 / 479_001_600.0)))));
         sin[lane] = 2.0 * s * c;
         cos[lane] = 1.0 - 2.0 * s * s;
     }
@@ -343,7 +343,8 @@ mod tests {
 
     #[test]
     fn columns_do_not_mix() {
-        let values: Vec<f32> = (0..13 * 70).map(|i| ((i * 7919) % 1000) as f32 / 200.0 - 2.5).collect();
+        let values: Vec<f32> =
+            (0..13 * 70).map(|i| ((i * 7919) % 1000) as f32 / 200.0 - 2.5).collect();
         let (centre, scale) = (vec![0.1; 13], vec![0.25; 13]);
         let mut out = vec![0.0; 13 * 8];
         let columns =

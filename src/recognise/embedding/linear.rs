@@ -59,7 +59,13 @@ pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
             row /= l[[i, i]];
         }
         let (solved, mut rest) = b.view_mut().split_at(ndarray::Axis(0), end);
-        general_mat_mul(-1.0, &l.slice(s![end.., k..end]), &solved.slice(s![k.., ..]), 1.0, &mut rest);
+        general_mat_mul(
+            -1.0,
+            &l.slice(s![end.., k..end]),
+            &solved.slice(s![k.., ..]),
+            1.0,
+            &mut rest,
+        );
     }
 }
 

@@ -1,8 +1,6 @@
 //! One source of a trial, or a window of it, as a vector of Fourier features.
 
-use super::circle::{
-    Columns, HALF_CIRCLE, PAIR_FEATURES, Pairs, column_features,
-};
+use super::circle::{Columns, HALF_CIRCLE, PAIR_FEATURES, Pairs, column_features};
 use crate::recognise::framed::{Framed, FramedSource};
 use crate::recognise::pixels::{Part, PixelGroup, pixel_pairs};
 use crate::recognise::scale::{SourceScale, group_means};

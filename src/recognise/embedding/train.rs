@@ -157,8 +157,7 @@ fn train_discriminant(
         })
         .collect();
     model.temperature = temperature(&held_out, labels);
-    model.held_out =
-        held_out.into_iter().map(|of_trial| Some(of_trial?.pop()?.1)).collect();
+    model.held_out = held_out.into_iter().map(|of_trial| Some(of_trial?.pop()?.1)).collect();
 }
 
 fn temperature(held_out: &[Option<Vec<(f64, Vec<f64>)>>], labels: &Labels) -> Temperature {
@@ -236,9 +235,8 @@ fn windows(source: &FramedSource) -> Vec<Window> {
 /// The whole, and windows of `length_s` that begin every `step_s` up to `last_s`, as they fit.
 fn seconds(source: &FramedSource, length_s: f64, step_s: f64, last_s: f64) -> Vec<Window> {
     let starts = (0..=(last_s / step_s).round() as usize).map(|i| i as f64 * step_s);
-    let fits = starts.filter(|start| {
-        source.duration_s >= 1.0 && start + length_s <= source.duration_s + 1e-9
-    });
+    let fits = starts
+        .filter(|start| source.duration_s >= 1.0 && start + length_s <= source.duration_s + 1e-9);
     let windows = fits.map(|start| Window::Seconds(start, start + length_s));
     std::iter::once(Window::Whole).chain(windows).collect()
 }
