@@ -1,6 +1,8 @@
 //! Which method compares trials, and with what settings.
 
-use crate::recognise::{Method, PositionMode, Precision, Reference, ReferenceOptions};
+use std::path::Path;
+
+use crate::recognise::{Method, PositionMode, Precision, Reference, ReferenceOptions, STAGES};
 use crate::scene::Scene;
 
 /// The methods, by name.
@@ -43,6 +45,15 @@ pub struct MethodArgs {
     /// Sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
+    /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
+    #[arg(long)]
+    halving: bool,
+    /// Do not tabulate library sums: quicker to prepare, slower to compare
+    #[arg(long)]
+    no_tables: bool,
+    /// Neither read nor write the cache of prepared trials beside the library
+    #[arg(long)]
+    no_cache: bool,
 }
 
 /// Parses a count.
@@ -72,6 +83,11 @@ impl MethodArgs {
         }
     }
 
+    /// Where prepared trials of a library in a folder are kept, if they are.
+    pub fn cache_beside<'a>(&self, library: &'a Path) -> Option<&'a Path> {
+        (!self.no_cache).then_some(library)
+    }
+
     /// The settings of `reference`.
     pub fn reference_options(&self) -> ReferenceOptions {
         ReferenceOptions {
@@ -84,6 +100,8 @@ impl MethodArgs {
             },
             seed: self.seed,
             precision: if self.exact { Precision::Oracle } else { Precision::Fast },
+            tabulate: !self.no_tables,
+            halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
 }
