@@ -3,7 +3,11 @@
 //! Prints, on synthetic sample sets: time of a kernel evaluation for 1 to 4 channels on each
 //! instruction set; one whole query against 1080 trials × 8 sources × R = 10, exact and with
 //! halving; how often halving gives the same label over 500 queries; and the time to load a library
-//! of 1080 trials prepared earlier. Times are the least of several runs, and their median.
+//! of 1080 trials prepared earlier. Times are the least of several runs, and their median; on a
+//! machine that is shared with others, the processor time says more (Linux only).
+//!
+//! `SURFACED_BENCH_CACHE=FOLDER` keeps the prepared library there; `SURFACED_BENCH_QUERIES=N` compares
+//! labels over N queries instead of 500.
 
 use std::collections::BTreeSet;
 use std::hint::black_box;
@@ -23,6 +27,7 @@ use surfaced::trial::{EXPERT, Trial};
 
 const SURFACES: usize = 108;
 const TRIALS: u32 = 10;
+/// Most queries that labels are compared over.
 const QUERIES: usize = 500;
 
 fn main() {
@@ -47,6 +52,15 @@ fn timed(runs: usize, mut work: impl FnMut()) -> (f64, f64) {
         .collect();
     times.sort_by(f64::total_cmp);
     (times[0], times[runs / 2])
+}
+
+/// Processor time of this process so far, in seconds, to 10 ms.
+fn processor_s() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    // The name in brackets may hold anything; utime and stime are the 12th and 13th after it.
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let mut ticks = || fields.next()?.parse::<f64>().ok();
+    Some((ticks()? + ticks()?) / 100.0)
 }
 
 fn kernel() {
@@ -171,15 +185,23 @@ fn library(query: bool, halving: bool, cache: bool) {
         println!("preparing one query: {:.1} ms (median {:.1} ms)", least * 1e3, median * 1e3);
         let z = ready();
         for (name, method) in [("exact", &exact), ("halving", &halved)] {
+            let before = processor_s();
             let (least, median) = timed(9, || drop(black_box(method.rank(&model, &z))));
+            let used = processor_s().zip(before).map(|(after, before)| (after - before) / 9.0);
             println!(
-                "one query, 1080 trials × 8 sources × R = 10, {name}: {least:.3} s (median {median:.3} s)"
+                "one query, 1080 trials × 8 sources × R = 10, {name}: {least:.3} s (median \
+                 {median:.3} s), {:.3} s of processor time",
+                used.unwrap_or(f64::NAN)
             );
         }
     }
     if halving {
         let (mut same, mut right, mut all) = (0, [0, 0], 0);
-        for entry in of_users.iter().take(QUERIES) {
+        let said = std::env::var("SURFACED_BENCH_QUERIES").ok().and_then(|n| n.parse().ok());
+        let queries = said.unwrap_or(QUERIES).min(QUERIES);
+        // Spread over surfaces and users, whatever their number.
+        for i in 0..queries {
+            let entry = &of_users[i * of_users.len() / queries];
             let trial = entry.load().unwrap_or_else(|error| panic!("{error}"));
             let z = exact.prepare(entry, &trial).unwrap_or_else(|error| panic!("{error}"));
             let answers = [&exact, &halved].map(|method| {
@@ -194,7 +216,7 @@ fn library(query: bool, halving: bool, cache: bool) {
                 *right += usize::from(*answer == entry.key.surface);
             }
             all += 1;
-            eprint!("\rcomparing {all} of {QUERIES}  ");
+            eprint!("\rcomparing {all} of {queries}  ");
         }
         eprintln!();
         println!(

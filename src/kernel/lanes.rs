@@ -10,6 +10,7 @@
 //! [`Quality::Fine`] value is good to 3e-7 (tested). Sums never are NaN.
 
 use multiversion::multiversion;
+use multiversion::target::target_cfg_f;
 
 /// Values that are worked on together.
 pub(super) const LANES: usize = 16;
@@ -173,10 +174,10 @@ fn of_channels<const C: usize, const SELF: bool>(
     let _ = quality;
     let slices: (&[&[f32]], &[&[f32]]) = (&from, &to);
     match (C, set == InstructionSet::Portable) {
-        (1, true) => portable_sum::<1, SELF>(narrow(slices.0), rows, narrow(slices.1)),
-        (2, true) => portable_sum::<2, SELF>(narrow(slices.0), rows, narrow(slices.1)),
-        (3, true) => portable_sum::<3, SELF>(narrow(slices.0), rows, narrow(slices.1)),
-        (_, true) => portable_sum::<4, SELF>(narrow(slices.0), rows, narrow(slices.1)),
+        (1, true) => portable_sum::<1, SELF, false>(narrow(slices.0), rows, narrow(slices.1)),
+        (2, true) => portable_sum::<2, SELF, false>(narrow(slices.0), rows, narrow(slices.1)),
+        (3, true) => portable_sum::<3, SELF, false>(narrow(slices.0), rows, narrow(slices.1)),
+        (_, true) => portable_sum::<4, SELF, false>(narrow(slices.0), rows, narrow(slices.1)),
         (1, false) => sum_1(narrow(slices.0), rows, narrow(slices.1), SELF),
         (2, false) => sum_2(narrow(slices.0), rows, narrow(slices.1), SELF),
         (3, false) => sum_3(narrow(slices.0), rows, narrow(slices.1), SELF),
@@ -202,10 +203,13 @@ macro_rules! dispatched_sum {
             b: [&[f32]; $channels],
             of_self: bool,
         ) -> f64 {
-            if of_self {
-                portable_sum::<$channels, true>(a, rows, b)
-            } else {
-                portable_sum::<$channels, false>(a, rows, b)
+            // A fused multiplication where there is one; elsewhere it would be a call.
+            let fused = target_cfg_f!(any(target_feature = "fma", target_feature = "neon"));
+            match (of_self, fused) {
+                (true, true) => portable_sum::<$channels, true, true>(a, rows, b),
+                (false, true) => portable_sum::<$channels, false, true>(a, rows, b),
+                (true, false) => portable_sum::<$channels, true, false>(a, rows, b),
+                (false, false) => portable_sum::<$channels, false, false>(a, rows, b),
             }
         }
     };
@@ -217,7 +221,7 @@ dispatched_sum!(sum_4, 4);
 
 /// The sum in plain Rust. With `SELF`, blocks right of the diagonal count twice.
 #[inline(always)]
-fn portable_sum<const C: usize, const SELF: bool>(
+fn portable_sum<const C: usize, const SELF: bool, const FUSED: bool>(
     a: [&[f32]; C],
     rows: usize,
     b: [&[f32]; C],
@@ -230,12 +234,12 @@ fn portable_sum<const C: usize, const SELF: bool>(
         let mut first = 0;
         if SELF {
             first = row / LANES;
-            add_block(&mut lanes, at, b, first);
+            add_block::<C, FUSED>(&mut lanes, at, b, first);
             lanes = lanes.map(|x| 0.5 * x);
             first += 1;
         }
         for block in first..blocks {
-            add_block(&mut lanes, at, b, block);
+            add_block::<C, FUSED>(&mut lanes, at, b, block);
         }
         total += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
     }
@@ -243,23 +247,28 @@ fn portable_sum<const C: usize, const SELF: bool>(
 }
 
 #[inline(always)]
-fn add_block<const C: usize>(lanes: &mut [f32; LANES], at: [f32; C], b: [&[f32]; C], block: usize) {
+fn add_block<const C: usize, const FUSED: bool>(
+    lanes: &mut [f32; LANES],
+    at: [f32; C],
+    b: [&[f32]; C],
+    block: usize,
+) {
     let mut q = [0f32; LANES];
     for c in 0..C {
         let other = &b[c][block * LANES..(block + 1) * LANES];
         for lane in 0..LANES {
             let d = other[lane] - at[c];
-            q[lane] += d * d;
+            q[lane] = multiply_add::<FUSED>(d, d, q[lane]);
         }
     }
     for lane in 0..LANES {
-        lanes[lane] += exp2_of_minus_sixteenths(q[lane]);
+        lanes[lane] += exp2_of_minus_sixteenths::<FUSED>(q[lane]);
     }
 }
 
 /// 2^(−q/16) for q ≥ 0; relative error below 2e-7, and 0 for q > 2016 to within 2e-38.
 #[inline(always)]
-fn exp2_of_minus_sixteenths(q: f32) -> f32 {
+fn exp2_of_minus_sixteenths<const FUSED: bool>(q: f32) -> f32 {
     // Adding 1.5·2²⁷ rounds to a multiple of 16, whose sixteenth then stands in the low bits.
     const ROUND: f32 = 201_326_592.0;
     let y = (-q).max(-2016.0);
@@ -267,14 +276,20 @@ fn exp2_of_minus_sixteenths(q: f32) -> f32 {
     let f = (y - (rounded - ROUND)) * (1.0 / 16.0);
     // Minimax polynomial for 2^f on [−½, ½], with the constant term held at 1.
     let p = 1.535_336_2e-4_f32;
-    let p = p * f + 1.339_887_4e-3;
-    let p = p * f + 9.618_437e-3;
-    let p = p * f + 5.550_332_4e-2;
-    let p = p * f + 2.402_264_8e-1;
-    let p = p * f + 6.931_472e-1;
-    let p = p * f + 1.0;
+    let p = multiply_add::<FUSED>(p, f, 1.339_887_4e-3);
+    let p = multiply_add::<FUSED>(p, f, 9.618_437e-3);
+    let p = multiply_add::<FUSED>(p, f, 5.550_332_4e-2);
+    let p = multiply_add::<FUSED>(p, f, 2.402_264_8e-1);
+    let p = multiply_add::<FUSED>(p, f, 6.931_472e-1);
+    let p = multiply_add::<FUSED>(p, f, 1.0);
     let exponent = (rounded.to_bits() << 23).wrapping_add(0x3f80_0000);
     p * f32::from_bits(exponent)
+}
+
+/// a·b + c, rounded once where that is one instruction.
+#[inline(always)]
+fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
 #[cfg(test)]
