@@ -82,6 +82,10 @@ proptest! {
         let mut draw = |kind| Array2::from_shape_fn((400, dims), |(i, _)| {
             ugly(kind, rng.random_range(-1.0..1.0), i)
         });
+        // Eq. 8 adds y's mean to z, which at 1e30 leaves nothing of z: such pairs have no score that
+        // could be held against ours, so only kinds of like size are paired with the shift.
+        let alike = [0, 3, 5, 6, 7, 9, 10, 11];
+        let of_y = if align && !(alike.contains(&of_z) && alike.contains(&of_y)) { of_z } else { of_y };
         let (z, y) = (draw(of_z), draw(of_y));
         assert_within_1e_4(&z, &y, align, &format!("{of_z} and {of_y}"));
         let (y, again) = (draw(of_z), draw(of_z));
