@@ -1,8 +1,10 @@
 //! Which method compares trials, and with what settings.
 
+use std::path::Path;
+
 use crate::recognise::{
     Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
-    ReferenceOptions,
+    ReferenceOptions, STAGES,
 };
 use crate::scene::Scene;
 
@@ -53,6 +55,15 @@ pub struct MethodArgs {
     /// With `embedding`: let the nearest trial win, instead of training a discriminant
     #[arg(long)]
     no_discriminant: bool,
+    /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
+    #[arg(long)]
+    halving: bool,
+    /// Do not tabulate library sums: quicker to prepare, slower to compare
+    #[arg(long)]
+    no_tables: bool,
+    /// Neither read nor write the cache of prepared trials beside the library
+    #[arg(long)]
+    no_cache: bool,
 }
 
 /// Parses a count.
@@ -91,6 +102,11 @@ impl MethodArgs {
         EmbeddingOptions { discriminant: !self.no_discriminant, ..EmbeddingOptions::default() }
     }
 
+    /// Where prepared trials of a library in a folder are kept, if they are.
+    pub fn cache_beside<'a>(&self, library: &'a Path) -> Option<&'a Path> {
+        (!self.no_cache).then_some(library)
+    }
+
     /// The settings of `reference`.
     pub fn reference_options(&self) -> ReferenceOptions {
         ReferenceOptions {
@@ -103,6 +119,8 @@ impl MethodArgs {
             },
             seed: self.seed,
             precision: if self.exact { Precision::Oracle } else { Precision::Fast },
+            tabulate: !self.no_tables,
+            halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
 }
