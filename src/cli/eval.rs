@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::{self, EvaluateError, Fold, Outcome, Protocol};
+use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
 use crate::library::Entry;
 use crate::recognise::Method;
 use crate::scene::{Phase, Scene};
+use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
 #[derive(clap::Args)]
@@ -48,6 +49,24 @@ struct Report {
     data: String,
     synthetic: bool,
     query_seconds: Option<f64>,
+    predictions: Vec<Answer>,
+}
+
+/// One query and its answer.
+#[derive(serde::Serialize)]
+struct Answer {
+    truth: String,
+    user: String,
+    trial: u32,
+    answer: String,
+    margin: f64,
+}
+
+impl From<Prediction> for Answer {
+    fn from(p: Prediction) -> Self {
+        let TrialKey { surface: truth, user, number: trial } = p.key;
+        Self { truth, user, trial, answer: p.surface, margin: p.margin }
+    }
 }
 
 struct Evaluation<'a> {
@@ -58,14 +77,13 @@ struct Evaluation<'a> {
 }
 
 impl WithMethod for Evaluation<'_> {
-    type Output = Result<Outcome, EvaluateError>;
+    type Output = Result<(Outcome, Vec<Prediction>), EvaluateError>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
         let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
         let progress = |step, done, of| steps.tell(step, done, of);
         evaluate::run(&method, self.entries, self.folds, as_query, &progress)
-            .map(|(outcome, _)| outcome)
     }
 }
 
@@ -100,13 +118,14 @@ pub fn run(args: &Args) -> Done {
     let folds = evaluate::folds(args.protocol, &keys)?;
     let query_seconds = args.query_seconds;
     let evaluation = Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds };
-    let outcome = args.method.apply(&scene, evaluation)?;
+    let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
     let report = Report {
         outcome,
         protocol: args.protocol.name(),
         data: library.name.clone(),
         synthetic: library.synthetic,
         query_seconds,
+        predictions: predictions.into_iter().map(Answer::from).collect(),
     };
     if args.json {
         show::json(&report);

@@ -43,7 +43,7 @@ const FEWEST_VALUES: usize = 16;
 /// So many samples in a row at a limit are no chance.
 const RUN: usize = 3;
 /// Share of samples in such runs that makes a flaw.
-const SHARE: f64 = 0.005;
+const SHARE: f64 = 0.02;
 
 /// The flaws of a series, channel by channel.
 pub fn flaws(series: &Series) -> Vec<Flaw> {
