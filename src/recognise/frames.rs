@@ -281,7 +281,7 @@ mod tests {
     #[test]
     fn a_band_above_half_the_rate_or_of_no_width_still_has_a_bin() {
         assert_eq!(FrameView::new(100.0, 1, (300.0, 400.0), 0.1, 8).bands(), 1);
-        assert_eq!(FrameView::new(100.0, 1, (20.0, 20.01), 0.1, 8).edges.len() > 1, true);
+        assert!(FrameView::new(100.0, 1, (20.0, 20.01), 0.1, 8).edges.len() > 1);
     }
 
     #[test]

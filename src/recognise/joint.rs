@@ -34,8 +34,8 @@ const DEFAULT_WIDTH: usize = 2;
 /// Trials of every surface that a choice of the width takes.
 const LEAST_TRIALS: usize = 3;
 
-/// At most this many trials of a surface vote on the width.
-const MOST_TRIALS: usize = 5;
+/// At most about this many trials, evenly spread, vote on the width.
+const VOTES: usize = 200;
 
 /// The method `joint`.
 #[derive(Clone, Debug)]
@@ -101,12 +101,6 @@ impl JointSource {
 
     /// The width that names most left-out trials; the smaller one of equals.
     fn best_width(&self, library: &[Arc<FramedTrial>]) -> usize {
-        let mut rank_in_surface = vec![0; library.len()];
-        for i in 1..library.len() {
-            if library[i].key.surface == library[i - 1].key.surface {
-                rank_in_surface[i] = rank_in_surface[i - 1] + 1;
-            }
-        }
         let mut with_source: BTreeMap<&str, usize> = BTreeMap::new();
         for (trial, samples) in library.iter().zip(&self.trials) {
             *with_source.entry(&trial.key.surface).or_default() += usize::from(samples.is_some());
@@ -114,9 +108,11 @@ impl JointSource {
         if with_source.values().any(|&trials| trials < LEAST_TRIALS) {
             return DEFAULT_WIDTH;
         }
+        // Coprime to ten, the usual number of trials, so that every session votes.
+        let every = if library.len() > VOTES { (library.len() / VOTES) | 1 } else { 1 };
         let right: [usize; 4] = (0..library.len())
             .into_par_iter()
-            .filter(|&i| rank_in_surface[i] < MOST_TRIALS)
+            .filter(|i| i % every == 0)
             .filter_map(|i| self.named_right(library, i))
             .map(|right| right.map(usize::from))
             .reduce(|| [0; 4], |a, b| std::array::from_fn(|w| a[w] + b[w]));

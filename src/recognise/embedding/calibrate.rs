@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn an_overconfident_distance_gets_a_higher_temperature() {
         // One in ten is wrong, by as much as the others are right.
-        let trial = |i: usize| (vec![0.0, 40.0], usize::from(i % 10 == 0));
+        let trial = |i: usize| (vec![0.0, 40.0], usize::from(i.is_multiple_of(10)));
         let tau = best_temperature(&(0..100).map(trial).collect::<Vec<_>>());
         assert!((20.0 / tau - 9f64.ln()).abs() < 0.2, "{tau}");
     }

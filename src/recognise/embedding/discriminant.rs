@@ -110,7 +110,7 @@ impl Discriminant {
         let overall = scatter.sums.sum_axis(ndarray::Axis(0)) / scatter.counts.iter().sum::<f64>();
         let total = (mean_square - overall.dot(&overall)) / dims as f64;
         // The sums of squares are good to about 1e-6 of themselves: less is noise.
-        if !(total > 1e-5 * mean_square / dims as f64) {
+        if total.is_nan() || total <= 1e-5 * mean_square / dims as f64 {
             return None;
         }
         let within = metric.diag().iter().map(|x| x.max(0.0)).sum::<f64>() / freedom / dims as f64;

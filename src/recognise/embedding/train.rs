@@ -31,6 +31,9 @@ pub(super) struct SourceModel {
     pub held_out: Vec<Option<Vec<f64>>>,
 }
 
+/// Lengths of a trial's beginnings in seconds, with distances to all classes; the whole comes last.
+type ByPrefix = Vec<(f64, Vec<f64>)>;
+
 /// What training needs to know of a library: its sorted trials' classes and groups.
 pub(super) struct Labels {
     /// Class of each trial.
@@ -137,7 +140,7 @@ fn train_discriminant(
     let without: Vec<Option<Discriminant>> = (of_group.par_iter())
         .map(|scatter| Discriminant::new(&all.without(scatter), options.shrinkage))
         .collect();
-    let held_out: Vec<Option<Vec<(f64, Vec<f64>)>>> = (0..trials.len())
+    let held_out: Vec<Option<ByPrefix>> = (0..trials.len())
         .into_par_iter()
         .map(|i| {
             let (source, trained) = (trials[i]?, without[labels.group[i]].as_ref()?);
@@ -146,7 +149,7 @@ fn train_discriminant(
                 return None;
             }
             let prefixes = PREFIXES_S.iter().filter(|&&t| t < source.duration_s - 0.05);
-            let mut all: Vec<(f64, Vec<f64>)> = prefixes
+            let mut all: ByPrefix = prefixes
                 .map(|&t| {
                     let vector = embedder.embed(source, Window::Seconds(0.0, t));
                     (t, trained.distances(&vector))
@@ -160,7 +163,7 @@ fn train_discriminant(
     model.held_out = held_out.into_iter().map(|of_trial| Some(of_trial?.pop()?.1)).collect();
 }
 
-fn temperature(held_out: &[Option<Vec<(f64, Vec<f64>)>>], labels: &Labels) -> Temperature {
+fn temperature(held_out: &[Option<ByPrefix>], labels: &Labels) -> Temperature {
     let known = || held_out.iter().zip(&labels.class).filter_map(|(d, &c)| Some((d.as_ref()?, c)));
     let at = |t: f64| {
         let trials: Vec<HeldOut> = known()
