@@ -146,7 +146,7 @@ fn time_panel(area: &Area<'_>, chart: &Chart) -> Result<(), ChartError> {
 }
 
 /// How a point looks, and what the legend calls it.
-fn look<'a>(point: &'a Point, colours: &BTreeMap<&str, RGBColor>) -> (String, ShapeStyle) {
+fn look(point: &Point, colours: &BTreeMap<&str, RGBColor>) -> (String, ShapeStyle) {
     match colours.get(point.method.as_str()) {
         Some(colour) if !point.control => (point.method.clone(), colour.filled()),
         _ => (format!("control: {}", point.setting), GREY.stroke_width(2)),

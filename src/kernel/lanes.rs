@@ -221,6 +221,7 @@ dispatched_sum!(sum_4, 4);
 
 /// The sum in plain Rust. With `SELF`, blocks right of the diagonal count twice.
 #[inline(always)]
+#[allow(clippy::needless_range_loop)] // `row` runs over all channels at once.
 fn portable_sum<const C: usize, const SELF: bool, const FUSED: bool>(
     a: [&[f32]; C],
     rows: usize,

@@ -27,9 +27,9 @@ const ROUND: f32 = 12_582_912.0;
 /// 2^(f/16) ≈ ALPHA·((f + 23)² + BETA) on [−½, ½]: minimax, with the mean error next to zero. The
 /// best centre is 23.08; a whole number can be added to N without a step of its own.
 const ALPHA: f64 = 9.418_457_442e-4;
-const BETA: f32 = 532.744_67;
+const BETA: f32 = 532.744_7;
 const CENTRE: f32 = 23.0;
-const CUBIC: [f32; 3] = [4.332_169_9e-2, 9.384_11e-4, 1.354_99e-5];
+const CUBIC: [f32; 3] = [4.332_17e-2, 9.384_11e-4, 1.354_99e-5];
 
 /// Bits of 2^(j/16), less what the shifted N adds to them.
 static TABLE: [u32; 16] = [

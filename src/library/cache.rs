@@ -149,7 +149,7 @@ fn record(all: &[u8], at: usize) -> Option<Found<'_>> {
     let start = stamp_at + 16;
     let bytes = start..start.checked_add(usize::try_from(count).ok()?)?;
     let end = bytes.end.checked_add(4)?;
-    (end <= all.len()).then(|| Found { name, stamp, checked: at..bytes.end, bytes, end })
+    (end <= all.len()).then_some(Found { name, stamp, checked: at..bytes.end, bytes, end })
 }
 
 #[cfg(test)]

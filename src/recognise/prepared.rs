@@ -27,6 +27,9 @@ pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 /// How many lengths of one source stay in memory beside the trial's own.
 const KEPT_LENGTHS: usize = 3;
 
+/// Each source at the lengths that were asked for, in frames.
+type Cuts = BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>;
+
 /// A trial, ready to be compared.
 pub struct PreparedTrial {
     entry: Entry,
@@ -34,7 +37,7 @@ pub struct PreparedTrial {
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
     /// By length in frames; the trial's own length first.
-    cuts: Mutex<BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>>,
+    cuts: Mutex<Cuts>,
 }
 
 impl PreparedTrial {
@@ -140,7 +143,7 @@ impl PreparedTrial {
         Ok(made)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Cuts> {
         // A thread that panicked while it held the lock left at most a cut unsaved.
         self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
     }

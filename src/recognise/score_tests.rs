@@ -48,7 +48,7 @@ fn ugly(kind: usize, x: f64, at: usize) -> f64 {
         }
         9 => x.signum() * 1e4 + x,
         10 => f64::from(at < 7),
-        _ => 3.0 + f64::from((at % 50 == 0) as u8) * 1e-7,
+        _ => 3.0 + f64::from((at.is_multiple_of(50)) as u8) * 1e-7,
     }
 }
 
