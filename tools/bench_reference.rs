@@ -148,7 +148,7 @@ fn library(query: bool, halving: bool, cache: bool) {
     let wanted: BTreeSet<usize> = (0..entries.len()).collect();
     let prepare = || {
         let told = |done: usize, of: usize| {
-            if done % 100 == 0 {
+            if done.is_multiple_of(100) {
                 eprint!("\rpreparing {done} of {of}  ");
             }
         };

@@ -5,8 +5,8 @@
 //! polynomial that the compiler vectorises, for AVX2 with FMA, for NEON, or for what the target has.
 //! Lanes add up one row at a time and rows in f64.
 //!
-//! Relative error of a sum, beside that of the coordinates: below 9e-7 for every single kernel value
-//! and of changing sign, so that sums over spread-out samples are good to 1e-7; a
+//! Relative error of a sum, beside that of the coordinates: below 1.5e-6 for every single kernel
+//! value and of changing sign, so that sums over spread-out samples are good to 2e-7; a
 //! [`Quality::Fine`] value is good to 3e-7 (tested). Sums never are NaN.
 
 use multiversion::multiversion;
@@ -89,7 +89,7 @@ pub fn lane_scale(sigma: f64) -> f64 {
 /// How well each kernel value is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
-    /// To 9e-7.
+    /// To 1.5e-6.
     Quick,
     /// To 3e-7, for sums that are not compared with others of their kind.
     Fine,

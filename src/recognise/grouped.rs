@@ -204,7 +204,7 @@ pub(super) fn deficits(z: &Grouped, y: &Grouped) -> [f64; 4] {
 
 /// 1 − e^(−x) at the smallest argument by its series, and from there by doubling,
 /// g(2x) = g(x)·(2 − g(x)), which keeps the relative error: each width's argument is four times
-/// that of the next. Below 4e-6 relative (tested).
+/// that of the next. Below 3e-5 relative (tested).
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn sum_deficits(z: &[f32], y: &[f32], used: &[f32], coordinates: usize, sums: &mut [f64; 4]) {
     let padded = used.len();
@@ -226,7 +226,8 @@ fn sum_deficits(z: &[f32], y: &[f32], used: &[f32], coordinates: usize, sums: &m
                 }
                 let mut g = [0f32; LANES];
                 for lane in 0..LANES {
-                    let x = (x[lane] * SMALLEST).min(0.5);
+                    // Beyond 2 the value is 1 to within rounding, after four doublings.
+                    let x = (x[lane] * SMALLEST).min(2.0);
                     g[lane] = x
                         * (1.0
                             - x * (0.5
@@ -301,7 +302,7 @@ mod tests {
             let fast = deficits(&grouped(&z, groups, coordinates), &grouped(&y, groups, coordinates));
             for (fast, w) in fast.into_iter().zip(WIDTHS) {
                 let exact = oracle(&z, &y, groups, coordinates, w);
-                prop_assert!((fast - exact).abs() <= 4e-6 * exact, "{fast} vs {exact} at {w}");
+                prop_assert!((fast - exact).abs() <= 3e-5 * exact, "{fast} vs {exact} at {w}");
             }
         }
     }

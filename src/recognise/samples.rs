@@ -15,6 +15,9 @@ const ROUNDING_ALLOWED: f64 = 3e-5;
 /// Error of n·MMD² that a table of K(y, y) may cause; more, and there is no table.
 const TABLE_ALLOWED: f64 = 3e-5;
 
+/// Length scales this many times a set's own see no more than a point.
+const AFAR: f64 = 8.0;
+
 /// Samples drawn from one source. What is compared does not depend on the order of samples, once σ
 /// is known; those of a single channel are kept in ascending order.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +30,7 @@ pub struct SampleSet {
     pub(super) centre: Vec<f64>,
     /// σ by the median heuristic, of these samples.
     pub(super) sigma: f64,
-    /// Error of n·MMD² times σ that rounding coordinates to f32 may cause.
+    /// Error of n·MMD² times σ that f32 may cause; infinite for samples in tight clusters.
     pub(super) coarseness: f64,
     /// Mean of K(y, y) by σ, if tabulated.
     pub(super) table: Option<SelfMean>,
@@ -94,7 +97,13 @@ impl SampleSet {
             }
         }
         let few = Few::find(&values, n, samples.ncols());
-        let coarseness = if few.is_some() { 0.0 } else { coarseness(&values, n, &centre) };
+        let coarseness = if few.is_some() {
+            0.0
+        } else if is_clustered(&values, n, sigma) {
+            f64::INFINITY
+        } else {
+            coarseness(&values, n, &centre)
+        };
         Self { values: Values::new(values), mean, centre, sigma, coarseness, table: None, few }
     }
 
@@ -164,7 +173,9 @@ impl SampleSet {
 
     /// Whether f32 holds the set well enough for comparisons at this length scale.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
-        self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
+        // Seen from afar, every set is a tight cluster.
+        let afar = sigma > AFAR * self.sigma;
+        self.dims() <= 4 && !afar && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
     pub(super) fn fill_lanes(&self, lanes: &mut Lanes, sigma: f64, origin: &[f64]) {
@@ -247,6 +258,29 @@ impl Few {
         }
         Some(few)
     }
+}
+
+/// Whether a set's distances are but a few.
+///
+/// The error of a kernel value in f32 changes sign with the fraction of q, where the value is
+/// 2^(−q/16). Over spread-out samples it averages out; samples in a few tight clusters have but a
+/// few distances, hence a few fractions, and their errors add up. A subset of pairs tells.
+fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
+    const SUBSET: usize = 32;
+    const BINS: usize = 8;
+    let step = n.div_ceil(SUBSET).max(1);
+    let scale = (8.0 * std::f64::consts::LOG2_E).sqrt() / sigma;
+    let mut weights = [0.0; BINS];
+    for i in (0..n).step_by(step) {
+        for j in (0..i).step_by(step) {
+            let q: f64 =
+                values.chunks(n).map(|channel| ((channel[i] - channel[j]) * scale).powi(2)).sum();
+            let bin = (q.fract() * BINS as f64) as usize;
+            weights[bin.min(BINS - 1)] += (-q / 16.0).exp2();
+        }
+    }
+    let (sum, most) = weights.iter().fold((0.0, 0.0), |(s, m), &w| (s + w, f64::max(m, w)));
+    most * BINS as f64 > 2.0 * sum
 }
 
 /// Error of n·MMD² times σ that rounding centred coordinates to f32 may cause.

@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn dependent_rows_add_nothing_to_a_basis() {
-        let mut a = Array2::from_shape_fn((4, 9), |(i, j)| ((i * 9 + j) as f64).sin());
+        let mut a = Array2::from_shape_fn((4, 9), |(i, j)| ((i * 9 + j).pow(2) as f64).sin());
         let sum = &a.row(0) + &a.row(1);
         a.row_mut(2).assign(&sum);
         let basis = orthonormal_rows(&a);
