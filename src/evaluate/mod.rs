@@ -2,6 +2,7 @@
 
 mod fold;
 mod outcome;
+pub mod paper;
 mod run;
 
 pub use fold::{Fold, Protocol, folds};
