@@ -30,7 +30,9 @@ pub struct Args {
     #[arg(long, value_enum, required_unless_present = "paper")]
     protocol: Option<Protocol>,
     /// Run the paper's tables, each figure beside the paper's
-    #[arg(long, conflicts_with_all = ["protocol", "sources", "query_seconds", "neighbours"])]
+    #[arg(long, conflicts_with_all = [
+        "protocol", "sources", "query_seconds", "method", "neighbours", "halving", "no_discriminant"
+    ])]
     paper: bool,
     /// Do one part of the work, such as 3/64, and write it to the folder that --out names
     #[arg(long, requires = "paper", requires = "out", value_name = "NUMBER/COUNT")]
@@ -160,7 +162,7 @@ pub fn run(args: &Args) -> Done {
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = evaluate::folds(protocol, &keys)?;
     let query_seconds = args.query_seconds;
-    let cache = args.method.cache_beside(&args.data);
+    let cache = args.method.cache_beside(data);
     let evaluation =
         Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
     let (outcome, predictions) = args.method.apply(&scene, evaluation)?;

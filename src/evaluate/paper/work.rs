@@ -33,7 +33,8 @@ pub fn work(
     let streams: BTreeSet<Stream> =
         plans.iter().flat_map(|plan| plan.terms.iter().map(|(_, stream)| *stream)).collect();
     let mut scores: BTreeMap<Stream, BTreeMap<usize, LogScores>> = BTreeMap::new();
-    let options = ReferenceOptions { neighbours: 1, ..options.clone() };
+    // Every score is asked for, so nothing may be left out early.
+    let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
     for (done, stream) in streams.iter().enumerate() {
         progress("comparing source by source", done, streams.len());
         let asked = Asked::new(&plans, *stream, shard);
@@ -70,9 +71,11 @@ fn part(
     plans: &[Plan],
     scores: &BTreeMap<Stream, BTreeMap<usize, LogScores>>,
 ) -> Part {
-    let ReferenceOptions { samples, repetitions, positions, seed, precision, .. } = options;
+    let ReferenceOptions { samples, repetitions, positions, seed, precision, tabulate, .. } =
+        options;
     let settings = format!(
-        "n = {samples}, R = {repetitions}, positions {positions:?}, seed {seed}, sums {precision:?}"
+        "n = {samples}, R = {repetitions}, positions {positions:?}, seed {seed}, sums {precision:?}, \
+         tables {tabulate}"
     );
     Part {
         format: 1,
