@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::method::{MethodArgs, WithMethod};
-use super::{Done, Failure, SourceArgs, show};
+use super::{Done, Failure, SourceArgs, paper, show};
+use crate::evaluate::paper::Shard;
 use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
 use crate::library::Entry;
 use crate::recognise::Method;
@@ -12,14 +13,33 @@ use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
 #[derive(clap::Args)]
-#[command(after_help = "Example: surfaced eval LMT_108_SurfaceMaterials_Database \
-                        --protocol leave-one-trial-out --sources mi2 --json")]
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "Examples:\n  surfaced eval LMT_108_SurfaceMaterials_Database \
+                  --protocol leave-one-trial-out --sources mi2 --json\n  surfaced eval \
+                  LMT_108_SurfaceMaterials_Database --paper --out results"
+)]
 pub struct Args {
-    /// Recordings: a library, or the LMT108 database
-    data: PathBuf,
+    #[command(subcommand)]
+    then: Option<Then>,
+    /// Recordings: a library, or the LMT108 database in either of its forms
+    #[arg(required = true)]
+    data: Option<PathBuf>,
     /// How queries and library are split
-    #[arg(long, value_enum)]
-    protocol: Protocol,
+    #[arg(long, value_enum, required_unless_present = "paper")]
+    protocol: Option<Protocol>,
+    /// Run the paper's tables, each figure beside the paper's
+    #[arg(long, conflicts_with_all = [
+        "protocol", "sources", "query_seconds", "method", "neighbours", "halving", "no_discriminant"
+    ])]
+    paper: bool,
+    /// Do one part of the work, such as 3/64, and write it to the folder that --out names
+    #[arg(long, requires = "paper", requires = "out", value_name = "NUMBER/COUNT")]
+    shard: Option<Shard>,
+    /// Folder for the report and the figures, or for the shard
+    #[arg(long, requires = "paper", value_name = "DIR")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     sources: SourceArgs,
     #[command(flatten)]
@@ -30,6 +50,11 @@ pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
+}
+
+#[derive(clap::Subcommand)]
+enum Then {
+    Merge(paper::MergeArgs),
 }
 
 /// Parses a duration.
@@ -107,7 +132,20 @@ pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entr
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let library = super::open(&args.data)?;
+    if let Some(Then::Merge(args)) = &args.then {
+        return paper::merge(args);
+    }
+    let Some(data) = &args.data else {
+        return Err(Failure::Usage("name the recordings".into()));
+    };
+    let library = super::open(data)?;
+    if args.paper {
+        let out = args.out.as_deref();
+        return paper::run(&library, &args.method, args.shard, out, args.json);
+    }
+    let Some(protocol) = args.protocol else {
+        return Err(Failure::Usage("name a protocol, or --paper".into()));
+    };
     let scene = args.sources.narrow(library.scene.clone())?;
     let entries: Vec<Entry> = (library.entries.iter())
         .map(|entry| entry.clone().within(&scene))
@@ -117,20 +155,20 @@ pub fn run(args: &Args) -> Done {
         let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
         return Err(Failure::Failed(format!(
             "{}: no trial holds any of the sources {}; see above for what was found",
-            super::shown(&args.data),
+            super::shown(data),
             asked.join(", ")
         )));
     }
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = evaluate::folds(args.protocol, &keys)?;
+    let folds = evaluate::folds(protocol, &keys)?;
     let query_seconds = args.query_seconds;
-    let cache = args.method.cache_beside(&args.data);
+    let cache = args.method.cache_beside(data);
     let evaluation =
         Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
     let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
     let report = Report {
         outcome,
-        protocol: args.protocol.name(),
+        protocol: protocol.name(),
         data: library.name.clone(),
         synthetic: library.synthetic,
         query_seconds,

@@ -8,6 +8,7 @@ mod duration;
 mod eval;
 mod method;
 mod need;
+mod paper;
 mod replay;
 mod samples;
 mod show;

@@ -1,6 +1,7 @@
 //! Collections of recordings in the forms that others gave them.
 
 mod lmt108;
+mod mat;
 pub mod synth;
 
 use std::path::Path;
@@ -14,6 +15,7 @@ use crate::scene::Scene;
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
 ///   its folders, here or one folder further down),
+/// - its authors' processed form (`DataLMT108/` or `surfaceList_LMT108train.mat`, likewise),
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
 /// The sources are those of `defaults`, and those that the library itself describes. Data are read
@@ -21,7 +23,7 @@ use crate::scene::Scene;
 ///
 /// # Errors
 /// If the folder cannot be read, holds no recordings, or holds some that contradict their
-/// description; and for the authors' processed MATLAB files, which are not read yet.
+/// description.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     let listed = files::list(path)?;
     if let Some(library) = open_lmt108(path, &listed, defaults) {
@@ -33,7 +35,7 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
         for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
             // What cannot be listed here is reported by whoever needs it.
             let inner = files::list(&item.path).unwrap_or_default();
-            if lmt108::is_root(&inner) || is_processed(&inner) {
+            if lmt108::is_root(&inner) || mat::is_root(&inner) {
                 found.push((item, inner));
             }
         }
@@ -66,21 +68,5 @@ fn open_lmt108(
     if lmt108::is_root(listed) {
         return Some(lmt108::open(path, listed, defaults));
     }
-    is_processed(listed).then(|| {
-        Err(LibraryError::file(
-            path,
-            "the authors' processed MATLAB files: not read yet; use the database's own files, in \
-             the folder that holds SoundScans/ and AccelScansComponents/",
-        ))
-    })
-}
-
-/// The authors' processed form: one MATLAB file a trial.
-fn is_processed(listed: &[Listed]) -> bool {
-    listed.iter().any(|item| {
-        item.is_dir && item.name.eq_ignore_ascii_case("DataLMT108")
-            || !item.is_dir
-                && item.name.starts_with("surfaceList_LMT108")
-                && item.name.ends_with(".mat")
-    })
+    mat::is_root(listed).then(|| mat::open(path, listed, defaults))
 }

@@ -4,6 +4,7 @@ mod chart;
 mod chart_figure;
 mod fold;
 mod outcome;
+pub mod paper;
 mod run;
 
 pub use chart::{Chart, Point, pareto};

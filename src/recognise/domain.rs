@@ -1,10 +1,10 @@
-//! A source in the domain where its samples are drawn: time, spectrum, or pixels in HSV.
+//! A source in the domain where its samples are drawn: time, spectrum, or pixels.
 
 use ndarray::Array2;
 
 use super::sampling::{Extent, Positions};
 use super::{colour, spectrum};
-use crate::scene::{Domain, SourceSpec};
+use crate::scene::{Colour, Domain, SourceSpec};
 use crate::trial::{Image, Series, Signal};
 
 /// What can be sampled of one source.
@@ -17,15 +17,15 @@ pub enum DomainSamples {
         /// Shape (frames or bins, channels).
         rows: Array2<f32>,
     },
-    /// Pixels, turned into HSV when drawn.
-    Pixels(Image),
+    /// Pixels, turned into what of them is compared when drawn.
+    Pixels(Image, Colour),
 }
 
 impl DomainSamples {
     /// The first `frames` of a source's signal in the domain that its description asks for.
     pub fn new(spec: &SourceSpec, signal: &Signal, frames: usize) -> Self {
         match signal {
-            Signal::Image(image) => Self::Pixels(image.clone()),
+            Signal::Image(image) => Self::Pixels(image.clone(), spec.colour),
             Signal::Series(series) => {
                 let series = series.crop(0, frames);
                 match spec.domain {
@@ -43,7 +43,7 @@ impl DomainSamples {
     pub fn extent(&self) -> Extent {
         match self {
             Self::Rows { extent, .. } => *extent,
-            Self::Pixels(_) => Extent::Image,
+            Self::Pixels(..) => Extent::Image,
         }
     }
 
@@ -55,11 +55,21 @@ impl DomainSamples {
                     f64::from(rows[[positions[i], channel]])
                 })
             }
-            Self::Pixels(image) => {
-                let mut samples = Array2::zeros((positions.len(), 3));
+            Self::Pixels(image, colour) => {
+                let channels = match colour {
+                    Colour::Hsv | Colour::Rgb => 0..3,
+                    Colour::Hue => 0..1,
+                    Colour::Saturation => 1..2,
+                    Colour::Value => 2..3,
+                };
+                let mut samples = Array2::zeros((positions.len(), channels.len()));
                 for (mut sample, &at) in samples.rows_mut().into_iter().zip(positions) {
-                    let colour = colour::hsv(image.pixel(at / Image::COLS, at % Image::COLS));
-                    sample.iter_mut().zip(colour).for_each(|(slot, x)| *slot = x);
+                    let rgb = image.pixel(at / Image::COLS, at % Image::COLS);
+                    let all = match colour {
+                        Colour::Rgb => rgb.map(|x| f64::from(x) / 255.0),
+                        _ => colour::hsv(rgb),
+                    };
+                    sample.iter_mut().zip(&all[channels.clone()]).for_each(|(slot, x)| *slot = *x);
                 }
                 samples
             }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Domain, Phase, Scene, SourceId, SourceSpec};
+use super::{Colour, Domain, Phase, Scene, SourceId, SourceSpec};
 
 /// Why a description of sources cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +78,8 @@ struct SourceBlock {
     #[serde(skip_serializing_if = "Option::is_none")]
     phase: Option<Phase>,
     domain: DomainName,
+    #[serde(default, skip_serializing_if = "is_default_colour")]
+    colour: Colour,
     #[serde(default = "one_channel")]
     channels: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -92,6 +94,10 @@ struct SourceBlock {
     sigma: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     score_offset: Option<f64>,
+}
+
+fn is_default_colour(colour: &Colour) -> bool {
+    *colour == Colour::default()
 }
 
 fn one_channel() -> usize {
@@ -156,12 +162,16 @@ impl SourceBlock {
             }
         };
         let image = domain == Domain::Image;
+        if !image && !is_default_colour(&self.colour) {
+            return Err("colour goes with domain = \"image\" alone".into());
+        }
         Ok(SourceSpec {
             what: self.what.clone().unwrap_or_else(|| id.to_string()),
             sensor: self.sensor.clone().unwrap_or_else(|| id.to_string()),
             phase: self.phase.unwrap_or(if image { Phase::Still } else { Phase::Drag }),
             id,
             domain,
+            colour: self.colour,
             channels: self.channels,
             rate_hz: positive("rate_hz", self.rate_hz)?,
             align_mean: self.align_mean,
@@ -186,6 +196,7 @@ impl SourceBlock {
             sensor: Some(spec.sensor.clone()),
             phase: Some(spec.phase),
             domain,
+            colour: spec.colour,
             channels: spec.channels,
             rate_hz: spec.rate_hz,
             band_hz,

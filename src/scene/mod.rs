@@ -59,8 +59,36 @@ pub enum Domain {
     },
     /// Equidistant samples in time.
     Time,
-    /// A grid of pixels, in HSV.
+    /// A grid of pixels.
     Image,
+}
+
+/// What of a pixel is compared.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    serde::Serialize,
+    serde::Deserialize,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Colour {
+    /// Hue, saturation and value.
+    #[default]
+    Hsv,
+    /// Red, green and blue.
+    Rgb,
+    /// Hue alone.
+    Hue,
+    /// Saturation alone.
+    Saturation,
+    /// Value alone.
+    Value,
 }
 
 /// The part of a scan that a source is cut from.
@@ -88,6 +116,8 @@ pub struct SourceSpec {
     pub phase: Phase,
     /// How samples are drawn.
     pub domain: Domain,
+    /// What of each pixel is compared; says nothing where the domain is no image.
+    pub colour: Colour,
     /// Number of channels.
     pub channels: usize,
     /// Sample rate in Hz, if recordings must have this one.
@@ -141,6 +171,12 @@ impl Scene {
         if !other.name.is_empty() {
             self.name = other.name;
         }
+        self
+    }
+
+    /// This scene with `change` done to each of its sources; their names must stay.
+    pub fn changed(mut self, change: impl FnMut(&mut SourceSpec)) -> Self {
+        self.sources.values_mut().for_each(change);
         self
     }
 

@@ -1,0 +1,172 @@
+//! `surfaced eval DATA --paper`: the paper's tables beside ours, whole or shard by shard, and
+//! `surfaced eval merge`, which joins shards.
+
+use std::path::{Path, PathBuf};
+
+use super::method::MethodArgs;
+use super::{Done, Failure, show, shown};
+use crate::evaluate::paper::{self, Part, Report, ReportRow, Shard};
+use crate::library::Library;
+
+/// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
+#[derive(clap::Args)]
+pub struct MergeArgs {
+    /// Files of shards, or folders that hold them
+    #[arg(required = true, value_name = "DIR|FILES")]
+    shards: Vec<PathBuf>,
+    /// Folder for report.json, bars.svg and confusion.svg
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the evaluation, or one shard of it.
+pub fn run(
+    library: &Library,
+    method: &MethodArgs,
+    shard: Option<Shard>,
+    out: Option<&Path>,
+    json: bool,
+) -> Done {
+    let options = method.reference_options();
+    let steps = show::Steps::new();
+    let progress = |step, done, of| steps.tell(step, done, of);
+    let Some(shard) = shard else {
+        let part = paper::work(library, &options, Shard::WHOLE, &progress)?;
+        drop(steps);
+        return finish(&part, out, json);
+    };
+    let out = out.unwrap_or(Path::new("."));
+    let path = out.join(shard.file_name());
+    let done = if path.exists() { read(&path).ok() } else { None };
+    // The very run is told by its data, settings and trials, which cost nothing to find out.
+    let expected = paper::work_head(library, &options, shard);
+    if let Some(done) = done {
+        if done.shard != shard || !done.is_of_run(&expected) {
+            return Err(Failure::Failed(format!(
+                "{}: a shard of another run (other data or settings); name another folder, or \
+                 remove it",
+                shown(&path)
+            )));
+        }
+        drop(steps);
+        eprintln!("{}: done before", shown(&path));
+        return Ok(());
+    }
+    let part = paper::work(library, &options, shard, &progress)?;
+    drop(steps);
+    // Plain numbers and text: nothing here that JSON cannot express.
+    write(&path, &serde_json::to_string(&part).expect("plain data"))?;
+    eprintln!("wrote {}", shown(&path));
+    Ok(())
+}
+
+/// Joins shards.
+pub fn merge(args: &MergeArgs) -> Done {
+    let mut files = Vec::new();
+    for path in &args.shards {
+        if !path.is_dir() {
+            files.push(path.clone());
+            continue;
+        }
+        let listed = std::fs::read_dir(path).map_err(|error| failed(path, error))?;
+        for item in listed {
+            let file = item.map_err(|error| failed(path, error))?.path();
+            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if name.starts_with("shard-") && name.ends_with(".json") {
+                files.push(file);
+            }
+        }
+    }
+    let parts = files.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
+    finish(&paper::merge(parts)?, args.out.as_deref(), args.json)
+}
+
+fn failed(path: &Path, error: impl std::fmt::Display) -> Failure {
+    Failure::Failed(format!("{}: {error}", shown(path)))
+}
+
+fn read(path: &Path) -> Result<Part, Failure> {
+    let text = std::fs::read(path).map_err(|error| failed(path, error))?;
+    serde_json::from_slice(&text).map_err(|error| {
+        failed(path, format!("{error}; expected what `surfaced eval --paper --shard` wrote"))
+    })
+}
+
+/// Writes a file so that it is there whole or not at all.
+fn write(path: &Path, text: &str) -> Done {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
+    }
+    let unfinished = path.with_extension(format!("{}.unfinished", std::process::id()));
+    std::fs::write(&unfinished, text).map_err(|error| failed(&unfinished, error))?;
+    std::fs::rename(&unfinished, path).map_err(|error| failed(path, error))
+}
+
+fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
+    let report = Report::new(part);
+    if let Some(out) = out {
+        // Plain numbers and text: nothing here that JSON cannot express.
+        let text = serde_json::to_string_pretty(&report).expect("plain data");
+        write(&out.join("report.json"), &text)?;
+        write(&out.join("bars.svg"), &paper::bars(&report).map_err(Failure::Failed)?)?;
+        let mut written = "report.json, bars.svg";
+        if let Some(confusion) = &report.confusion {
+            let figure = paper::confusion(confusion).map_err(Failure::Failed)?;
+            write(&out.join("confusion.svg"), &figure)?;
+            written = "report.json, bars.svg, confusion.svg";
+        }
+        eprintln!("wrote {written} to {}", shown(out));
+    }
+    if json {
+        show::json(&report);
+    } else {
+        tell(&report);
+    }
+    Ok(())
+}
+
+fn tell(report: &Report) {
+    let mark = if report.synthetic { ", on synthetic data" } else { "" };
+    eprintln!();
+    eprintln!("{}{mark} · reference · {}", report.data, report.settings);
+    eprintln!("accuracies in percent, mean ± sd over folds");
+    eprintln!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
+    let mut head = (String::new(), "");
+    for row in &report.rows {
+        let of_row = (row.place.to_string(), row.protocol);
+        if of_row != head {
+            eprintln!("{} · {}", row.place, row.protocol);
+            head = of_row;
+        }
+        tell_row(row);
+    }
+}
+
+fn tell_row(row: &ReportRow) {
+    let figure = |mean: f64, std: Option<f64>| match std {
+        Some(std) => format!("{mean:.1} ± {std:4.1}"),
+        None => format!("{mean:.1}       "),
+    };
+    if let Some(why) = &row.not_run {
+        eprintln!("  {:<52} not run: {why}", row.name);
+        return;
+    }
+    let ours = match row.accuracy_mean {
+        Some(mean) => figure(mean * 100.0, row.accuracy_std.map(|std| std * 100.0)),
+        None => "no queries".into(),
+    };
+    let paper = row.published.map_or(String::new(), |p| figure(p.accuracy, p.std));
+    let points = row.difference_points.map_or(String::new(), |points| format!("{points:+.1}"));
+    let lacks = match row.missing.as_slice() {
+        [] => String::new(),
+        missing => format!("  without {}, which the data lack", missing.join(", ")),
+    };
+    eprintln!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
+    if let Some(Some(precision)) = row.published.map(|p| p.precision) {
+        let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
+        eprintln!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
+    }
+}

@@ -1,0 +1,436 @@
+//! Decoder of MATLAB level 5 files: bytes in, arrays out, no I/O.
+//!
+//! Follows "MAT-File Format" (The MathWorks): a header of 128 bytes, then data elements, each with
+//! a tag of type and length. Read are numeric arrays, text and cell arrays, in either byte order,
+//! compressed or not. Structures, objects and sparse arrays are named and left unread. Sizes are
+//! bounded, so that a hostile file costs bounded memory and time.
+
+use std::io::Read;
+
+use flate2::read::ZlibDecoder;
+
+/// Length of the header in bytes.
+pub const HEADER: usize = 128;
+/// Length of the tag before each top-level element in bytes.
+pub const TAG: usize = 8;
+/// So many bytes of an element always hold the name and shape of its variable.
+pub const PREFIX: usize = 1024;
+
+/// No variable of a trial is larger: ten minutes of sound in doubles take 212 MB.
+const MAX_BYTES: usize = 1 << 28;
+/// As many doubles.
+const MAX_NUMBERS: usize = MAX_BYTES / 8;
+/// Cells within cells within cells.
+const MAX_DEPTH: usize = 8;
+/// Longest name of a variable, and most dimensions.
+const MAX_NAME: usize = 256;
+const MAX_DIMS: usize = 16;
+
+/// Why bytes are not a level 5 file, or not one that can be read.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum MatError {
+    /// the bytes end too early
+    #[error(
+        "the MATLAB file is cut short; copy it again from where it came, or save it again with \
+         save(…, '-v7')"
+    )]
+    CutShort,
+    /// level 7.3, which is HDF5
+    #[error(
+        "a MATLAB file of version 7.3 (HDF5), which is not read; open it in MATLAB and save it \
+         again with save('NAME.mat', '-v7')"
+    )]
+    Version73,
+    /// no such file
+    #[error(
+        "not a MATLAB file of level 5; save it with save('NAME.mat', '-v7') in MATLAB, or with \
+         scipy.io.savemat in Python"
+    )]
+    NotMatlab,
+    /// what a level 5 file cannot hold
+    #[error("damaged MATLAB file ({0}); copy it again from where it came, or save it again")]
+    Damaged(&'static str),
+    /// larger than any trial
+    #[error("a variable of the MATLAB file claims more than 256 MiB; it is no trial of LMT108")]
+    TooLarge,
+}
+
+/// Order of bytes in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Least significant first.
+    Little,
+    /// Most significant first.
+    Big,
+}
+
+impl Order {
+    fn u16(self, bytes: [u8; 2]) -> u16 {
+        match self {
+            Self::Little => u16::from_le_bytes(bytes),
+            Self::Big => u16::from_be_bytes(bytes),
+        }
+    }
+
+    fn u32(self, bytes: [u8; 4]) -> u32 {
+        match self {
+            Self::Little => u32::from_le_bytes(bytes),
+            Self::Big => u32::from_be_bytes(bytes),
+        }
+    }
+
+    fn u64(self, bytes: [u8; 8]) -> u64 {
+        match self {
+            Self::Little => u64::from_le_bytes(bytes),
+            Self::Big => u64::from_be_bytes(bytes),
+        }
+    }
+}
+
+/// What an array is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// Real numbers; `byte` where they are stored as uint8.
+    Numbers {
+        /// whether the class is uint8
+        byte: bool,
+    },
+    /// Text.
+    Char,
+    /// Arrays of any class.
+    Cell,
+    /// Something that is not read, by name.
+    Other(&'static str),
+}
+
+/// Name and shape of a variable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Variable {
+    /// Its name.
+    pub name: String,
+    /// Its class.
+    pub class: Class,
+    /// Its dimensions, rows first.
+    pub dims: Vec<usize>,
+}
+
+/// Contents of an array.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// Column after column.
+    Numbers(Vec<f64>),
+    /// One text a row, without spaces at the end.
+    Text(Vec<String>),
+    /// Column after column.
+    Cells(Vec<Array>),
+    /// Not read.
+    Unread,
+}
+
+/// A variable and its contents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Name and shape.
+    pub variable: Variable,
+    /// Contents.
+    pub values: Values,
+}
+
+impl Array {
+    /// All texts in it, cell after cell, row after row.
+    pub fn texts(&self) -> Vec<&str> {
+        match &self.values {
+            Values::Text(rows) => rows.iter().map(String::as_str).collect(),
+            Values::Cells(cells) => cells.iter().flat_map(Array::texts).collect(),
+            Values::Numbers(_) | Values::Unread => Vec::new(),
+        }
+    }
+}
+
+/// Checks a header and tells the order of bytes.
+///
+/// # Errors
+/// If it is not that of a level 5 file.
+pub fn header(bytes: &[u8]) -> Result<Order, MatError> {
+    if bytes.starts_with(b"\x89HDF") || bytes.starts_with(b"MATLAB 7.3") {
+        return Err(MatError::Version73);
+    }
+    let Some(head) = bytes.get(..HEADER) else {
+        let is_text = bytes.starts_with(b"MATLAB");
+        return Err(if is_text { MatError::CutShort } else { MatError::NotMatlab });
+    };
+    let order = match &head[126..] {
+        b"IM" => Order::Little,
+        b"MI" => Order::Big,
+        _ => return Err(MatError::NotMatlab),
+    };
+    match order.u16([head[124], head[125]]) {
+        0x0100 => Ok(order),
+        0x0200 => Err(MatError::Version73),
+        _ => Err(MatError::NotMatlab),
+    }
+}
+
+/// Type and length of the element that a top-level tag opens.
+///
+/// # Errors
+/// If it opens nothing that may stand there.
+pub fn tag(order: Order, bytes: [u8; TAG]) -> Result<(ElementKind, usize), MatError> {
+    let [a, b, c, d, e, f, g, h] = bytes;
+    let length = order.u32([e, f, g, h]) as usize;
+    if length > MAX_BYTES {
+        return Err(MatError::TooLarge);
+    }
+    match order.u32([a, b, c, d]) {
+        MATRIX => Ok((ElementKind::Plain, length)),
+        COMPRESSED => Ok((ElementKind::Compressed, length)),
+        _ => Err(MatError::Damaged("an element is neither an array nor a compressed one")),
+    }
+}
+
+/// How a top-level element is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ElementKind {
+    /// As it is.
+    Plain,
+    /// By zlib.
+    Compressed,
+}
+
+/// Name and shape of the variable whose element begins with `prefix`, the first [`PREFIX`] bytes of
+/// its body or all of them.
+///
+/// # Errors
+/// If these are not the first bytes of an array.
+pub fn peek(order: Order, kind: ElementKind, prefix: &[u8]) -> Result<Variable, MatError> {
+    let opened;
+    let body = match kind {
+        ElementKind::Plain => prefix,
+        ElementKind::Compressed => {
+            opened = inflate(prefix, PREFIX)?;
+            inner(order, &opened)?.1
+        }
+    };
+    let mut cursor = Cursor { order, rest: body };
+    cursor.variable().map(|(variable, _)| variable)
+}
+
+/// The array of an element's whole `body`.
+///
+/// # Errors
+/// If the bytes are not an array.
+pub fn array(order: Order, kind: ElementKind, body: &[u8]) -> Result<Array, MatError> {
+    match kind {
+        ElementKind::Plain => matrix(order, body, 0),
+        ElementKind::Compressed => {
+            let mut opened = inflate(body, TAG)?;
+            let (length, _) = inner(order, &opened)?;
+            opened = inflate(body, TAG.saturating_add(length))?;
+            let body = opened.get(TAG..TAG + length).ok_or(MatError::CutShort)?;
+            matrix(order, body, 0)
+        }
+    }
+}
+
+const UTF8: u32 = 16;
+const UTF16: u32 = 17;
+const UTF32: u32 = 18;
+const MATRIX: u32 = 14;
+const COMPRESSED: u32 = 15;
+const COMPLEX: u32 = 0x0800;
+
+/// Up to `most` bytes of what was compressed; what cannot be opened any more ends it.
+fn inflate(bytes: &[u8], most: usize) -> Result<Vec<u8>, MatError> {
+    let mut opened = Vec::new();
+    let mut decoder = ZlibDecoder::new(bytes).take(most as u64);
+    match decoder.read_to_end(&mut opened) {
+        Ok(_) => Ok(opened),
+        // A prefix of the stream gives a prefix of the data.
+        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(opened),
+        Err(_) => Err(MatError::Damaged("its compressed data do not open")),
+    }
+}
+
+/// Length and first bytes of the array within a compressed element.
+fn inner(order: Order, opened: &[u8]) -> Result<(usize, &[u8]), MatError> {
+    let (head, body) = opened.split_first_chunk::<TAG>().ok_or(MatError::CutShort)?;
+    match tag(order, *head)? {
+        (ElementKind::Plain, length) => Ok((length, body)),
+        (ElementKind::Compressed, _) => Err(MatError::Damaged("compressed twice")),
+    }
+}
+
+/// Bytes that are read from the front.
+struct Cursor<'a> {
+    order: Order,
+    rest: &'a [u8],
+}
+
+impl<'a> Cursor<'a> {
+    /// Type and data of the next element, with its padding passed over.
+    fn element(&mut self) -> Result<(u32, &'a [u8]), MatError> {
+        let (head, after) = self.rest.split_first_chunk::<4>().ok_or(MatError::CutShort)?;
+        let first = self.order.u32(*head);
+        // A small element has its length and up to four bytes of data within the tag.
+        if first >> 16 != 0 {
+            let data = after.get(..4).ok_or(MatError::CutShort)?;
+            let length = (first >> 16) as usize;
+            self.rest = &after[4..];
+            let data =
+                data.get(..length).ok_or(MatError::Damaged("a small element is too long"))?;
+            return Ok((first & 0xFFFF, data));
+        }
+        let (length, after) = after.split_first_chunk::<4>().ok_or(MatError::CutShort)?;
+        let length = self.order.u32(*length) as usize;
+        let data = after.get(..length).ok_or(MatError::CutShort)?;
+        // The last element of an array may lack its padding.
+        let padded = length.next_multiple_of(8).min(after.len());
+        self.rest = &after[padded..];
+        Ok((first, data))
+    }
+
+    /// Flags, dimensions and name, which open every array; and whether it is complex.
+    fn variable(&mut self) -> Result<(Variable, bool), MatError> {
+        let (kind, flags) = self.element()?;
+        let Some((flags, _)) = flags.split_first_chunk::<4>().filter(|_| kind == 6) else {
+            return Err(MatError::Damaged("an array without flags"));
+        };
+        let flags = self.order.u32(*flags);
+        let (kind, dims) = self.element()?;
+        let dims = numbers(self.order, kind, dims)?;
+        if dims.len() > MAX_DIMS || dims.iter().any(|&d| !(0.0..=MAX_BYTES as f64).contains(&d)) {
+            return Err(MatError::Damaged("impossible dimensions"));
+        }
+        let dims: Vec<usize> = dims.into_iter().map(|d| d as usize).collect();
+        let (_, name) = self.element()?;
+        if name.len() > MAX_NAME {
+            return Err(MatError::Damaged("a name of more than 256 bytes"));
+        }
+        let name = String::from_utf8_lossy(name).trim_end_matches('\0').to_string();
+        let class = class(flags & 0xFF);
+        Ok((Variable { name, class, dims }, flags & COMPLEX != 0))
+    }
+}
+
+fn class(number: u32) -> Class {
+    match number {
+        1 => Class::Cell,
+        4 => Class::Char,
+        9 => Class::Numbers { byte: true },
+        6..=15 => Class::Numbers { byte: false },
+        2 => Class::Other("a structure"),
+        3 | 17 => Class::Other("an object (a string or a table; use a cell array of char)"),
+        5 => Class::Other("a sparse array"),
+        _ => Class::Other("of an unknown class"),
+    }
+}
+
+fn matrix(order: Order, body: &[u8], depth: usize) -> Result<Array, MatError> {
+    if depth > MAX_DEPTH {
+        return Err(MatError::Damaged("cells within cells without end"));
+    }
+    let mut cursor = Cursor { order, rest: body };
+    if body.is_empty() {
+        // An empty cell may be nothing but a tag.
+        let variable = Variable { name: String::new(), class: Class::Cell, dims: vec![0, 0] };
+        return Ok(Array { variable, values: Values::Cells(Vec::new()) });
+    }
+    let (mut variable, complex) = cursor.variable()?;
+    let count = variable.dims.iter().try_fold(1usize, |count, &d| count.checked_mul(d));
+    let count = count.filter(|&count| count <= MAX_NUMBERS).ok_or(MatError::TooLarge)?;
+    let values = match variable.class {
+        Class::Numbers { .. } if complex => {
+            variable.class = Class::Other("complex");
+            Values::Unread
+        }
+        Class::Numbers { .. } => {
+            let (kind, data) = cursor.element()?;
+            let values = numbers(order, kind, data)?;
+            if values.len() != count {
+                return Err(MatError::Damaged("dimensions and data disagree"));
+            }
+            Values::Numbers(values)
+        }
+        Class::Char => {
+            let (kind, data) = cursor.element()?;
+            let letters = letters(order, kind, data)?;
+            if letters.len() != count {
+                return Err(MatError::Damaged("dimensions and text disagree"));
+            }
+            Values::Text(rows(&letters, variable.dims.first().copied().unwrap_or(0)))
+        }
+        Class::Cell => {
+            let mut cells = Vec::new();
+            for _ in 0..count {
+                match cursor.element()? {
+                    (MATRIX, body) => cells.push(matrix(order, body, depth + 1)?),
+                    _ => return Err(MatError::Damaged("a cell is no array")),
+                }
+            }
+            Values::Cells(cells)
+        }
+        Class::Other(_) => Values::Unread,
+    };
+    Ok(Array { variable, values })
+}
+
+/// Numbers of any of the storage types.
+fn numbers(order: Order, kind: u32, data: &[u8]) -> Result<Vec<f64>, MatError> {
+    fn each<const N: usize>(
+        data: &[u8],
+        to: impl Fn([u8; N]) -> f64,
+    ) -> Result<Vec<f64>, MatError> {
+        let (chunks, rest) = data.as_chunks::<N>();
+        if chunks.len() > MAX_NUMBERS {
+            return Err(MatError::TooLarge);
+        }
+        if !rest.is_empty() {
+            return Err(MatError::Damaged("half a number"));
+        }
+        Ok(chunks.iter().map(|&bytes| to(bytes)).collect())
+    }
+    match kind {
+        1 => each(data, |b: [u8; 1]| f64::from(b[0] as i8)),
+        2 => each(data, |b: [u8; 1]| f64::from(b[0])),
+        3 => each(data, |b| f64::from(order.u16(b) as i16)),
+        4 => each(data, |b| f64::from(order.u16(b))),
+        5 => each(data, |b| f64::from(order.u32(b) as i32)),
+        6 => each(data, |b| f64::from(order.u32(b))),
+        7 => each(data, |b| f64::from(f32::from_bits(order.u32(b)))),
+        9 => each(data, |b| f64::from_bits(order.u64(b))),
+        12 => each(data, |b| order.u64(b) as i64 as f64),
+        13 => each(data, |b| order.u64(b) as f64),
+        _ => Err(MatError::Damaged("numbers of an unknown type")),
+    }
+}
+
+/// The letters of a text, by whatever code.
+fn letters(order: Order, kind: u32, data: &[u8]) -> Result<Vec<char>, MatError> {
+    match kind {
+        1 | 2 | UTF8 => Ok(String::from_utf8_lossy(data).chars().collect()),
+        4 | UTF16 => {
+            let units = data.as_chunks::<2>().0.iter().map(|&bytes| order.u16(bytes));
+            Ok(char::decode_utf16(units)
+                .map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER))
+                .collect())
+        }
+        UTF32 => {
+            let codes = data.as_chunks::<4>().0.iter().map(|&bytes| order.u32(bytes));
+            Ok(codes.map(|c| char::from_u32(c).unwrap_or(char::REPLACEMENT_CHARACTER)).collect())
+        }
+        _ => Err(MatError::Damaged("text of an unknown type")),
+    }
+}
+
+/// The rows of a matrix of letters, stored column after column.
+fn rows(letters: &[char], count: usize) -> Vec<String> {
+    let row = |row: usize| {
+        let text: String = letters.iter().skip(row).step_by(count.max(1)).collect();
+        text.trim_end_matches([' ', '\0']).to_string()
+    };
+    (0..count.min(letters.len())).map(row).collect()
+}
+
+#[cfg(test)]
+#[path = "level5_tests.rs"]
+mod tests;

@@ -1,0 +1,25 @@
+//! The paper's evaluation: its Tables I and II and the figures in its text, each beside ours.
+//!
+//! ```text
+//! rows (settings, published figures) ─► work (scores of each stream, once) ─► table (products) ─► part
+//! parts of a run split by query ─► merge ─► report, figures
+//! ```
+//!
+//! [`work`] does one shard; [`merge`] joins shards. A run in one piece is a single shard, so both
+//! ways give the same report, byte for byte: it holds no timings.
+
+mod figure;
+mod part;
+mod report;
+mod rows;
+mod stream;
+mod table;
+mod work;
+
+pub use figure::{bars, confusion};
+pub use part::{MergeError, Part, RowPart, Shard, merge};
+pub use report::{Report, ReportRow};
+pub use rows::{ALL, Published, Row, rows};
+pub use stream::{AS_USED, Stream, View};
+pub use table::{LogScores, nearest};
+pub use work::{work, work_head};

@@ -1,0 +1,222 @@
+//! What came of a shard of the evaluation, and how shards are joined.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Which part of the queries: every `of`-th, from the `number`-th on, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Shard {
+    /// Counted from 1.
+    pub number: usize,
+    /// Number of shards.
+    pub of: usize,
+}
+
+impl Shard {
+    /// All queries.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+
+    /// Whether a query, by index, belongs to it.
+    pub fn has(self, query: usize) -> bool {
+        query % self.of == self.number - 1
+    }
+
+    /// Name of the file that holds its result.
+    pub fn file_name(self) -> String {
+        format!("shard-{:04}-of-{:04}.json", self.number, self.of)
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.number, self.of)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts =
+            text.split_once('/').and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
+        match parts {
+            Some((number, of)) if 1 <= number && number <= of => Ok(Self { number, of }),
+            _ => Err("expected NUMBER/COUNT, counted from 1, such as 3/64".into()),
+        }
+    }
+}
+
+/// Answers of one setting. Trials are named by index into [`Part::trials`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RowPart {
+    /// Place, protocol and name of the setting.
+    pub setting: String,
+    /// Sources that the data lack.
+    pub missing: Vec<String>,
+    /// Why it could not be run.
+    pub not_run: Option<String>,
+    /// Name of each fold.
+    pub folds: Vec<String>,
+    /// Trials in the library of the largest fold.
+    pub library_trials: usize,
+    /// Surfaces that could be the answer.
+    pub labels: Vec<String>,
+    /// Fold, query, nearest library trial; ascending.
+    pub answers: Vec<(usize, usize, usize)>,
+}
+
+/// The result of a shard, or of all of them joined.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Part {
+    /// 1.
+    pub format: u32,
+    /// Name of the data.
+    pub data: String,
+    /// Made by a generator.
+    pub synthetic: bool,
+    /// What was set, for people and for comparison.
+    pub settings: String,
+    /// Which queries.
+    pub shard: Shard,
+    /// Surface, user and number of every trial.
+    pub trials: Vec<(String, String, u32)>,
+    /// Setting by setting, in the order of [`super::rows`].
+    pub rows: Vec<RowPart>,
+}
+
+impl Part {
+    /// Whether this is a shard of the same run as another.
+    pub fn is_of_run(&self, other: &Self) -> bool {
+        let head = |part: &Self| {
+            let settings: Vec<_> = part.rows.iter().map(|row| row.setting.clone()).collect();
+            (part.format, part.data.clone(), part.settings.clone(), part.trials.clone(), settings)
+        };
+        head(self) == head(other) && self.shard.of == other.shard.of
+    }
+}
+
+/// Why shards cannot be joined.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum MergeError {
+    /// nothing to join
+    #[error(
+        "no shards; name the files that `surfaced eval --paper --shard` wrote, or their folder"
+    )]
+    Nothing,
+    /// shards of two runs
+    #[error("shard {0} is of another run than shard {1}: other data or settings")]
+    Different(Shard, Shard),
+    /// one shard twice
+    #[error("shard {0} is there twice")]
+    Twice(Shard),
+    /// shards that are not there
+    #[error("of {of} shards these are not there yet: {missing}")]
+    Missing {
+        /// how many there should be
+        of: usize,
+        /// the numbers of those that are not there
+        missing: String,
+    },
+    /// an answer that names no trial
+    #[error("shard {0} is damaged; remove its file and run it again")]
+    Damaged(Shard),
+}
+
+/// Joins the shards of a run, in whatever order they come.
+///
+/// # Errors
+/// If one is missing, there twice, damaged, or of another run.
+pub fn merge(mut parts: Vec<Part>) -> Result<Part, MergeError> {
+    parts.sort_by_key(|part| part.shard);
+    for part in &parts {
+        let trials = part.trials.len();
+        let fits = |row: &RowPart| {
+            row.answers.iter().all(|&(f, q, a)| f < row.folds.len() && q < trials && a < trials)
+        };
+        if !part.rows.iter().all(fits) || part.shard.number == 0 {
+            return Err(MergeError::Damaged(part.shard));
+        }
+    }
+    let mut parts = parts.into_iter();
+    let mut whole = parts.next().ok_or(MergeError::Nothing)?;
+    let of = whole.shard.of;
+    let mut numbers = vec![whole.shard.number];
+    for part in parts {
+        if !part.is_of_run(&whole) {
+            return Err(MergeError::Different(part.shard, whole.shard));
+        }
+        if numbers.contains(&part.shard.number) {
+            return Err(MergeError::Twice(part.shard));
+        }
+        numbers.push(part.shard.number);
+        for (row, more) in whole.rows.iter_mut().zip(part.rows) {
+            row.answers.extend(more.answers);
+        }
+    }
+    let missing: Vec<String> =
+        (1..=of).filter(|n| !numbers.contains(n)).map(|n| n.to_string()).collect();
+    if !missing.is_empty() {
+        return Err(MergeError::Missing { of, missing: missing.join(", ") });
+    }
+    whole.rows.iter_mut().for_each(|row| row.answers.sort_unstable());
+    whole.shard = Shard::WHOLE;
+    Ok(whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(number: usize, answers: Vec<(usize, usize, usize)>) -> Part {
+        let row = RowPart {
+            setting: "all".into(),
+            missing: vec![],
+            not_run: None,
+            folds: vec!["user1".into()],
+            library_trials: 2,
+            labels: vec!["a".into()],
+            answers,
+        };
+        let trials = vec![("a".into(), "expert".into(), 1), ("a".into(), "user1".into(), 1)];
+        let (data, settings) = ("d".into(), "s".into());
+        let shard = Shard { number, of: 2 };
+        Part { format: 1, data, synthetic: false, settings, shard, trials, rows: vec![row] }
+    }
+
+    #[test]
+    fn shards_join_in_any_order() {
+        let (one, two) = (part(1, vec![(0, 1, 0)]), part(2, vec![(0, 0, 1)]));
+        let whole = merge(vec![two.clone(), one.clone()]).unwrap();
+        assert_eq!(whole, merge(vec![one, two]).unwrap());
+        assert_eq!(whole.rows[0].answers, [(0, 0, 1), (0, 1, 0)]);
+        assert_eq!(whole.shard, Shard::WHOLE);
+    }
+
+    #[test]
+    fn what_does_not_join_is_said() {
+        let one = part(1, vec![]);
+        assert_eq!(merge(vec![]), Err(MergeError::Nothing));
+        let missing = MergeError::Missing { of: 2, missing: "2".into() };
+        assert_eq!(merge(vec![one.clone()]), Err(missing));
+        assert_eq!(merge(vec![one.clone(), one.clone()]), Err(MergeError::Twice(one.shard)));
+        let other = Part { settings: "t".into(), ..part(2, vec![]) };
+        assert!(matches!(merge(vec![one.clone(), other]), Err(MergeError::Different(..))));
+        let damaged = part(2, vec![(0, 9, 0)]);
+        assert_eq!(merge(vec![one, damaged.clone()]), Err(MergeError::Damaged(damaged.shard)));
+    }
+
+    #[test]
+    fn shards_share_the_queries_out() {
+        let shards: Vec<Shard> = ["1/3", "2/3", "3/3"].map(|s| s.parse().unwrap()).to_vec();
+        for query in 0..20 {
+            assert_eq!(shards.iter().filter(|shard| shard.has(query)).count(), 1);
+        }
+        for bad in ["0/3", "4/3", "3", "a/b"] {
+            assert!(bad.parse::<Shard>().is_err());
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! The figures of a whole run beside the paper's.
+
+use super::part::{Part, RowPart};
+use super::rows::{ALL, Published, Row, rows};
+use crate::evaluate::{Confusion, Outcome, Prediction, Protocol};
+use crate::trial::TrialKey;
+
+/// One setting. Accuracies of ours are fractions from 0 to 1, the paper's are percentages, as
+/// printed.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct ReportRow {
+    /// Where the paper has it; `beside` where it has not.
+    pub place: &'static str,
+    /// What it is.
+    pub name: String,
+    /// How queries and library are split.
+    pub protocol: &'static str,
+    /// Sources that were compared.
+    pub sources: Vec<&'static str>,
+    /// Sources that the data lack.
+    pub missing: Vec<String>,
+    /// Why it could not be run.
+    pub not_run: Option<String>,
+    /// Mean over folds.
+    pub accuracy_mean: Option<f64>,
+    /// Sample standard deviation over folds.
+    pub accuracy_std: Option<f64>,
+    /// Lower end of the 95 % Wilson interval over queries.
+    pub accuracy_low: Option<f64>,
+    /// Upper end of it.
+    pub accuracy_high: Option<f64>,
+    /// Mean over classes of TP/(TP+FP).
+    pub precision_mean: Option<f64>,
+    /// Number of surfaces that could be the answer.
+    pub classes: usize,
+    /// Number of queries.
+    pub queries: usize,
+    /// Trials in the library of the largest fold.
+    pub library_trials: usize,
+    /// The paper's figure.
+    pub published: Option<Published>,
+    /// Ours minus the paper's, in points.
+    pub difference_points: Option<f64>,
+}
+
+/// A whole run.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Report {
+    /// Name of the data.
+    pub data: String,
+    /// Made by a generator.
+    pub synthetic: bool,
+    /// What was set.
+    pub settings: String,
+    /// Setting by setting.
+    pub rows: Vec<ReportRow>,
+    /// Truth against answer with all sources, expert against users.
+    pub confusion: Option<Confusion>,
+}
+
+impl Report {
+    /// Sums a whole run up.
+    pub fn new(part: &Part) -> Self {
+        let keys: Vec<TrialKey> =
+            part.trials.iter().map(|(s, user, number)| TrialKey::new(s, user, *number)).collect();
+        let mut confusion = None;
+        let mut report = Vec::new();
+        for (row, answers) in rows().into_iter().zip(&part.rows) {
+            let outcome = outcome(answers, &keys);
+            let is_main = row.name == ALL && row.protocol == Protocol::ExpertVsUsers;
+            report.push(report_row(row, answers, outcome.as_ref()));
+            if is_main {
+                confusion = outcome.map(|outcome| outcome.confusion);
+            }
+        }
+        let Part { data, synthetic, settings, .. } = part.clone();
+        Self { data, synthetic, settings, rows: report, confusion }
+    }
+}
+
+fn outcome(row: &RowPart, keys: &[TrialKey]) -> Option<Outcome> {
+    let predictions: Vec<Prediction> = (row.answers.iter())
+        .filter_map(|&(fold, query, answer)| {
+            Some(Prediction {
+                key: keys.get(query)?.clone(),
+                fold,
+                surface: keys.get(answer)?.surface.clone(),
+                margin: 0.0,
+                query_ms: 0.0,
+                sources: Vec::new(),
+            })
+        })
+        .collect();
+    Outcome::new(&predictions, &row.folds, row.labels.clone(), row.library_trials, "reference")
+}
+
+fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow {
+    let mut sources: Vec<&str> = row.terms.iter().map(|(_, stream)| stream.source).collect();
+    sources.dedup();
+    sources.retain(|source| !part.missing.iter().any(|missing| missing == source));
+    let difference = |outcome: &Outcome| {
+        // What lacks sources is another setting than the paper's.
+        let published = row.published.filter(|_| part.missing.is_empty())?;
+        Some(outcome.accuracy_mean * 100.0 - published.accuracy)
+    };
+    ReportRow {
+        place: row.place,
+        protocol: row.protocol.name(),
+        sources,
+        missing: part.missing.clone(),
+        not_run: part.not_run.clone(),
+        accuracy_mean: outcome.map(|o| o.accuracy_mean),
+        accuracy_std: outcome.map(|o| o.accuracy_std),
+        accuracy_low: outcome.map(|o| o.accuracy_low),
+        accuracy_high: outcome.map(|o| o.accuracy_high),
+        precision_mean: outcome.map(|o| o.precision_mean),
+        classes: outcome.map_or(0, |o| o.classes),
+        queries: outcome.map_or(0, |o| o.queries),
+        library_trials: part.library_trials,
+        difference_points: outcome.and_then(difference),
+        published: row.published,
+        name: row.name,
+    }
+}

@@ -1,0 +1,230 @@
+//! The figures of the paper's tables and text, and the settings that they are of.
+
+use super::stream::{AS_USED, Stream, View};
+use crate::evaluate::Protocol;
+use crate::scene::Colour;
+
+/// A figure that the paper prints, in percent.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Published {
+    /// Mean accuracy.
+    pub accuracy: f64,
+    /// Its standard deviation over folds, if that is printed.
+    pub std: Option<f64>,
+    /// Mean precision, if that is printed.
+    pub precision: Option<f64>,
+}
+
+/// One setting.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Where the paper has it.
+    pub place: &'static str,
+    /// What it is; unique together with the protocol and the place.
+    pub name: String,
+    /// How queries and library are split.
+    pub protocol: Protocol,
+    /// Weights and streams.
+    pub terms: Vec<(f64, Stream)>,
+    /// What the paper prints.
+    pub published: Option<Published>,
+}
+
+const TABLE_1: &str = "Table I";
+const TABLE_2: &str = "Table II";
+const TEXT: &str = "text";
+const FIGURE: &str = "pairs";
+const OURS: &str = "beside";
+
+fn used(sources: &[&str]) -> Vec<Stream> {
+    sources.iter().map(|source| Stream::as_used(source)).collect()
+}
+
+fn changed(change: impl Fn(Stream) -> Stream) -> Vec<Stream> {
+    AS_USED.iter().map(|&stream| change(stream)).collect()
+}
+
+fn is_image(stream: Stream) -> bool {
+    matches!(stream.view, View::Pixels(_))
+}
+
+fn mean(accuracy: f64, std: f64) -> Option<Published> {
+    Some(Published { accuracy, std: (std > 0.0).then_some(std), precision: None })
+}
+
+struct Rows(Vec<Row>);
+
+impl Rows {
+    fn add(
+        &mut self,
+        place: &'static str,
+        protocol: Protocol,
+        name: impl Into<String>,
+        streams: Vec<Stream>,
+        published: Option<Published>,
+    ) -> &mut Row {
+        let terms = streams.into_iter().map(|stream| (1.0, stream)).collect();
+        let at = self.0.len();
+        self.0.push(Row { place, name: name.into(), protocol, terms, published });
+        &mut self.0[at]
+    }
+}
+
+/// All settings that are run, in the order in which they are shown. The first `Table I` row named
+/// [`ALL`] is the paper's main result.
+pub fn rows() -> Vec<Row> {
+    let mut rows = Rows(Vec::new());
+    table_1(&mut rows);
+    text(&mut rows);
+    table_2(&mut rows);
+    pairs(&mut rows);
+    rows.0
+}
+
+/// Name of the setting with all sources.
+pub const ALL: &str = "all eight";
+
+fn table_1(rows: &mut Rows) {
+    let protocol = Protocol::ExpertVsUsers;
+    let mut add = |name: &str, streams, accuracy, std| {
+        rows.add(TABLE_1, protocol, name, streams, mean(accuracy, std));
+    };
+    add("visual", used(&["ca1", "ca2"]), 74.8, 2.5);
+    add("auditory", used(&["mi1", "mi2"]), 54.8, 16.3);
+    add("haptic", used(&["ac", "fr"]), 61.6, 6.0);
+    add("visual + auditory", used(&["ca1", "ca2", "mi1", "mi2"]), 84.1, 7.3);
+    add("visual + haptic", used(&["ca1", "ca2", "ac", "fr"]), 92.7, 2.2);
+    add("auditory + haptic", used(&["mi1", "mi2", "ac", "fr"]), 74.2, 10.9);
+    let rgb =
+        changed(|s| if is_image(s) { Stream { view: View::Pixels(Colour::Rgb), ..s } } else { s });
+    add("all, RGB instead of HSV", rgb, 95.8, 2.7);
+    let in_time = |sound: View| {
+        changed(move |s| match (s.source, s.view) {
+            ("mi2", _) => Stream { view: sound, ..s },
+            (_, View::Spectrum) => Stream { view: View::Time, ..s },
+            _ => s,
+        })
+    };
+    add("all, without DFT (drag sound: its first 1.1 s)", in_time(View::TimeOfSerial), 95.1, 3.3);
+    add("all, without the shift", changed(|s| Stream { align: false, ..s }), 88.7, 6.7);
+    let main = Published { accuracy: 97.2, std: Some(2.1), precision: Some(98.0) };
+    rows.add(TABLE_1, protocol, ALL, AS_USED.to_vec(), Some(main));
+    rows.add(OURS, protocol, "all, without DFT (whole drag sound)", in_time(View::Time), None);
+}
+
+fn text(rows: &mut Rows) {
+    let (users, trials, others) =
+        (Protocol::ExpertVsUsers, Protocol::LeaveOneTrialOut, Protocol::AllVsOneUser);
+    let mut both = Vec::new();
+    for stream in AS_USED {
+        if is_image(stream) {
+            both.push(stream);
+        } else {
+            both.extend([View::Time, View::Spectrum].map(|view| Stream { view, ..stream }));
+        }
+    }
+    let shifted = changed(|s| Stream { align: s.align || is_image(s), ..s });
+    let unshifted = changed(|s| Stream { align: false, ..s });
+    let camera_and_ac = [Stream::as_used("ca1"), Stream { align: false, ..Stream::as_used("ac") }];
+    rows.add(TEXT, users, "all, both domains", both, mean(98.2, 1.7));
+    let weighted =
+        rows.add(TEXT, users, "all, ca1 and ac weigh 3", AS_USED.to_vec(), mean(98.5, 1.2));
+    for (weight, stream) in &mut weighted.terms {
+        if matches!(stream.source, "ca1" | "ac") {
+            *weight = 3.0;
+        }
+    }
+    rows.add(TEXT, users, "all, images shifted, too", shifted, mean(97.1, 2.2));
+    for (source, figures) in [("ca1", [42.0, 34.0, 27.0]), ("ca2", [19.0, 18.0, 17.0])] {
+        let channels =
+            [("hue", Colour::Hue), ("saturation", Colour::Saturation), ("value", Colour::Value)];
+        for ((name, colour), figure) in channels.into_iter().zip(figures) {
+            let stream = Stream::new(source, View::Pixels(colour), false);
+            rows.add(TEXT, users, format!("{source}, {name}"), vec![stream], mean(figure, 0.0));
+        }
+    }
+    rows.add(TEXT, others, ALL, AS_USED.to_vec(), mean(99.4, 0.8));
+    rows.add(TEXT, others, "all, without the shift", unshifted.clone(), mean(99.1, 0.9));
+    rows.add(TEXT, others, "ca1", used(&["ca1"]), mean(88.9, 3.7));
+    rows.add(TEXT, others, "ca1 + ac", used(&["ca1", "ac"]), mean(96.9, 1.4));
+    rows.add(OURS, others, "ca1 + ac, without the shift", camera_and_ac.to_vec(), None);
+    rows.add(TEXT, trials, "ca1 + ac, without the shift", camera_and_ac.to_vec(), mean(97.1, 1.2));
+    rows.add(OURS, trials, ALL, AS_USED.to_vec(), None);
+    rows.add(OURS, trials, "all, without the shift", unshifted, None);
+}
+
+/// A row of Table II for each protocol: mean and deviation of (no shift, shift) × (time, spectrum),
+/// for images × (RGB, HSV).
+type Cells = [[(f64, f64); 2]; 2];
+
+#[rustfmt::skip]
+const SINGLES: [(&str, Cells, Cells); 8] = [
+    ("mi1", [[(50.9, 16.4), (48.4, 18.3)], [(47.6, 18.0), (55.9, 15.4)]],
+            [[(22.4, 5.0), (19.0, 3.1)], [(21.1, 3.5), (27.1, 3.7)]]),
+    ("mi2", [[(4.2, 1.2), (6.6, 1.3)], [(4.3, 1.5), (15.3, 3.3)]],
+            [[(12.6, 2.9), (39.9, 4.3)], [(13.0, 2.6), (41.0, 2.7)]]),
+    ("ac",  [[(48.3, 5.6), (26.4, 1.8)], [(45.8, 4.5), (43.8, 2.3)]],
+            [[(46.9, 9.8), (72.8, 6.9)], [(52.6, 7.5), (56.6, 7.5)]]),
+    ("fr",  [[(14.2, 3.9), (5.6, 1.7)], [(20.2, 7.5), (7.1, 2.2)]],
+            [[(33.5, 12.2), (22.0, 6.3)], [(12.4, 4.8), (10.6, 4.1)]]),
+    ("ir",  [[(23.7, 4.6), (8.0, 2.1)], [(23.5, 3.7), (12.3, 2.8)]],
+            [[(55.5, 5.1), (28.0, 4.3)], [(23.8, 4.5), (24.9, 2.7)]]),
+    ("me",  [[(8.5, 1.3), (8.1, 1.2)], [(7.6, 1.3), (4.4, 1.5)]],
+            [[(8.8, 0.8), (9.4, 0.9)], [(7.9, 0.8), (5.4, 1.2)]]),
+    ("ca1", [[(53.3, 2.6), (65.1, 2.9)], [(49.0, 2.6), (64.1, 3.6)]],
+            [[(76.7, 4.8), (84.6, 4.9)], [(68.3, 3.9), (82.3, 4.1)]]),
+    ("ca2", [[(39.1, 2.0), (42.6, 1.7)], [(35.4, 3.6), (43.5, 3.6)]],
+            [[(65.5, 5.8), (74.2, 5.7)], [(61.4, 4.9), (70.4, 5.3)]]),
+];
+
+fn table_2(rows: &mut Rows) {
+    for (source, users, trials) in SINGLES {
+        let views = if source.starts_with("ca") {
+            [("RGB", View::Pixels(Colour::Rgb)), ("HSV", View::Pixels(Colour::Hsv))]
+        } else {
+            [("time", View::Time), ("spectrum", View::Spectrum)]
+        };
+        for (protocol, cells) in
+            [(Protocol::ExpertVsUsers, users), (Protocol::LeaveOneTrialOut, trials)]
+        {
+            for ((shift, align), of_shift) in
+                [("no shift", false), ("shift", true)].into_iter().zip(cells)
+            {
+                for ((how, view), (accuracy, std)) in views.into_iter().zip(of_shift) {
+                    let stream = Stream::new(source, view, align);
+                    let name = format!("{source}, {how}, {shift}");
+                    rows.add(TABLE_2, protocol, name, vec![stream], mean(accuracy, std));
+                }
+            }
+        }
+    }
+}
+
+/// Of the pairs, the paper prints one number; the others stand in its figure alone.
+fn pairs(rows: &mut Rows) {
+    for (at, a) in AS_USED.iter().enumerate() {
+        for b in &AS_USED[at + 1..] {
+            let printed = (a.source, b.source) == ("ca1", "ac");
+            let name = format!("{} + {}", a.source, b.source);
+            let published = if printed { mean(87.9, 0.0) } else { None };
+            rows.add(FIGURE, Protocol::ExpertVsUsers, name, vec![*a, *b], published);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_setting_has_a_name_of_its_own_and_the_streams_are_few() {
+        let rows = rows();
+        let names: BTreeSet<_> =
+            rows.iter().map(|r| (r.place, r.protocol.name(), r.name.clone())).collect();
+        assert_eq!(names.len(), rows.len());
+        assert_eq!(rows.iter().filter(|row| row.place == TABLE_2).count(), 64);
+        let streams: BTreeSet<_> = rows.iter().flat_map(|r| &r.terms).map(|(_, s)| *s).collect();
+        assert_eq!(streams.len(), 39, "each is compared once, whatever the number of rows");
+    }
+}

@@ -1,0 +1,258 @@
+//! The work of a shard: scores of each stream once, then the answers of every setting.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use super::part::{Part, RowPart, Shard};
+use super::rows::{Row, rows};
+use super::stream::Stream;
+use super::table::{LogScores, nearest};
+use crate::evaluate::{EvaluateError, Fold, Progress, Protocol, folds, prepare};
+use crate::library::{Entry, Library};
+use crate::recognise::{Method, Ranking, RecogniseError, Reference, ReferenceOptions};
+use crate::trial::TrialKey;
+
+/// Names the queries of a shard in all settings of the paper.
+///
+/// Each stream is prepared, compared and forgotten before the next; what stays in memory are its
+/// scores, 8 bytes for each query of the shard, library trial and stream (about 0.8 GB where all of
+/// LMT108 is one shard).
+///
+/// # Errors
+/// If a trial cannot be read or compared. Data that a setting lacks are no error: the setting says
+/// so.
+pub fn work(
+    library: &Library,
+    options: &ReferenceOptions,
+    shard: Shard,
+    progress: Progress<'_>,
+) -> Result<Part, EvaluateError> {
+    let entries = in_order(library);
+    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let plans = plans(library, &entries);
+    let streams: BTreeSet<Stream> =
+        plans.iter().flat_map(|plan| plan.terms.iter().map(|(_, stream)| *stream)).collect();
+    let mut scores: BTreeMap<Stream, BTreeMap<usize, LogScores>> = BTreeMap::new();
+    // Every score is asked for, so nothing may be left out early.
+    let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
+    for (done, stream) in streams.iter().enumerate() {
+        progress("comparing source by source", done, streams.len());
+        let asked = Asked::new(&plans, *stream, shard);
+        scores.insert(*stream, score(*stream, library, &entries, &asked, &options)?);
+    }
+    progress("comparing source by source", streams.len(), streams.len());
+
+    Ok(part(library, &options, shard, keys, &plans, &scores))
+}
+
+/// What [`work`] would give, without the answers: enough to know a shard of the same run by.
+pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> Part {
+    let entries = in_order(library);
+    let keys = entries.iter().map(|entry| entry.key.clone()).collect();
+    part(library, options, shard, keys, &plans(library, &entries), &BTreeMap::new())
+}
+
+/// Entries in the order that ties go by.
+fn in_order(library: &Library) -> Vec<Entry> {
+    let mut entries = library.entries.clone();
+    entries.sort_by(|a, b| a.key.cmp(&b.key));
+    entries
+}
+
+fn plans(library: &Library, entries: &[Entry]) -> Vec<Plan> {
+    rows().into_iter().map(|row| Plan::new(row, library, entries)).collect()
+}
+
+fn part(
+    library: &Library,
+    options: &ReferenceOptions,
+    shard: Shard,
+    keys: Vec<TrialKey>,
+    plans: &[Plan],
+    scores: &BTreeMap<Stream, BTreeMap<usize, LogScores>>,
+) -> Part {
+    let ReferenceOptions { samples, repetitions, positions, seed, precision, tabulate, .. } =
+        options;
+    let settings = format!(
+        "n = {samples}, R = {repetitions}, positions {positions:?}, seed {seed}, sums {precision:?}, \
+         tables {tabulate}"
+    );
+    Part {
+        format: 1,
+        data: library.name.clone(),
+        synthetic: library.synthetic,
+        settings,
+        shard,
+        rows: plans.iter().map(|plan| plan.answers(scores, &keys, shard)).collect(),
+        trials: keys.into_iter().map(|key| (key.surface, key.user, key.number)).collect(),
+    }
+}
+
+/// A setting on these data: what of it can be done.
+struct Plan {
+    row: Row,
+    terms: Vec<(f64, Stream)>,
+    missing: Vec<String>,
+    folds: Vec<Fold>,
+    not_run: Option<String>,
+}
+
+impl Plan {
+    fn new(row: Row, library: &Library, entries: &[Entry]) -> Self {
+        let has = |entry: &Entry, stream: &Stream| {
+            entry.sources.iter().any(|id| id.as_str() == stream.source)
+        };
+        let (terms, lacking): (Vec<_>, Vec<_>) = row.terms.iter().copied().partition(|(_, s)| {
+            s.scene(&library.scene).is_some() && entries.iter().any(|entry| has(entry, s))
+        });
+        let mut missing: Vec<String> = lacking.iter().map(|(_, s)| s.source.to_string()).collect();
+        missing.dedup();
+        let used: Vec<usize> = (0..entries.len())
+            .filter(|&at| terms.iter().any(|(_, stream)| has(&entries[at], stream)))
+            .collect();
+        let keys: Vec<TrialKey> = used.iter().map(|&at| entries[at].key.clone()).collect();
+        let (found, not_run) = if terms.is_empty() {
+            (Vec::new(), Some(format!("the data lack {}", missing.join(", "))))
+        } else {
+            match folds(row.protocol, &keys) {
+                Ok(found) => (found, None),
+                Err(error) => (Vec::new(), Some(error.to_string())),
+            }
+        };
+        let back = |of: Vec<usize>| of.into_iter().map(|at| used[at]).collect();
+        let folds = found
+            .into_iter()
+            .map(|Fold { name, library, queries }| Fold {
+                name,
+                library: back(library),
+                queries: back(queries),
+            })
+            .collect();
+        Self { row, terms, missing, folds, not_run }
+    }
+
+    fn answers(
+        &self,
+        scores: &BTreeMap<Stream, BTreeMap<usize, LogScores>>,
+        keys: &[TrialKey],
+        shard: Shard,
+    ) -> RowPart {
+        let mut answers = Vec::new();
+        for (at, fold) in self.folds.iter().enumerate() {
+            for &query in fold.queries.iter().filter(|&&query| shard.has(query)) {
+                let terms: Vec<(f64, &LogScores)> = (self.terms.iter())
+                    .filter_map(|(weight, s)| Some((*weight, scores.get(s)?.get(&query)?)))
+                    .collect();
+                if let Some(answer) = nearest(&fold.library, &terms, keys) {
+                    answers.push((at, query, answer));
+                }
+            }
+        }
+        answers.sort_unstable();
+        let labels: BTreeSet<&str> = (self.folds.iter())
+            .flat_map(|fold| fold.library.iter().map(|&at| keys[at].surface.as_str()))
+            .collect();
+        let Row { place, name, protocol, .. } = &self.row;
+        RowPart {
+            setting: format!("{place} · {} · {name}", protocol.name()),
+            missing: self.missing.clone(),
+            not_run: self.not_run.clone(),
+            folds: self.folds.iter().map(|fold| fold.name.clone()).collect(),
+            library_trials: self.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
+            labels: labels.into_iter().map(String::from).collect(),
+            answers,
+        }
+    }
+}
+
+/// Which scores of a stream the settings ask for: for each query the protocols in which it is one,
+/// for each protocol its library.
+#[derive(Default)]
+struct Asked {
+    queries: BTreeMap<usize, BTreeSet<&'static str>>,
+    libraries: BTreeMap<&'static str, BTreeSet<usize>>,
+}
+
+impl Asked {
+    fn new(plans: &[Plan], stream: Stream, shard: Shard) -> Self {
+        let mut asked = Self::default();
+        for plan in plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream)) {
+            let protocol: Protocol = plan.row.protocol;
+            for fold in &plan.folds {
+                let library = asked.libraries.entry(protocol.name()).or_default();
+                library.extend(&fold.library);
+                for &query in fold.queries.iter().filter(|&&query| shard.has(query)) {
+                    asked.queries.entry(query).or_default().insert(protocol.name());
+                }
+            }
+        }
+        asked
+    }
+
+    /// Queries that meet the same library, and that library.
+    fn groups(&self) -> Vec<(BTreeSet<usize>, Vec<usize>)> {
+        let mut groups: BTreeMap<&BTreeSet<&'static str>, Vec<usize>> = BTreeMap::new();
+        for (query, protocols) in &self.queries {
+            groups.entry(protocols).or_default().push(*query);
+        }
+        let library = |protocols: &BTreeSet<&'static str>| {
+            let of = |name: &&'static str| self.libraries.get(name).into_iter().flatten().copied();
+            protocols.iter().flat_map(of).collect()
+        };
+        groups.into_iter().map(|(protocols, queries)| (library(protocols), queries)).collect()
+    }
+}
+
+/// ln of the scores of one stream, by query.
+///
+/// Every library trial is a class of its own here, so that the ranking of the method `reference`
+/// holds the score of each of them.
+fn score(
+    stream: Stream,
+    library: &Library,
+    entries: &[Entry],
+    asked: &Asked,
+    options: &ReferenceOptions,
+) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
+    let mut scores = BTreeMap::new();
+    let Some(scene) = stream.scene(&library.scene) else { return Ok(scores) };
+    let own: Vec<Entry> = (entries.iter().enumerate())
+        .map(|(at, entry)| {
+            let mut entry = stream.entry(entry, &scene);
+            entry.key.surface = at.to_string();
+            entry
+        })
+        .collect();
+    let has = |at: &usize| !own[*at].sources.is_empty();
+    let groups = asked.groups();
+    let wanted: BTreeSet<usize> =
+        groups.iter().flat_map(|(library, _)| library.iter().copied().filter(has)).collect();
+    let method = Reference::new(scene, options.clone());
+    let prepared = prepare(&method, &own, &wanted, &|_, _, _| {})?;
+    for (library, queries) in groups {
+        let library: Arc<[usize]> = library.into_iter().filter(has).collect();
+        if library.len() < 2 {
+            continue;
+        }
+        let trials = library.iter().filter_map(|&at| prepared[at].clone()).collect();
+        let model = method.fit(trials)?;
+        for query in queries.into_iter().filter(has) {
+            let trial = own[query].load().map_err(RecogniseError::from)?;
+            let ranking = method.rank(&model, &method.prepare(&own[query], &trial)?)?;
+            let values = by_trial(&ranking, &library);
+            scores.insert(query, LogScores { library: Arc::clone(&library), values });
+        }
+    }
+    Ok(scores)
+}
+
+fn by_trial(ranking: &Ranking, library: &[usize]) -> Vec<f64> {
+    let mut values = vec![f64::NAN; library.len()];
+    for ranked in &ranking.ranked {
+        let at = ranked.surface.parse().ok().and_then(|at: usize| library.binary_search(&at).ok());
+        if let Some(at) = at {
+            values[at] = ranked.score.ln();
+        }
+    }
+    values
+}
