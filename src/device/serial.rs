@@ -162,14 +162,15 @@ impl Device for Stylus {
                         refused: None,
                         trouble: Trouble::new(now),
                     };
-                    match talk.run() {
+                    let end = talk.run();
+                    talk.trouble.tell(control);
+                    match end {
                         End::Stop => return Ok(()),
                         End::Lost(why) => {
                             was_there = true;
                             control.state(DeviceState::Lost, why);
                         }
                     }
-                    talk.trouble.tell(control);
                 }
                 Err(error) => {
                     let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
