@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use ndarray::Array2;
-use surfaced::recognise::{DomainSamples, amplitude_spectrum, hsv, image_grid, score_samples};
+use surfaced::recognise::{
+    DomainSamples, Precision, QuerySet, SampleSet, Scratch, amplitude_spectrum, hsv, image_grid,
+    score_samples,
+};
 use surfaced::trial::Image;
 
 const TOLERANCE: f64 = 1e-9;
@@ -39,6 +42,43 @@ fn mmd_cases_agree() {
         );
         assert_agrees(&format!("σ of case {id}"), result.sigma, case[4].parse().unwrap());
         assert_agrees(&format!("score of case {id}"), result.score, case[5].parse().unwrap());
+    }
+}
+
+/// Holds every fast way of computing a score to its stated error, 1e-4 relative or absolute.
+#[track_caller]
+fn assert_fast(
+    case: &str,
+    z: &Array2<f64>,
+    y: &Array2<f64>,
+    shift: bool,
+    sigma: Option<f64>,
+    golden: f64,
+) {
+    let (z, y) = (SampleSet::new(z, sigma), SampleSet::new(y, sigma));
+    let mut tabulated = y.clone();
+    tabulated.tabulate();
+    for many in [false, true] {
+        let query = QuerySet::new(&z, shift, Precision::Fast, many);
+        for y in [&y, &tabulated] {
+            let score = query.score(y, &mut Scratch::default());
+            let error = (score - golden).abs();
+            assert!(error <= 1e-4 * golden.max(1.0), "case {case}: {score} but golden {golden}");
+        }
+    }
+}
+
+#[test]
+fn the_fast_path_keeps_its_stated_error_on_the_golden_cases() {
+    for case in &table("mmd_cases.csv")[1..] {
+        let z = numbers(&format!("mmd_{}_z.csv", case[0]));
+        let y = numbers(&format!("mmd_{}_y.csv", case[0]));
+        assert_fast(&case[0], &z, &y, case[3] == "1", None, case[5].parse().unwrap());
+    }
+    for case in &table("metal_cases.csv")[1..] {
+        let z = numbers(&format!("metal_{}_z.csv", case[0]));
+        let y = numbers(&format!("metal_{}_y.csv", case[0]));
+        assert_fast(&case[0], &z, &y, false, Some(1.0), case[1].parse().unwrap());
     }
 }
 

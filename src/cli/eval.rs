@@ -1,6 +1,6 @@
 //! `surfaced eval`: accuracy by protocol.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, show};
@@ -74,6 +74,7 @@ struct Evaluation<'a> {
     folds: &'a [Fold],
     scene: &'a Scene,
     query_seconds: Option<f64>,
+    cache: Option<&'a Path>,
 }
 
 impl WithMethod for Evaluation<'_> {
@@ -83,7 +84,13 @@ impl WithMethod for Evaluation<'_> {
         let steps = show::Steps::new();
         let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
         let progress = |step, done, of| steps.tell(step, done, of);
-        evaluate::run(&method, self.entries, self.folds, as_query, &progress)
+        let prepared =
+            evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
+        for remark in &prepared.remarks {
+            eprintln!("{remark}");
+        }
+        let (entries, folds) = (self.entries, self.folds);
+        evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress)
     }
 }
 
@@ -117,7 +124,9 @@ pub fn run(args: &Args) -> Done {
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = evaluate::folds(args.protocol, &keys)?;
     let query_seconds = args.query_seconds;
-    let evaluation = Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds };
+    let cache = args.method.cache_beside(&args.data);
+    let evaluation =
+        Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
     let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
     let report = Report {
         outcome,

@@ -1,6 +1,11 @@
 //! Which method compares trials, and with what settings.
 
-use crate::recognise::{Method, PositionMode, Precision, Reference, ReferenceOptions};
+use std::path::Path;
+
+use crate::recognise::{
+    Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
+    ReferenceOptions, STAGES,
+};
 use crate::scene::Scene;
 
 /// The methods, by name.
@@ -8,6 +13,10 @@ use crate::scene::Scene;
 pub enum MethodName {
     /// The paper's method, exactly.
     Reference,
+    /// The kernel two-sample test on samples that keep where they came from.
+    Joint,
+    /// Fourier features and a shrinkage discriminant.
+    Embedding,
 }
 
 /// How positions are drawn.
@@ -43,6 +52,18 @@ pub struct MethodArgs {
     /// Sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
+    /// With `embedding`: let the nearest trial win, instead of training a discriminant
+    #[arg(long)]
+    no_discriminant: bool,
+    /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
+    #[arg(long)]
+    halving: bool,
+    /// Do not tabulate library sums: quicker to prepare, slower to compare
+    #[arg(long)]
+    no_tables: bool,
+    /// Neither read nor write the cache of prepared trials beside the library
+    #[arg(long)]
+    no_cache: bool,
 }
 
 /// Parses a count.
@@ -66,10 +87,24 @@ impl MethodArgs {
     /// Does `work` with the method that was asked for, on the sources of `scene`.
     pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
         match self.method {
+            MethodName::Joint => work.with(Joint::new(scene.clone())),
+            MethodName::Embedding => {
+                work.with(Embedding::new(scene.clone(), self.embedding_options()))
+            }
             MethodName::Reference => {
                 work.with(Reference::new(scene.clone(), self.reference_options()))
             }
         }
+    }
+
+    /// The settings of `embedding`.
+    pub fn embedding_options(&self) -> EmbeddingOptions {
+        EmbeddingOptions { discriminant: !self.no_discriminant, ..EmbeddingOptions::default() }
+    }
+
+    /// Where prepared trials of a library in a folder are kept, if they are.
+    pub fn cache_beside<'a>(&self, library: &'a Path) -> Option<&'a Path> {
+        (!self.no_cache).then_some(library)
     }
 
     /// The settings of `reference`.
@@ -84,6 +119,8 @@ impl MethodArgs {
             },
             seed: self.seed,
             precision: if self.exact { Precision::Oracle } else { Precision::Fast },
+            tabulate: !self.no_tables,
+            halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
 }

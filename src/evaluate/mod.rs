@@ -1,12 +1,16 @@
 //! How well a method names surfaces: protocols, folds, accuracies.
 
+mod chart;
+mod chart_figure;
 mod fold;
 mod outcome;
 mod run;
 
+pub use chart::{Chart, Point, pareto};
+pub use chart_figure::{ChartError, figure};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, prepare, run};
+pub use run::{Progress, prepare, prepare_folds, run, run_prepared};
 
 use crate::recognise::RecogniseError;
 

@@ -1,18 +1,19 @@
 //! Runs a method over the folds of a protocol.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
-
-use rayon::prelude::*;
 
 use super::outcome::{Outcome, Prediction};
 use super::{EvaluateError, Fold};
 use crate::library::Entry;
-use crate::recognise::{Method, RecogniseError};
+use crate::recognise::{Method, Preparation, RecogniseError, prepare_library};
 
 /// Told after each step: what is being done, how much is done, how much there is to do.
 pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
+
+const PREPARING: &str = "preparing the library";
 
 /// Names every query of every fold.
 ///
@@ -30,9 +31,44 @@ pub fn run<M: Method>(
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let in_library: BTreeSet<usize> = folds.iter().flat_map(|f| f.library.clone()).collect();
-    let prepared = prepare(method, entries, &in_library, progress)?;
+    let prepared = prepare_folds(method, entries, folds, None, progress)?;
+    run_prepared(method, entries, folds, &prepared.trials, as_query, progress)
+}
 
+/// Prepares the libraries of all folds, each trial once. `beside` is the folder of the data, where
+/// prepared trials are kept; without it none are.
+///
+/// # Errors
+/// If a trial cannot be read or does not fit the scene.
+pub fn prepare_folds<M: Method>(
+    method: &M,
+    entries: &[Entry],
+    folds: &[Fold],
+    beside: Option<&Path>,
+    progress: Progress<'_>,
+) -> Result<Preparation<M::Prepared>, RecogniseError> {
+    let told = |done, of| progress(PREPARING, done, of);
+    prepare_library(method, entries, &in_libraries(folds), beside, &told)
+}
+
+/// Trials that stand in the library of some fold.
+fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
+    folds.iter().flat_map(|fold| fold.library.clone()).collect()
+}
+
+/// [`run`], with the libraries prepared before by [`prepare_folds`].
+///
+/// # Errors
+/// If a trial cannot be read or compared.
+pub fn run_prepared<M: Method>(
+    method: &M,
+    entries: &[Entry],
+    folds: &[Fold],
+    prepared: &[Option<Arc<M::Prepared>>],
+    as_query: impl Fn(&Entry) -> Entry,
+    progress: Progress<'_>,
+) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
+    let in_library = in_libraries(folds);
     let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
     let mut predictions = Vec::with_capacity(total);
     for (index, fold) in folds.iter().enumerate() {
@@ -75,18 +111,6 @@ pub fn prepare<M: Method>(
     wanted: &BTreeSet<usize>,
     progress: Progress<'_>,
 ) -> Result<Vec<Option<Arc<M::Prepared>>>, RecogniseError> {
-    let done = std::sync::atomic::AtomicUsize::new(0);
-    (0..entries.len())
-        .into_par_iter()
-        .map(|i| {
-            if !wanted.contains(&i) {
-                return Ok(None);
-            }
-            let trial = entries[i].load()?;
-            let prepared = method.prepare(&entries[i], &trial)?;
-            let so_far = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            progress("preparing the library", so_far, wanted.len());
-            Ok(Some(Arc::new(prepared)))
-        })
-        .collect()
+    let told = |done, of| progress(PREPARING, done, of);
+    prepare_library(method, entries, wanted, None, &told).map(|prepared| prepared.trials)
 }

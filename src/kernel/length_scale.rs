@@ -1,5 +1,6 @@
 //! The median heuristic for the kernel's length scale.
 
+use multiversion::multiversion;
 use ndarray::ArrayView2;
 
 /// How many samples the median is taken over: the first ones, in the order drawn.
@@ -17,17 +18,33 @@ pub fn length_scale(samples: ArrayView2<'_, f64>) -> f64 {
 /// [`length_scale`] over the first `subset` samples.
 pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
     let n = samples.nrows().min(subset);
-    let mut squared = Vec::with_capacity(n * n.saturating_sub(1) / 2);
-    for i in 0..n {
-        for j in 0..i {
-            let d: f64 =
-                samples.row(i).iter().zip(samples.row(j)).map(|(a, b)| (a - b).powi(2)).sum();
-            if d > 0.0 {
-                squared.push(d);
+    let channels: Vec<Vec<f64>> =
+        samples.columns().into_iter().map(|c| c.iter().take(n).copied().collect()).collect();
+    let mut squared = squared_distances(&channels, n);
+    squared.retain(|&d| d > 0.0);
+    median(&mut squared).map_or(1.0, |m| (0.5 * m).sqrt())
+}
+
+/// Squared distances between all pairs of the first `n` points, by channel.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn squared_distances(channels: &[Vec<f64>], n: usize) -> Vec<f64> {
+    let mut squared = vec![0.0; n * n.saturating_sub(1) / 2];
+    for channel in channels {
+        let mut rest = squared.as_mut_slice();
+        for i in 1..n {
+            let (row, after) = rest.split_at_mut(i);
+            let at = channel[i];
+            for (sum, other) in row.iter_mut().zip(&channel[..i]) {
+                *sum += (at - other) * (at - other);
             }
+            rest = after;
         }
     }
-    median(&mut squared).map_or(1.0, |m| (0.5 * m).sqrt())
+    squared
 }
 
 /// Median, the mean of the two middle values where their number is even.

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
 use super::wav::{self, Header};
 use super::{LibraryError, LoadTrial, picture, text};
 use crate::scene::{Domain, SourceId, SourceSpec};
+use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// Where the data of one source of one trial are.
@@ -36,9 +38,32 @@ impl LoadTrial for FileTrial {
             .collect::<Result<_, LibraryError>>()?;
         Ok(Trial { key: self.key.clone(), signals })
     }
+
+    /// Names, sizes and times of the files.
+    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
+        let mut parts: Vec<Vec<u8>> = Vec::new();
+        for (id, files) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
+            parts.push(id.as_str().as_bytes().to_vec());
+            for path in files.paths() {
+                let about = std::fs::metadata(path).ok()?;
+                let changed = about.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
+                parts.push(path.file_name()?.as_encoded_bytes().to_vec());
+                parts.push(about.len().to_le_bytes().to_vec());
+                parts.push(changed.as_nanos().to_le_bytes().to_vec());
+            }
+        }
+        Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
+    }
 }
 
 impl SourceFiles {
+    fn paths(&self) -> &[PathBuf] {
+        match self {
+            Self::Wav { path, .. } | Self::Picture(path) => std::slice::from_ref(path),
+            Self::Columns { paths, .. } => paths,
+        }
+    }
+
     fn read(&self) -> Result<Signal, LibraryError> {
         match self {
             Self::Wav { path, header } => {

@@ -1,6 +1,7 @@
 //! A library: labelled trials to compare with, loaded when they are needed.
 
 mod about;
+pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
 mod picture;
@@ -70,6 +71,12 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     /// # Errors
     /// If one of them cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
+
+    /// A number that changes whenever what would be loaded does, if that can be told without
+    /// reading it.
+    fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
+        None
+    }
 }
 
 #[derive(Debug)]
@@ -143,6 +150,17 @@ impl Entry {
     /// If one of its sources cannot be read.
     pub fn load(&self) -> Result<Trial, LibraryError> {
         self.loader.load(&self.sources)
+    }
+
+    /// A number that changes whenever the trial does, if that can be told without reading it.
+    pub fn stamp(&self) -> Option<u64> {
+        self.loader.stamp(&self.sources)
+    }
+
+    /// What the trial is called in a cache.
+    pub(crate) fn cache_name(&self) -> String {
+        let TrialKey { surface, user, number } = &self.key;
+        format!("{surface}\n{user}\n{number}")
     }
 }
 

@@ -94,7 +94,7 @@ pub fn compare(
 fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
     let unsampled = |_: &SourceSpec, _: &Signal, _| Cut { sets: Vec::new(), domain: None };
     let prepared = |trial: &Trial| {
-        PreparedTrial::new(&Entry::in_memory(trial.clone()), trial, scene, unsampled)
+        PreparedTrial::new(&Entry::in_memory(trial.clone()), trial, scene, false, unsampled)
     };
     shared_sources(scene, &prepared(z)?, &[Arc::new(prepared(y)?)]).map(drop)
 }

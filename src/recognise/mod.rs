@@ -7,22 +7,41 @@
 mod colour;
 mod compare;
 mod domain;
+pub mod embedding;
+pub mod framed;
+mod frames;
+mod grouped;
+mod halving;
+mod joint;
+mod merge;
+mod pixels;
+mod prepare;
 mod prepared;
 mod rank;
 mod reference;
+mod samples;
 mod sampling;
+mod scale;
 mod score;
+mod slow;
 mod spectrum;
+mod storage;
 
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use framed::{FramedStream, FramedTrial};
+pub use halving::{STAGES, Stage};
+pub use joint::{Joint, JointModel};
+pub use prepare::{Preparation, prepare_library};
 pub use prepared::PreparedTrial;
 pub use rank::{Candidate, RankedSurface, Ranking, rank};
 pub use reference::{PositionMode, Reference, ReferenceOptions};
+pub use samples::{SampleSet, Scratch};
 pub use sampling::{Extent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
 pub use score::{
-    Precision, QuerySet, SCORE_FLOOR, SampleScore, SampleSet, log_score, score_samples, score_sets,
+    Precision, QuerySet, SCORE_FLOOR, SampleScore, log_score, score_samples, score_sets,
 };
 pub use spectrum::{amplitude_spectrum, band_bins};
 
@@ -114,6 +133,33 @@ pub trait Method: Send + Sync {
     /// # Errors
     /// If the trial does not fit the scene.
     fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Self::Prepared, RecogniseError>;
+
+    /// The same for a trial of a library, which many queries will be compared with.
+    ///
+    /// # Errors
+    /// As [`Method::prepare`].
+    fn prepare_for_library(
+        &self,
+        entry: &Entry,
+        trial: &Trial,
+    ) -> Result<Self::Prepared, RecogniseError> {
+        self.prepare(entry, trial)
+    }
+
+    /// A number for all settings that prepared trials depend on, if they can be stored.
+    fn storage_key(&self) -> Option<u64> {
+        None
+    }
+
+    /// A prepared trial as bytes; asked for only where there is a [`Method::storage_key`].
+    fn store(&self, _prepared: &Self::Prepared) -> Vec<u8> {
+        Vec::new()
+    }
+
+    /// A prepared trial from bytes that [`Method::store`] made under the same key, or nothing.
+    fn restore(&self, _entry: &Entry, _bytes: &[u8]) -> Option<Self::Prepared> {
+        None
+    }
 
     /// Makes a model of a library.
     ///

@@ -3,9 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use rayon::prelude::*;
+
 use super::RecogniseError;
 use super::domain::DomainSamples;
-use super::score::SampleSet;
+use super::samples::SampleSet;
 use crate::library::Entry;
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::seed;
@@ -19,8 +21,14 @@ pub(super) struct Cut {
     pub domain: Option<DomainSamples>,
 }
 
+/// A source, its rate and frames if it is a series, and its sets.
+pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
+
 /// How many lengths of one source stay in memory beside the trial's own.
 const KEPT_LENGTHS: usize = 3;
+
+/// Each source at the lengths that were asked for, in frames.
+type Cuts = BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>;
 
 /// A trial, ready to be compared.
 pub struct PreparedTrial {
@@ -29,33 +37,62 @@ pub struct PreparedTrial {
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
     /// By length in frames; the trial's own length first.
-    cuts: Mutex<BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>>,
+    cuts: Mutex<Cuts>,
 }
 
 impl PreparedTrial {
-    /// Prepares those sources of a trial that the scene describes, at their own lengths.
+    /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
+    /// says that [`PreparedTrial::content`] will be asked for.
     pub(super) fn new(
         entry: &Entry,
         trial: &Trial,
         scene: &Scene,
-        cut: impl Fn(&SourceSpec, &Signal, usize) -> Cut,
+        hashed: bool,
+        cut: impl Fn(&SourceSpec, &Signal, usize) -> Cut + Sync,
     ) -> Result<Self, RecogniseError> {
-        let mut shapes = BTreeMap::new();
-        let mut cuts = BTreeMap::new();
-        let mut content = 0;
-        for (id, signal) in &trial.signals {
-            let Some(spec) = scene.get(id.as_str()) else { continue };
-            let shape = shape(spec, signal, &entry.key)?;
-            let frames = shape.map_or(0, |(_, frames)| frames);
-            content = seed::stable_hash(&[
-                &u64::to_le_bytes(content),
-                id.as_str().as_bytes(),
-                &signal.content_hash().to_le_bytes(),
-            ]);
+        let known: Vec<(&SourceId, &Signal, &SourceSpec)> = (trial.signals.iter())
+            .filter_map(|(id, signal)| Some((id, signal, scene.get(id.as_str())?)))
+            .collect();
+        let made = (known.par_iter())
+            .map(|(_, signal, spec)| {
+                let shape = shape(spec, signal, &entry.key)?;
+                let frames = shape.map_or(0, |(_, frames)| frames);
+                let content = if hashed { signal.content_hash() } else { 0 };
+                Ok((shape, content, (frames, Arc::new(cut(spec, signal, frames)))))
+            })
+            .collect::<Result<Vec<_>, RecogniseError>>()?;
+        let (mut shapes, mut cuts, mut all) = (BTreeMap::new(), BTreeMap::new(), 0);
+        for ((id, ..), (shape, content, cut)) in known.into_iter().zip(made) {
+            let parts = [all, content].map(u64::to_le_bytes);
+            all = seed::stable_hash(&[&parts[0], id.as_str().as_bytes(), &parts[1]]);
             shapes.insert(id.clone(), shape);
-            cuts.insert(id.clone(), vec![(frames, Arc::new(cut(spec, signal, frames)))]);
+            cuts.insert(id.clone(), vec![cut]);
         }
-        Ok(Self { entry: entry.clone(), shapes, content, cuts: Mutex::new(cuts) })
+        Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
+    }
+
+    /// A trial from what was stored of one: for each source its shape and its sets at that length.
+    pub(super) fn from_parts(entry: &Entry, parts: Vec<StoredSource>) -> Self {
+        let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
+        for (id, shape, sets) in parts {
+            let frames = shape.map_or(0, |(_, frames)| frames);
+            shapes.insert(id.clone(), shape);
+            cuts.insert(id, vec![(frames, Arc::new(Cut { sets, domain: None }))]);
+        }
+        Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) }
+    }
+
+    /// Calls `tell` with each source, its shape, and what it holds at the trial's own length.
+    pub(super) fn each_source(
+        &self,
+        mut tell: impl FnMut(&SourceId, Option<(f64, usize)>, &[SampleSet]),
+    ) {
+        let cuts = self.lock();
+        for (id, shape) in &self.shapes {
+            if let Some((_, cut)) = cuts.get(id).and_then(|of_source| of_source.first()) {
+                tell(id, *shape, &cut.sets);
+            }
+        }
     }
 
     /// Which trial this is.
@@ -63,7 +100,7 @@ impl PreparedTrial {
         &self.entry.key
     }
 
-    /// Hash of all raw samples, so that what is drawn for a pair depends neither on names nor on
+    /// Hash of all raw samples (0 unless it was asked for), so that what is drawn for a pair depends neither on names nor on
     /// order.
     pub(super) fn content(&self) -> u64 {
         self.content
@@ -106,7 +143,7 @@ impl PreparedTrial {
         Ok(made)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Cuts> {
         // A thread that panicked while it held the lock left at most a cut unsaved.
         self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,9 +1,13 @@
 //! The score of one source: n·MMD²_b between samples of a query and of a library trial.
 
+use std::sync::OnceLock;
+
 use ndarray::{Array2, ArrayView2, Axis};
 
+use super::samples::{SampleSet, Scratch};
 use crate::kernel::{
-    CrossSums, Lanes, kernel_sum, lane_scale, lane_sum, length_scale, mmd2_biased, mmd2_from_sums,
+    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_sum, lane_self_sum, lane_sum,
+    length_scale, mmd2_biased, mmd2_from_sums,
 };
 
 /// The least score that enters a product or a logarithm.
@@ -12,7 +16,7 @@ use crate::kernel::{
 /// leaves about 1e-13 of n·MMD² at n = 400, so nothing that differs is mistaken for identical.
 pub const SCORE_FLOOR: f64 = 1e-10;
 
-/// Below this score, sums in f32 cancel too much; f64 takes over.
+/// Below this score, sums in f32 cancel too much for a ratio of scores; f64 takes over.
 const F64_BELOW: f64 = 0.05;
 
 /// ln of a score, floored at [`SCORE_FLOOR`].
@@ -59,187 +63,162 @@ pub fn score_samples(
 /// How kernel sums are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Precision {
-    /// f32 over lanes, with f64 where the sums cancel.
+    /// The fastest sums whose error stays within 1e-4: f32 over lanes, expansions on a line, tables;
+    /// f64 where samples or sums ask for it.
     #[default]
     Fast,
     /// f64 throughout.
     Oracle,
 }
 
-/// Samples drawn from one source, with their mean taken out.
-///
-/// The kernel does not change with a shift, so centred samples serve every comparison: with the
-/// shift of Eq. 8 they are compared as they are, without it the means' difference is put back.
-/// Taking the mean out in f64 lets f32 hold the rest without loss.
-#[derive(Clone, Debug)]
-pub struct SampleSet {
-    /// Mean of each channel.
-    mean: Vec<f64>,
-    /// Channel after channel.
-    centred: Vec<f32>,
-    /// σ by the median heuristic, of these samples.
-    sigma: f64,
-}
-
-impl SampleSet {
-    /// A set from samples of shape (n, channels), n at least 1.
-    pub fn new(samples: &Array2<f64>) -> Self {
-        let mean: Vec<f64> =
-            samples.columns().into_iter().map(|c| c.sum() / c.len() as f64).collect();
-        let columns = samples.columns().into_iter().zip(&mean);
-        let centred = columns.flat_map(|(c, m)| c.into_iter().map(move |x| (x - m) as f32));
-        Self { centred: centred.collect(), sigma: length_scale(samples.view()), mean }
-    }
-
-    /// Number of samples.
-    pub fn n(&self) -> usize {
-        self.centred.len() / self.dims()
-    }
-
-    /// Number of channels.
-    pub fn dims(&self) -> usize {
-        self.mean.len()
-    }
-
-    /// σ by the median heuristic (Eq. 6), of these samples in the order drawn.
-    pub fn sigma(&self) -> f64 {
-        self.sigma
-    }
-
-    fn points(&self, offset: &[f64]) -> Array2<f64> {
-        let n = self.n();
-        Array2::from_shape_fn((n, self.dims()), |(i, c)| {
-            f64::from(self.centred[c * n + i]) + offset[c]
-        })
-    }
-
-    fn fill(&self, lanes: &mut Lanes, scale: f64, offset: &[f64]) {
-        let n = self.n();
-        lanes.fill(n, self.dims(), |c, i| {
-            ((f64::from(self.centred[c * n + i]) + offset[c]) * scale) as f32
-        });
-    }
-}
-
-/// A query's samples, ready to be compared with many library trials at one σ.
+/// A query's samples, ready to be compared with many library trials.
 pub struct QuerySet<'a> {
     set: &'a SampleSet,
-    sigma: f64,
     align_mean: bool,
-    precision: Precision,
-    lanes: Lanes,
+    way: Way,
     /// Σ k(zᵢ, zⱼ), which no library trial changes.
     zz: f64,
+    /// Points and zz in f64, once some comparison asks for them.
+    careful: OnceLock<(CarefulPoints, f64)>,
+}
+
+/// How Σ k(yᵢ, zⱼ) is summed.
+enum Way {
+    /// One channel and many comparisons: expanded once.
+    Line(LineSum),
+    /// Up to four channels, in f32.
+    Lanes(Lanes),
+    /// In f64, where f32 does not hold the samples well enough.
+    Careful,
+    /// By definition.
+    Plain,
 }
 
 impl<'a> QuerySet<'a> {
-    /// Sets a query up: σ by its own median heuristic unless `sigma` fixes it.
-    pub fn new(
-        set: &'a SampleSet,
-        align_mean: bool,
-        sigma: Option<f64>,
-        precision: Precision,
-    ) -> Self {
-        let sigma = sigma.unwrap_or(set.sigma);
-        let origin = vec![0.0; set.dims()];
-        let mut lanes = Lanes::default();
-        let zz = if fits_lanes(set.dims()) && precision == Precision::Fast {
-            set.fill(&mut lanes, lane_scale(sigma), &origin);
-            lane_sum(&lanes, &lanes, set.dims())
+    /// Sets a query up, with the σ of its samples. `many` says that it will meet many trials, so
+    /// that work done here pays.
+    pub fn new(set: &'a SampleSet, align_mean: bool, precision: Precision, many: bool) -> Self {
+        let sigma = set.sigma;
+        let (way, zz) = if precision == Precision::Oracle {
+            (Way::Plain, 0.0)
+        } else if set.dims() == 1 && many {
+            let line = set.with_channel(|points| LineSum::new(points, set.centre[0], sigma));
+            let zz = set.with_channel(|points| line.sum(points, 0.0));
+            (Way::Line(line), zz)
+        } else if set.fits_lanes(sigma) {
+            let mut lanes = Lanes::default();
+            set.fill_lanes(&mut lanes, sigma, &set.centre);
+            let zz = lane_self_sum(&lanes, Quality::Quick);
+            (Way::Lanes(lanes), zz)
         } else {
-            let points = set.points(&origin);
-            kernel_sum(points.view(), points.view(), sigma)
+            (Way::Careful, 0.0)
         };
-        Self { set, sigma, align_mean, precision, lanes, zz }
+        Self { set, align_mean, way, zz, careful: OnceLock::new() }
     }
 
     /// n·MMD²_b against samples of a library trial; never negative, never NaN.
     ///
     /// In [`Precision::Fast`] within 1e-4 of the oracle, relative or absolute.
-    pub fn score(&self, y: &SampleSet, scratch: &mut Lanes) -> f64 {
-        let n = self.set.n().min(y.n()) as f64;
-        let offset: Vec<f64> = if self.align_mean {
-            vec![0.0; y.dims()]
-        } else {
-            y.mean.iter().zip(&self.set.mean).map(|(of_y, of_z)| of_y - of_z).collect()
-        };
-        if self.precision == Precision::Fast && fits_lanes(y.dims()) {
-            y.fill(scratch, lane_scale(self.sigma), &offset);
-            let sums = CrossSums {
-                yy: lane_sum(scratch, scratch, y.dims()),
-                zz: self.zz,
-                yz: lane_sum(scratch, &self.lanes, y.dims()),
-            };
-            let score = n * mmd2_from_sums(sums, y.n(), self.set.n());
+    ///
+    /// # Panics
+    /// If the two differ in their number of channels.
+    pub fn score(&self, y: &SampleSet, scratch: &mut Scratch) -> f64 {
+        assert_eq!(self.set.dims(), y.dims(), "samples of equal channels");
+        // y is moved by this, and is then seen from z's centre.
+        let shift = |c: usize| if self.align_mean { self.set.mean[c] - y.mean[c] } else { 0.0 };
+        let (n, m) = (y.n(), self.set.n());
+        let score = |sums| n.min(m) as f64 * mmd2_from_sums(sums, n, m);
+        if let Way::Plain = self.way {
+            return self.plain(y);
+        }
+        if let Some(sums) = self.few_sums(y, &shift) {
+            return score(sums);
+        }
+        if let Some(sums) = self.fast_sums(y, &shift, scratch) {
+            let score = score(sums);
             if score >= F64_BELOW {
                 return score;
             }
         }
-        let z_points = self.set.points(&vec![0.0; y.dims()]);
-        n * mmd2_biased(y.points(&offset).view(), z_points.view(), self.sigma)
+        score(self.careful_sums(y, &shift, scratch))
+    }
+
+    fn few_sums(&self, y: &SampleSet, shift: &dyn Fn(usize) -> f64) -> Option<CrossSums> {
+        let sigma = self.set.sigma;
+        let (shift, none): (Vec<f64>, _) =
+            ((0..y.dims()).map(shift).collect(), vec![0.0; y.dims()]);
+        Some(CrossSums {
+            yz: self.set.few_sum(y, sigma, &shift)?,
+            yy: y.few_sum(y, sigma, &none)?,
+            zz: self.set.few_sum(self.set, sigma, &none)?,
+        })
+    }
+
+    fn fast_sums(
+        &self,
+        y: &SampleSet,
+        shift: &dyn Fn(usize) -> f64,
+        scratch: &mut Scratch,
+    ) -> Option<CrossSums> {
+        let sigma = self.set.sigma;
+        let yz = match &self.way {
+            Way::Line(line) => y.with_channel(|points| line.sum(points, shift(0))),
+            Way::Lanes(lanes) if y.fits_lanes(sigma) => {
+                let origin: Vec<f64> =
+                    self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect();
+                y.fill_lanes(&mut scratch.lanes, sigma, &origin);
+                lane_sum(&scratch.lanes, lanes, Quality::Quick)
+            }
+            _ => return None,
+        };
+        Some(CrossSums { yy: y.self_sum_at(sigma, scratch), zz: self.zz, yz })
+    }
+
+    fn careful_sums(
+        &self,
+        y: &SampleSet,
+        shift: &dyn Fn(usize) -> f64,
+        scratch: &mut Scratch,
+    ) -> CrossSums {
+        let sigma = self.set.sigma;
+        let (z_points, zz) = self.careful.get_or_init(|| {
+            let mut points = CarefulPoints::default();
+            self.set.fill_careful(&mut points, sigma, &self.set.centre);
+            let zz = careful_sum(&points, &points);
+            (points, zz)
+        });
+        let origin: Vec<f64> =
+            self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect();
+        let points = &mut scratch.careful;
+        y.fill_careful(points, sigma, &origin);
+        let yz = careful_sum(points, z_points);
+        y.fill_careful(points, sigma, &y.centre);
+        CrossSums { yy: careful_sum(points, points), zz: *zz, yz }
+    }
+
+    /// By definition, for the oracle.
+    fn plain(&self, y: &SampleSet) -> f64 {
+        let array = |set: &SampleSet, origin: &[f64]| {
+            let n = set.n();
+            let all: Vec<Vec<f64>> = set.channels();
+            Array2::from_shape_fn((n, set.dims()), |(i, c)| all[c][i] - origin[c])
+        };
+        let (of_z, of_y) = if self.align_mean {
+            (&self.set.mean, &y.mean)
+        } else {
+            (&self.set.mean, &self.set.mean)
+        };
+        let (z_points, y_points) = (array(self.set, of_z), array(y, of_y));
+        let n = y.n().min(self.set.n()) as f64;
+        n * mmd2_biased(y_points.view(), z_points.view(), self.set.sigma)
     }
 }
 
-fn fits_lanes(dims: usize) -> bool {
-    (1..=4).contains(&dims)
-}
-
-/// n·MMD²_b between two prepared sets; [`score_samples`] is its oracle.
-pub fn score_sets(
-    z: &SampleSet,
-    y: &SampleSet,
-    align_mean: bool,
-    sigma: Option<f64>,
-    precision: Precision,
-) -> f64 {
-    QuerySet::new(z, align_mean, sigma, precision).score(y, &mut Lanes::default())
+/// n·MMD²_b between two sets; [`score_samples`] is its oracle.
+pub fn score_sets(z: &SampleSet, y: &SampleSet, align_mean: bool, precision: Precision) -> f64 {
+    QuerySet::new(z, align_mean, precision, false).score(y, &mut Scratch::default())
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn samples(n: usize, dims: usize, values: &[f64]) -> Array2<f64> {
-        Array2::from_shape_fn((n, dims), |(i, c)| values[(i * dims + c) % values.len()])
-    }
-
-    proptest! {
-        #[test]
-        fn the_fast_score_is_within_1e_4_of_the_oracle(
-            dims in 1usize..=5,
-            align in any::<bool>(),
-            scale in -6i32..6,
-            offset in -100f64..100.0,
-            values in prop::collection::vec(-1f64..1.0, 150..600),
-            others in prop::collection::vec(-1f64..1.0, 150..600),
-        ) {
-            let scale = 10f64.powi(scale);
-            let z = samples(values.len() / dims, dims, &values).mapv(|x| (x + offset) * scale);
-            let y = samples(values.len() / dims, dims, &others).mapv(|x| (x * 1.1 + offset) * scale);
-            let oracle = score_samples(z.view(), y.view(), align, None).score;
-            let fast = score_sets(&SampleSet::new(&z), &SampleSet::new(&y), align, None, Precision::Fast);
-            prop_assert!((fast - oracle).abs() <= 1e-4 * oracle.max(1.0), "{fast} vs {oracle}");
-        }
-    }
-
-    #[test]
-    fn identical_trials_score_zero_and_have_a_finite_logarithm() {
-        let z = samples(400, 2, &[0.3, -0.1, 0.7, 0.2, 0.9]);
-        let set = SampleSet::new(&z);
-        let score = score_sets(&set, &set, true, None, Precision::Fast);
-        assert!((0.0..1e-9).contains(&score), "{score}");
-        assert_eq!(log_score(0.0), SCORE_FLOOR.ln());
-    }
-
-    #[test]
-    fn constant_data_give_a_number() {
-        let (z, y) = (Array2::from_elem((400, 1), 5.0), Array2::from_elem((400, 1), 7.0));
-        for align in [false, true] {
-            let score =
-                score_sets(&SampleSet::new(&z), &SampleSet::new(&y), align, None, Precision::Fast);
-            assert!(score.is_finite());
-            assert_eq!(align, score < 1e-9);
-        }
-    }
-}
+#[path = "score_tests.rs"]
+mod tests;

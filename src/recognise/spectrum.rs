@@ -3,11 +3,16 @@
 use std::cell::RefCell;
 
 use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
 
 thread_local! {
     /// Plans are costly to make and cheap to keep; each thread keeps its own.
     static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+    /// So are the buffers of the transform, megabytes for a whole drag: input, output, scratch.
+    static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
+
+type Buffers = (Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>);
 
 /// Which bins of the spectrum of `frames` samples at `rate_hz` lie in a band, both ends included.
 ///
@@ -37,19 +42,21 @@ pub fn amplitude_spectrum(
     // A transform of two points is the smallest; one sample is padded to it.
     let points = frames.next_power_of_two().max(2);
     let plan = PLANNER.with_borrow_mut(|planner| planner.plan_fft_forward(points));
-    let mut input = plan.make_input_vec();
-    let mut output = plan.make_output_vec();
-    for (slot, sample) in input.iter_mut().zip(samples) {
-        *slot = sample;
-    }
-    // Both buffers were made by the plan itself, and the one error it knows is a wrong length.
-    plan.process(&mut input, &mut output).expect("buffers of the plan's own lengths");
-    let scale = 2.0 / frames as f64;
     let bins = band_bins(frames, rate_hz, band_hz);
-    output[bins.start.min(output.len())..bins.end.min(output.len())]
-        .iter()
-        .map(|x| scale * x.norm())
-        .collect()
+    let scale = 2.0 / frames as f64;
+    BUFFERS.with_borrow_mut(|(input, output, scratch)| {
+        input.clear();
+        input.extend(samples);
+        input.resize(points, 0.0);
+        output.resize(points / 2 + 1, Complex::default());
+        scratch.resize(plan.get_scratch_len().max(scratch.len()), Complex::default());
+        // The one error it knows is a wrong length, and these are the plan's own.
+        plan.process_with_scratch(input, output, scratch).expect("buffers of the plan's lengths");
+        output[bins.start.min(output.len())..bins.end.min(output.len())]
+            .iter()
+            .map(|x| scale * x.norm_sqr().sqrt())
+            .collect()
+    })
 }
 
 #[cfg(test)]

@@ -1,0 +1,185 @@
+//! Gaussian sums against fixed points on a line: one channel, many queries at one length scale.
+//!
+//! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth, so it is expanded once, to the seventh derivative, about
+//! the middle of every cell of width ¼ that some point reaches; a kernel sum over n further points
+//! then takes n short polynomials instead of n² exponentials. Error: below 2e-10 for every kernel
+//! value that is summed (the eighth derivative of the Gaussian is at most 105; 105/8!·8⁻⁸ = 1.6e-10),
+//! so 2e-7 of n·MMD² at n = 400 (tested).
+
+use multiversion::multiversion;
+
+use super::careful::exp2_of_minus;
+
+/// Half width of a cell, in length scales.
+const HALF: f64 = 0.125;
+/// Terms of an expansion.
+const TERMS: usize = 8;
+/// exp(−8.5²/2) is 2e-16: no point reaches farther.
+const REACH: f64 = 8.5;
+/// Coordinates lie no farther than this from the centre.
+const FARTHEST: f64 = 1e12;
+const LANES: usize = 8;
+
+/// A function of one variable: the sum of unit Gaussians at fixed points.
+#[derive(Clone, Debug)]
+pub struct LineSum {
+    centre: f64,
+    scale: f64,
+    groups: Vec<Group>,
+}
+
+/// Points close enough together to share one row of cells.
+#[derive(Clone, Debug)]
+struct Group {
+    start: f64,
+    cells: Vec<[f64; TERMS]>,
+}
+
+impl LineSum {
+    /// From points in ascending order, with a kernel of length scale `sigma`. `centre` is where
+    /// coordinates are resolved best.
+    pub fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
+        let scale = 1.0 / sigma;
+        let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);
+        let points: Vec<f64> = points.map(place).collect();
+        debug_assert!(points.is_sorted());
+        let groups = points.chunk_by(|a, b| b - a < 2.0 * REACH).map(Group::new).collect();
+        Self { centre, scale, groups }
+    }
+
+    /// Σᵢ G(xᵢ) over points in ascending order, each moved by `shift` first.
+    pub fn sum(&self, points: impl Iterator<Item = f64>, shift: f64) -> f64 {
+        let mut groups = self.groups.iter().peekable();
+        let mut total = 0.0;
+        for point in points {
+            let x = ((point - (self.centre - shift)) * self.scale).clamp(-FARTHEST, FARTHEST);
+            while groups.next_if(|group| group.end() <= x).is_some() {}
+            let Some(group) = groups.peek() else { break };
+            let at = (x - group.start) * (0.5 / HALF);
+            if at >= 0.0 {
+                // Below the number of cells, since x lies before the group's end.
+                let cell = (at as usize).min(group.cells.len() - 1);
+                let t = x - group.middle(cell);
+                let c = &group.cells[cell];
+                let (t2, even, odd) = (t * t, [c[0], c[2], c[4], c[6]], [c[1], c[3], c[5], c[7]]);
+                let short = |c: [f64; 4]| ((c[3] * t2 + c[2]) * t2 + c[1]) * t2 + c[0];
+                total += short(even) + t * short(odd);
+            }
+        }
+        total
+    }
+}
+
+impl Group {
+    /// `points` are ascending, at least one.
+    fn new(points: &[f64]) -> Self {
+        let (first, last) = (points[0], points[points.len() - 1]);
+        let start = first - REACH;
+        let count = ((last + REACH - start) / (2.0 * HALF)).ceil() as usize;
+        let mut group = Self { start, cells: vec![[0.0; TERMS]; count] };
+        let (mut low, mut high) = (0, 0);
+        for cell in 0..count {
+            let middle = group.middle(cell);
+            while low < points.len() && points[low] < middle - REACH {
+                low += 1;
+            }
+            while high < points.len() && points[high] <= middle + REACH {
+                high += 1;
+            }
+            group.cells[cell] = expansion(&points[low..high.max(low)], middle);
+        }
+        group
+    }
+
+    fn middle(&self, cell: usize) -> f64 {
+        self.start + (2 * cell + 1) as f64 * HALF
+    }
+
+    fn end(&self) -> f64 {
+        self.start + self.cells.len() as f64 * 2.0 * HALF
+    }
+}
+
+/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is
+/// (−1)ᵏ/k! Σⱼ Heₖ(tⱼ) exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials
+/// Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn expansion(points: &[f64], middle: f64) -> [f64; TERMS] {
+    let mut sums = [[0f64; LANES]; TERMS];
+    for chunk in points.chunks(LANES) {
+        let mut t = [1e6; LANES];
+        for (t, u) in t.iter_mut().zip(chunk) {
+            *t = middle - u;
+        }
+        let mut previous = [0f64; LANES];
+        let mut term = [0f64; LANES];
+        for lane in 0..LANES {
+            // The term of 1e6, which fills up, is exactly the least that is given: 1e-301.
+            term[lane] = exp2_of_minus(0.5 * std::f64::consts::LOG2_E * t[lane] * t[lane]);
+        }
+        // (−1)ᵏ/k! Heₖ, by its own recurrence: aₖ₊₁ = −(t aₖ + aₖ₋₁)/(k + 1).
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let over = -1.0 / (k + 1) as f64;
+            for lane in 0..LANES {
+                sum[lane] += term[lane];
+                let next = over * (t[lane] * term[lane] + previous[lane]);
+                previous[lane] = term[lane];
+                term[lane] = next;
+            }
+        }
+    }
+    sums.map(|lanes| lanes.iter().sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plain(points: &[f64], others: &[f64], shift: f64, sigma: f64) -> f64 {
+        let kernel = |u: f64, x: f64| (-0.5 * ((x + shift - u) / sigma).powi(2)).exp();
+        points.iter().flat_map(|&u| others.iter().map(move |&x| kernel(u, x))).sum()
+    }
+
+    fn sorted(mut values: Vec<f64>) -> Vec<f64> {
+        values.sort_by(f64::total_cmp);
+        values
+    }
+
+    #[test]
+    fn each_kernel_value_is_good_to_2e_10() {
+        let line = LineSum::new([0.3].into_iter(), 0.0, 2.0);
+        for i in -30_000..30_000 {
+            let x = f64::from(i) * 1e-3;
+            let error = line.sum([x].into_iter(), 0.1) - plain(&[0.3], &[x], 0.1, 2.0);
+            assert!(error.abs() < 2e-10, "{x}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn sums_agree_on_clusters_tails_and_outliers() {
+        let tails = |n: usize, by: f64| {
+            let tail = |i: usize| ((i as f64 + 0.5) / n as f64 - 0.5) * std::f64::consts::PI;
+            sorted((0..n).map(|i| tail(i).tan() * by).collect())
+        };
+        let cases = [
+            (tails(400, 1.0), tails(399, 1.1), 1.0),
+            (tails(50, 1e-30), tails(400, 2e-30), 1e-30),
+            (tails(400, 1e30), tails(400, 2e30), 3e29),
+            (vec![0.0; 400], vec![0.0, 0.1, 1e300], 1.0),
+            (vec![-1e300, 0.0, 17.0, 34.0, 1e300], vec![8.5, 8.6, 40.0], 1.0),
+        ];
+        for (points, others, sigma) in cases {
+            let line = LineSum::new(points.iter().copied(), 0.0, sigma);
+            for shift in [0.0, 0.37 * sigma, -5.0 * sigma] {
+                let exact = plain(&points, &others, shift, sigma);
+                let error = line.sum(others.iter().copied(), shift) - exact;
+                let values = (points.len() * others.len()) as f64;
+                assert!(error.abs() < 2e-10 * values, "{shift}: {error:e} of {exact}");
+            }
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! The one place with intrinsics: Gaussian sums on AVX-512. Safe twin: `portable_sum` in
+//! [`super::lanes`], against which this is tested.
+//!
+//! Per evaluation 2^(−q/16), q the squared distance: adding 1.5·2²³ rounds −q to a whole number N
+//! of sixteenths; 2^(N/16) is a table of 16 and an exponent; the rest |f| ≤ ½ sixteenth is a
+//! square, [`QUICK`], with a relative error below 9e-7 whose mean is next to zero, or a cubic, [`FINE`],
+//! below 3e-9 before rounding.
+
+#![cfg(target_arch = "x86_64")]
+
+use std::arch::x86_64::*;
+
+use super::lanes::LANES;
+
+/// Constant `PATH` of [`sum`]: squared distances stay below [`REACH`], and a square will do.
+pub(super) const QUICK: u8 = 0;
+/// The same, for squared distances of any size.
+pub(super) const QUICK_FAR: u8 = 1;
+/// Squared distances of any size, and a cubic.
+pub(super) const FINE: u8 = 2;
+
+/// Largest squared distance, in the units of this module, that needs no care: 2^(−2016/16) still is
+/// a normal number.
+pub(super) const REACH: f32 = 2016.0;
+
+const ROUND: f32 = 12_582_912.0;
+/// 2^(f/16) ≈ ALPHA·((f + 23)² + BETA) on [−½, ½]: minimax, with the mean error next to zero. The
+/// best centre is 23.08; a whole number can be added to N without a step of its own.
+const ALPHA: f64 = 9.418_457_442e-4;
+const BETA: f32 = 532.744_7;
+const CENTRE: f32 = 23.0;
+const CUBIC: [f32; 3] = [4.332_17e-2, 9.384_11e-4, 1.354_99e-5];
+
+/// Bits of 2^(j/16), less what the shifted N adds to them.
+static TABLE: [u32; 16] = [
+    0x3f80_0000,
+    0x3f7d_aac3,
+    0x3f7b_95c2,
+    0x3f79_c3d3,
+    0x3f78_37f0,
+    0x3f76_f532,
+    0x3f75_fed7,
+    0x3f75_583f,
+    0x3f75_04f3,
+    0x3f75_08a4,
+    0x3f75_672a,
+    0x3f76_248c,
+    0x3f77_44fd,
+    0x3f78_ccdf,
+    0x3f7a_c0c7,
+    0x3f7d_257d,
+];
+
+/// Whether this machine can run [`sum`].
+pub(super) fn is_available() -> bool {
+    is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq")
+}
+
+/// Σᵢⱼ wᵢⱼ 2^(−‖aᵢ − bⱼ‖²/16) over rows i of `a` and columns j of `b`, each channel padded to whole
+/// blocks of [`LANES`]. With `SELF`, a and b are one: blocks right of the diagonal count twice, and
+/// those left of it are left out.
+///
+/// # Safety
+/// The machine must have AVX-512F and AVX-512DQ: see [`is_available`].
+#[target_feature(enable = "avx512f,avx512dq")]
+pub(super) unsafe fn sum<const C: usize, const PATH: u8, const SELF: bool>(
+    a: [&[f32]; C],
+    rows: usize,
+    b: [&[f32]; C],
+) -> f64 {
+    let mut total = _mm512_setzero_pd();
+    let mut row = 0;
+    while row + 4 <= rows {
+        total = _mm512_add_pd(total, rows_sum::<C, PATH, SELF, 4>(a, row, b));
+        row += 4;
+    }
+    while row < rows {
+        total = _mm512_add_pd(total, rows_sum::<C, PATH, SELF, 1>(a, row, b));
+        row += 1;
+    }
+    let unit = if PATH == FINE { 1.0 } else { ALPHA };
+    unit * _mm512_reduce_add_pd(total)
+}
+
+/// `R` rows at once, which all lie in one block: their sums stay in registers, in f32, and go over
+/// to f64 at the end of the row.
+#[target_feature(enable = "avx512f,avx512dq")]
+#[inline]
+fn rows_sum<const C: usize, const PATH: u8, const SELF: bool, const R: usize>(
+    a: [&[f32]; C],
+    row: usize,
+    b: [&[f32]; C],
+) -> __m512d {
+    let at: [[__m512; C]; R] =
+        std::array::from_fn(|r| std::array::from_fn(|c| _mm512_set1_ps(a[c][row + r])));
+    let mut sums = [_mm512_setzero_ps(); R];
+    let blocks = b.map(|channel| channel.as_chunks::<LANES>().0);
+    let mut block = 0;
+    if SELF {
+        let diagonal = row / LANES;
+        add_block::<C, PATH, R>(&mut sums, &at, blocks, diagonal);
+        // Halved, since all is doubled below.
+        sums = sums.map(|sum| _mm512_mul_ps(sum, _mm512_set1_ps(0.5)));
+        block = diagonal + 1;
+    }
+    while block < blocks[0].len() {
+        add_block::<C, PATH, R>(&mut sums, &at, blocks, block);
+        block += 1;
+    }
+    let mut total = _mm512_setzero_pd();
+    for sum in sums {
+        let low = _mm512_cvtps_pd(_mm512_castps512_ps256(sum));
+        let high = _mm512_cvtps_pd(_mm512_extractf32x8_ps::<1>(sum));
+        total = _mm512_add_pd(total, _mm512_add_pd(low, high));
+    }
+    if SELF { _mm512_add_pd(total, total) } else { total }
+}
+
+#[target_feature(enable = "avx512f,avx512dq")]
+#[inline]
+fn add_block<const C: usize, const PATH: u8, const R: usize>(
+    sums: &mut [__m512; R],
+    at: &[[__m512; C]; R],
+    blocks: [&[[f32; LANES]]; C],
+    block: usize,
+) {
+    // SAFETY: each pointer is that of an array of LANES = 16 f32, all of which are read, unaligned.
+    let other: [__m512; C] =
+        std::array::from_fn(|c| unsafe { _mm512_loadu_ps(blocks[c][block].as_ptr()) });
+    for (sum, at) in sums.iter_mut().zip(at) {
+        *sum = add_kernel::<C, PATH>(*sum, at, &other);
+    }
+}
+
+/// `sum` + 2^(−‖at − other‖²/16), without the factor [`ALPHA`] where a square is used.
+#[target_feature(enable = "avx512f,avx512dq")]
+#[inline]
+fn add_kernel<const C: usize, const PATH: u8>(
+    sum: __m512,
+    at: &[__m512; C],
+    other: &[__m512; C],
+) -> __m512 {
+    let set = _mm512_set1_ps;
+    // Added to the rounded −q, which it takes away again: N exactly, moved to the square's centre.
+    let centre = if PATH == FINE { 0.0 } else { CENTRE };
+    let mut d = _mm512_sub_ps(other[0], at[0]);
+    let (rounded, f);
+    if C == 1 {
+        if PATH != QUICK {
+            // The smaller absolute value, with a positive sign.
+            d = _mm512_range_ps::<0b1010>(d, set(44.8));
+        }
+        rounded = _mm512_fnmadd_ps(d, d, set(ROUND));
+        f = _mm512_fnmadd_ps(d, d, _mm512_sub_ps(set(ROUND + centre), rounded));
+    } else {
+        let mut q = _mm512_mul_ps(d, d);
+        for c in 1..C {
+            d = _mm512_sub_ps(other[c], at[c]);
+            q = _mm512_fmadd_ps(d, d, q);
+        }
+        if PATH != QUICK {
+            q = _mm512_min_ps(q, set(REACH));
+        }
+        rounded = _mm512_sub_ps(set(ROUND), q);
+        f = _mm512_sub_ps(_mm512_sub_ps(set(ROUND + centre), rounded), q);
+    }
+    let n = _mm512_castps_si512(rounded);
+    // SAFETY: the pointer is that of an array of 16 u32, all of which are read, unaligned.
+    let table = unsafe { _mm512_loadu_si512(TABLE.as_ptr().cast()) };
+    let power = _mm512_add_epi32(_mm512_permutexvar_epi32(n, table), _mm512_slli_epi32::<19>(n));
+    let rest = if PATH == FINE {
+        let p = _mm512_fmadd_ps(set(CUBIC[2]), f, set(CUBIC[1]));
+        let p = _mm512_fmadd_ps(p, f, set(CUBIC[0]));
+        _mm512_fmadd_ps(p, f, set(1.0))
+    } else {
+        _mm512_fmadd_ps(f, f, set(BETA))
+    };
+    _mm512_fmadd_ps(_mm512_castsi512_ps(power), rest, sum)
+}

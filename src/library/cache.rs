@@ -1,0 +1,225 @@
+//! The cache beside a library: prepared trials, so that they need not be prepared again.
+//!
+//! One hidden file a method, `LIBRARY/.METHOD.surfaced-cache`, replaced as a whole. It may be removed
+//! at any time. Little-endian:
+//!
+//! ```text
+//! "surfaced cache"  version u16   key u64
+//! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
+//! ```
+//! `key` stands for the settings that the trials were prepared with, `stamp` for sizes and times of
+//! a trial's files. Whatever is wrong with the file, the answer is that it holds less: never an
+//! error, at most a remark.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+const MAGIC: &[u8; 14] = b"surfaced cache";
+/// Raised whenever what prepared trials hold, or how they are stored, changes.
+const VERSION: u16 = 1;
+const HEADER: usize = MAGIC.len() + 2 + 8;
+
+/// What a cache file held.
+#[derive(Debug)]
+pub struct Cache {
+    path: PathBuf,
+    key: u64,
+    bytes: Vec<u8>,
+    /// Stamp, bytes, and all that the checksum covers, by name.
+    records: BTreeMap<String, (u64, Range<usize>, Range<usize>)>,
+}
+
+/// One trial to be stored.
+pub struct Record<'a> {
+    /// What it is called.
+    pub name: String,
+    /// Stands for the files that it was prepared from.
+    pub stamp: u64,
+    /// What it is.
+    pub bytes: Cow<'a, [u8]>,
+}
+
+impl Cache {
+    /// Opens the cache of a method in a library's folder. A file that is damaged, of another
+    /// version or with another key counts as empty; the remark says why, if that may surprise.
+    pub fn open(library: &Path, method: &str, key: u64) -> (Self, Option<String>) {
+        let path = library.join(format!(".{method}.surfaced-cache"));
+        let mut cache = Self { path, key, bytes: Vec::new(), records: BTreeMap::new() };
+        let remark = match fs::read(&cache.path) {
+            Ok(bytes) => {
+                cache.bytes = bytes;
+                cache.index().err()
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => Some(error.to_string()),
+        };
+        let remark = remark
+            .map(|why| format!("{}: {why}; the library is prepared anew", cache.path.display()));
+        (cache, remark)
+    }
+
+    /// Finds the records; an error leaves those found so far.
+    fn index(&mut self) -> Result<(), String> {
+        let bytes = self.bytes.as_slice();
+        let rest = bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
+        let (version, rest) = rest.split_first_chunk().ok_or("the file is cut short")?;
+        let version = u16::from_le_bytes(*version);
+        if version != VERSION {
+            return Err(format!("a cache of version {version}, not {VERSION}"));
+        }
+        let (key, _) = rest.split_first_chunk().ok_or("the file is cut short")?;
+        if u64::from_le_bytes(*key) != self.key {
+            return Err("prepared with other settings".into());
+        }
+        let mut at = HEADER;
+        while at < bytes.len() {
+            let found = record(bytes, at).ok_or("the file is cut short or damaged")?;
+            at = found.end;
+            self.records.insert(found.name.into(), (found.stamp, found.bytes, found.checked));
+        }
+        Ok(())
+    }
+
+    /// The bytes stored under a name, if they are whole and their stamp is this one.
+    pub fn get(&self, name: &str, stamp: u64) -> Option<&[u8]> {
+        let (of_record, bytes, checked) = self.records.get(name)?;
+        let sum = self.bytes.get(checked.end..checked.end + 4)?;
+        let whole = crc32fast::hash(&self.bytes[checked.clone()]).to_le_bytes() == sum;
+        (*of_record == stamp && whole).then(|| &self.bytes[bytes.clone()])
+    }
+
+    /// Writes a new file in the place of the old one; says what went wrong, if anything did.
+    pub fn replace(&self, records: &[Record<'_>]) -> Option<String> {
+        // Two programs may do so at once: each writes a file of its own.
+        let unfinished = self.path.with_extension(format!("unfinished-{}", std::process::id()));
+        let written =
+            self.write(&unfinished, records).and_then(|()| fs::rename(&unfinished, &self.path));
+        written.err().map(|error| {
+            // Best effort: it may not even exist.
+            let _ = fs::remove_file(&unfinished);
+            format!(
+                "{}: {error}; the prepared library is not kept, and will be prepared anew next time",
+                self.path.display()
+            )
+        })
+    }
+
+    fn write(&self, path: &Path, records: &[Record<'_>]) -> io::Result<()> {
+        let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
+        file.write_all(MAGIC)?;
+        file.write_all(&VERSION.to_le_bytes())?;
+        file.write_all(&self.key.to_le_bytes())?;
+        for record in records {
+            let mut head = Vec::new();
+            head.extend((record.name.len() as u32).to_le_bytes());
+            head.extend(record.name.as_bytes());
+            head.extend(record.stamp.to_le_bytes());
+            head.extend((record.bytes.len() as u64).to_le_bytes());
+            let mut sum = crc32fast::Hasher::new();
+            sum.update(&head);
+            sum.update(&record.bytes);
+            file.write_all(&head)?;
+            file.write_all(&record.bytes)?;
+            file.write_all(&sum.finalize().to_le_bytes())?;
+        }
+        file.into_inner().map_err(io::IntoInnerError::into_error).map(drop)
+    }
+}
+
+/// Where one record lies.
+struct Found<'a> {
+    name: &'a str,
+    stamp: u64,
+    bytes: Range<usize>,
+    checked: Range<usize>,
+    end: usize,
+}
+
+fn record(all: &[u8], at: usize) -> Option<Found<'_>> {
+    let length = u32::from_le_bytes(*all.get(at..)?.first_chunk()?) as usize;
+    let name_at = at + 4;
+    let name = std::str::from_utf8(all.get(name_at..name_at.checked_add(length)?)?).ok()?;
+    let stamp_at = name_at + length;
+    let stamp = u64::from_le_bytes(*all.get(stamp_at..)?.first_chunk()?);
+    let count = u64::from_le_bytes(*all.get(stamp_at + 8..)?.first_chunk()?);
+    let start = stamp_at + 16;
+    let bytes = start..start.checked_add(usize::try_from(count).ok()?)?;
+    let end = bytes.end.checked_add(4)?;
+    (end <= all.len()).then_some(Found { name, stamp, checked: at..bytes.end, bytes, end })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn records() -> Vec<Record<'static>> {
+        let record = |name: &str, stamp, byte| Record {
+            name: name.into(),
+            stamp,
+            bytes: vec![byte; 100].into(),
+        };
+        vec![record("oak · expert · 1", 7, 1), record("beech", 8, 2)]
+    }
+
+    fn written() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, remark) = Cache::open(folder.path(), "m", 5);
+        assert_eq!((remark, cache.replace(&records())), (None, None));
+        folder
+    }
+
+    #[test]
+    fn what_was_stored_is_found_under_its_name_and_stamp() {
+        let folder = written();
+        let (cache, remark) = Cache::open(folder.path(), "m", 5);
+        assert_eq!(remark, None);
+        assert_eq!(cache.get("beech", 8), Some(&[2; 100][..]));
+        assert_eq!(cache.get("beech", 9), None, "files have changed");
+        assert_eq!(cache.get("ash", 8), None);
+        let (cache, _) = Cache::open(folder.path(), "other", 5);
+        assert_eq!(cache.get("beech", 8), None);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing unfinished is left");
+    }
+
+    #[test]
+    fn another_key_another_version_and_another_file_count_as_empty() {
+        let folder = written();
+        let (cache, remark) = Cache::open(folder.path(), "m", 6);
+        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("other settings"));
+        let path = folder.path().join(".m.surfaced-cache");
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[14] += 1;
+        fs::write(&path, &bytes).unwrap();
+        let (cache, remark) = Cache::open(folder.path(), "m", 5);
+        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 2"));
+        fs::write(&path, "something else").unwrap();
+        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("no cache of surfaced"));
+    }
+
+    #[test]
+    fn damage_anywhere_never_gives_wrong_bytes() {
+        let folder = written();
+        let path = folder.path().join(".m.surfaced-cache");
+        let good = fs::read(&path).unwrap();
+        for at in 0..good.len() {
+            let mut bytes = good.clone();
+            bytes[at] ^= 0x41;
+            fs::write(&path, &bytes).unwrap();
+            let (cache, _) = Cache::open(folder.path(), "m", 5);
+            assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "byte {at}");
+            fs::write(&path, &good[..at]).unwrap();
+            let (cache, _) = Cache::open(folder.path(), "m", 5);
+            assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "cut at {at}");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_is_a_remark() {
+        let (cache, _) = Cache::open(Path::new("/nowhere/at/all"), "m", 5);
+        assert!(cache.replace(&records()).unwrap().contains("prepared anew next time"));
+    }
+}
