@@ -182,7 +182,7 @@ impl Bench {
                 "fr" => 2,
                 _ => 1,
             };
-            // Ten minutes: nobody drains while a script runs.
+            // 40 s: nobody drains while a script runs.
             let (sink, tap) = series(channels, 400_000, Bell::new().0);
             sinks.push(Sink::Series(sink));
             self.taps.push(tap);
