@@ -7,6 +7,7 @@
 mod control;
 mod mark;
 mod replay;
+pub mod serial;
 
 pub use control::{Control, DeviceState, Report, ReportKind};
 pub use mark::{Begin, Mark, Open};

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Select};
 
 use super::cut::cut;
+use super::live::Live;
 use super::mark::Marked;
 use super::outbox::Outbox;
 use super::progress::{self, Told};
@@ -20,6 +21,8 @@ use crate::ring::Stop;
 
 /// The longest time between two looks at the rings.
 const TURN: Duration = Duration::from_millis(5);
+/// Stands for the detector where a mark's device is asked for.
+const DETECTOR: usize = usize::MAX;
 
 pub(super) struct Collector {
     pub options: Options,
@@ -32,6 +35,8 @@ pub(super) struct Collector {
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
     pub begun: u32,
+    /// Sets marks where the devices set none.
+    pub live: Option<Live>,
 }
 
 impl Collector {
@@ -47,6 +52,7 @@ impl Collector {
                 moved = true;
                 self.heed(report);
             }
+            self.listen(Live::listen);
             self.tell_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
                 && Instant::now() >= next_trace
@@ -92,20 +98,7 @@ impl Collector {
             ReportKind::State { state, detail } => {
                 self.outbox.tell(Event::Device { device: name, state, detail });
             }
-            ReportKind::Mark(Mark::Begin(begin)) => {
-                self.abandon(|_| true, "another scan began before it ended");
-                self.begun += 1;
-                self.scans.push_back(Marked::new(self.begun, device, begin));
-            }
-            ReportKind::Mark(mark) => {
-                let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
-                    return self.outbox.warn(format!("{name}: a mark outside of any scan"));
-                };
-                let number = scan.number;
-                if let Err(problem) = scan.follow(mark, &self.streams) {
-                    self.outbox.warn(format!("{name}: scan {number}: {problem}"));
-                }
-            }
+            ReportKind::Mark(mark) => self.mark(device, &name, mark),
             ReportKind::Ended(result) => {
                 self.devices[device].1 = true;
                 self.abandon(|scan| scan.device == device, "its device ended");
@@ -115,6 +108,30 @@ impl Collector {
                     self.outbox.tell(Event::Device { device: name, state, detail: problem });
                 }
             }
+        }
+    }
+
+    /// Follows a mark, which `device` set; its `name` is for people.
+    fn mark(&mut self, device: usize, name: &str, mark: Mark) {
+        if let Mark::Begin(begin) = mark {
+            self.abandon(|_| true, "another scan began before it ended");
+            self.begun += 1;
+            return self.scans.push_back(Marked::new(self.begun, device, begin));
+        }
+        let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
+            return self.outbox.warn(format!("{name}: a mark outside of any scan"));
+        };
+        let number = scan.number;
+        if let Err(problem) = scan.follow(mark, &self.streams) {
+            self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+        }
+    }
+
+    /// Follows the marks that a detector sets, where there is one.
+    fn listen(&mut self, to: impl Fn(&mut Live, &[Stream]) -> Vec<Mark>) {
+        let Some(live) = &mut self.live else { return };
+        for mark in to(live, &self.streams) {
+            self.mark(DETECTOR, "the detector", mark);
         }
     }
 
@@ -179,6 +196,9 @@ impl Collector {
     }
 
     fn finish(mut self) -> Totals {
+        self.drain();
+        self.listen(Live::listen);
+        self.listen(Live::finish);
         self.abandon(|_| true, "the session ended");
         // Whatever a device that hangs still owes will not come.
         self.drain();

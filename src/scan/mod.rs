@@ -3,9 +3,12 @@
 //! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
 //! [`Scan`] holds nothing but what came out of the rings; what it truly is travels beside it.
 
+pub mod clock;
 mod collect;
 mod cut;
+pub mod detect;
 mod history;
+mod live;
 mod mark;
 mod outbox;
 mod progress;
@@ -13,6 +16,7 @@ mod session;
 mod stream;
 
 pub use history::{ImageHistory, SeriesHistory};
+pub use live::{CutFrom, Detection};
 pub use progress::{Fresh, Progress, SoFar, Trace};
 pub use session::{Options, Session, SessionError, StreamMeter};
 

@@ -10,6 +10,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
+use super::live::{Detection, Live};
 use super::outbox::Outbox;
 use super::stream::Stream;
 use super::{Event, Totals};
@@ -42,6 +43,8 @@ pub struct Options {
     pub stop_limit: Duration,
     /// How many events wait for their reader.
     pub events: usize,
+    /// How scans are found in streams that carry no marks. Off by default.
+    pub detection: Option<Detection>,
 }
 
 impl Default for Options {
@@ -56,6 +59,7 @@ impl Default for Options {
             deliver_limit: Duration::from_secs(2),
             stop_limit: Duration::from_secs(2),
             events: 64,
+            detection: None,
         }
     }
 }
@@ -146,6 +150,7 @@ impl Session {
             ready.push((device, sinks));
         }
         let names = ready.iter().map(|(device, _)| (device.name().to_string(), false)).collect();
+        let live = options.detection.clone().map(|plan| Live::new(plan, &streams));
         let collector = Collector {
             options,
             streams,
@@ -156,6 +161,7 @@ impl Session {
             devices: names,
             scans: VecDeque::new(),
             begun: 0,
+            live,
         };
         let collector = spawn("collector", move || {
             // However it ends, no device may wait for it any more.

@@ -1,0 +1,237 @@
+//! Serial ports: finding the stylus's, opening it, and what is wrong when that fails.
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
+
+use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
+
+/// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
+pub const BAUD: u32 = 3_000_000;
+/// The longest that a read or a write waits.
+const WAIT: Duration = Duration::from_millis(50);
+/// USB serial chips that can do [`BAUD`]: FTDI's.
+const FTDI: u16 = 0x0403;
+const FTDI_CHIPS: [u16; 5] = [0x6001, 0x6010, 0x6011, 0x6014, 0x6015];
+
+/// An open line. A read waits for a moment, then fails as timed out.
+pub trait Port: Read + Write + Send {}
+
+impl<T: Read + Write + Send> Port for T {}
+
+/// Opens the stylus's line; again after it was lost.
+pub trait OpenPort: Send {
+    /// For people: which stylus.
+    fn name(&self) -> String;
+
+    /// Opens the line and gives it with its path, or whatever names it.
+    ///
+    /// # Errors
+    /// If it is not there, or not to be had.
+    fn open(&mut self) -> Result<(Box<dyn Port>, String), PortError>;
+}
+
+/// Why a line cannot be opened.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PortError {
+    /// it is not plugged in, or has another name
+    #[error("{0} is not there; plug it in, or look at `surfaced devices`")]
+    Absent(String),
+    /// there are several that it could be
+    #[error(
+        "it could be any of {0}; name one in the configuration, port = \"/dev/serial/by-id/…\""
+    )]
+    Several(String),
+    /// another program has it
+    #[error("{0} is in use by another program; end that one, or name another port")]
+    Busy(String),
+    /// the user may not use it
+    #[error(
+        "permission denied on {0}; add yourself to its group (sudo usermod -aG dialout $USER, then \
+         log in again), or let udev allow it: write SUBSYSTEM==\"tty\", ATTRS{{idVendor}}==\"0403\", \
+         TAG+=\"uaccess\" to /etc/udev/rules.d/60-stylus.rules and run sudo udevadm control --reload \
+         && sudo udevadm trigger"
+    )]
+    Denied(String),
+    /// anything else that the system said
+    #[error("{path}: {problem}")]
+    Failed {
+        /// which port
+        path: String,
+        /// what the system said
+        problem: String,
+    },
+}
+
+/// Which port is the stylus's.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Selector {
+    /// The only FTDI chip that is plugged in.
+    #[default]
+    Auto,
+    /// A USB device.
+    Usb {
+        /// its vendor
+        vendor: u16,
+        /// its product
+        product: u16,
+        /// its serial number, where there are several
+        serial: Option<String>,
+    },
+    /// A path: one that stays (`/dev/serial/by-id/…`), or a pseudo-terminal.
+    Path(PathBuf),
+}
+
+impl FromStr for Selector {
+    type Err = String;
+
+    /// `auto`, `usb:VENDOR:PRODUCT` or `usb:VENDOR:PRODUCT:SERIAL` (the numbers in hexadecimal),
+    /// or a path.
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "auto" {
+            return Ok(Self::Auto);
+        }
+        let Some(usb) = text.strip_prefix("usb:") else {
+            return match text {
+                "" => Err("an empty name; expected `auto`, `usb:0403:6014` or a path".into()),
+                path => Ok(Self::Path(path.into())),
+            };
+        };
+        let mut parts = usb.splitn(3, ':');
+        let mut number = || parts.next().and_then(|part| u16::from_str_radix(part, 16).ok());
+        match (number(), number()) {
+            (Some(vendor), Some(product)) => {
+                let serial = parts.next().map(str::to_string);
+                Ok(Self::Usb { vendor, product, serial })
+            }
+            _ => Err(format!("`{text}` is no USB device; expected for example `usb:0403:6014`")),
+        }
+    }
+}
+
+impl Selector {
+    fn fits(&self, usb: &UsbPortInfo) -> bool {
+        match self {
+            Self::Auto => usb.vid == FTDI && FTDI_CHIPS.contains(&usb.pid),
+            Self::Usb { vendor, product, serial } => {
+                let right = |wanted: &String| usb.serial_number.as_ref() == Some(wanted);
+                usb.vid == *vendor && usb.pid == *product && serial.as_ref().is_none_or(right)
+            }
+            Self::Path(_) => false,
+        }
+    }
+
+    /// The one port of `ports` that fits.
+    fn choose(&self, ports: &[SerialPortInfo]) -> Result<String, PortError> {
+        let fits = |port: &&SerialPortInfo| match &port.port_type {
+            SerialPortType::UsbPort(usb) => self.fits(usb),
+            _ => false,
+        };
+        let mut found: Vec<&str> =
+            ports.iter().filter(fits).map(|port| port.port_name.as_str()).collect();
+        found.sort_unstable();
+        match found[..] {
+            [] => Err(PortError::Absent(self.to_string())),
+            [port] => Ok(port.to_string()),
+            _ => Err(PortError::Several(found.join(", "))),
+        }
+    }
+}
+
+impl std::fmt::Display for Selector {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("a USB serial adapter by FTDI"),
+            Self::Usb { vendor, product, serial } => {
+                write!(f, "the USB device {vendor:04x}:{product:04x}")?;
+                serial.iter().try_for_each(|serial| write!(f, " {serial}"))
+            }
+            Self::Path(path) => write!(f, "{}", path.display()),
+        }
+    }
+}
+
+impl OpenPort for Selector {
+    fn name(&self) -> String {
+        match self {
+            Self::Auto => "stylus".into(),
+            other => format!("stylus {other}"),
+        }
+    }
+
+    fn open(&mut self) -> Result<(Box<dyn Port>, String), PortError> {
+        let path = match self {
+            Self::Path(path) => path.display().to_string(),
+            // The crate relies on this folder, which a container may lack.
+            _ if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() => {
+                return Err(PortError::Absent(self.to_string()));
+            }
+            _ => {
+                let ports = serialport::available_ports()
+                    .map_err(|error| failed("the list of serial ports", &error))?;
+                self.choose(&ports)?
+            }
+        };
+        match serialport::new(&path, BAUD).timeout(WAIT).open() {
+            Ok(port) => Ok((Box::new(port), path)),
+            Err(error) => Err(failed(&path, &error)),
+        }
+    }
+}
+
+/// The crate tells a port that is locked as `NoDevice`, and one that is gone as several others.
+fn failed(path: &str, error: &serialport::Error) -> PortError {
+    let there = Path::new(path).exists();
+    let path = path.to_string();
+    match error.kind() {
+        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => PortError::Denied(path),
+        ErrorKind::NoDevice if there => PortError::Busy(path),
+        ErrorKind::NoDevice | ErrorKind::Io(std::io::ErrorKind::NotFound) => {
+            PortError::Absent(path)
+        }
+        _ => PortError::Failed { path, problem: error.to_string() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn port(name: &str, vid: u16, pid: u16, serial: &str) -> SerialPortInfo {
+        let serial_number = Some(serial.to_string());
+        let usb = UsbPortInfo { vid, pid, serial_number, manufacturer: None, product: None };
+        SerialPortInfo { port_name: name.into(), port_type: SerialPortType::UsbPort(usb) }
+    }
+
+    #[test]
+    fn a_stylus_is_found_by_chip_by_device_and_by_serial_number() {
+        let ports = [
+            port("/dev/ttyACM0", 0x2341, 0x43, "x"),
+            port("/dev/ttyUSB0", 0x0403, 0x6014, "A1"),
+            port("/dev/ttyUSB1", 0x1a86, 0x7523, "B"),
+        ];
+        let choose = |text: &str, ports: &[_]| text.parse::<Selector>().unwrap().choose(ports);
+        assert_eq!(choose("auto", &ports), Ok("/dev/ttyUSB0".into()));
+        assert_eq!(choose("usb:1a86:7523", &ports), Ok("/dev/ttyUSB1".into()));
+        assert!(matches!(choose("usb:0403:6001", &ports), Err(PortError::Absent(_))));
+        let two = [ports[1].clone(), port("/dev/ttyUSB5", 0x0403, 0x6014, "A2")];
+        assert!(matches!(choose("auto", &two), Err(PortError::Several(_))));
+        assert_eq!(choose("usb:0403:6014:A2", &two), Ok("/dev/ttyUSB5".into()));
+    }
+
+    #[test]
+    fn a_selector_that_is_none_is_refused() {
+        assert!("usb:zz:1".parse::<Selector>().unwrap_err().contains("usb:0403:6014"));
+        assert!("".parse::<Selector>().is_err());
+    }
+
+    #[test]
+    fn denied_busy_and_absent_are_told_apart() {
+        let of = |kind, path: &str| failed(path, &serialport::Error::new(kind, ""));
+        let denied = of(ErrorKind::Io(std::io::ErrorKind::PermissionDenied), "/dev/null");
+        assert!(denied.to_string().contains("ATTRS{idVendor}==\"0403\""), "{denied}");
+        assert!(matches!(of(ErrorKind::NoDevice, "/dev/null"), PortError::Busy(_)));
+        assert!(matches!(of(ErrorKind::NoDevice, "/dev/none/x"), PortError::Absent(_)));
+    }
+}

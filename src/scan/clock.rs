@@ -1,0 +1,304 @@
+//! One time base: when each frame of a stream was sampled, from its index and arrival times.
+//!
+//! An arrival is late by the way through buffers, by an amount that is never negative and often
+//! large. So the line of sampling times lies *below* all points (index, arrival): the clock takes
+//! the edge of their lower convex hull under their middle, which is the line below all of them
+//! that is nearest to them (S. B. Moon, P. Skelly and D. Towsley, *Estimation and removal of clock
+//! skew from network delay measurements*, INFOCOM 1999). The least delay that there ever is cannot
+//! be seen in arrival times: it stays in the offset, and is the same for all frames.
+//!
+//! Pure: the arrival times are passed in.
+
+use std::collections::VecDeque;
+
+/// Seconds of the daemon's time base.
+pub type Second = f64;
+
+/// Of each so many seconds, the point with the least delay is kept.
+const BIN_S: Second = 0.5;
+/// So many are kept: a minute.
+const BINS: usize = 120;
+/// A span of less says nothing of the drift: at 1 ms of noise, 10 s leave 100 ppm.
+const LEAST_SPAN_S: Second = 10.0;
+/// No clock is worse; the stylus without its crystal is good to 1 %.
+const WORST_DRIFT: f64 = 0.02;
+/// So many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
+const STEP_BINS: usize = 3;
+const STEP_S: Second = 0.01;
+
+/// The line from a stream's index to the time base.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    /// Nominal time from frame to frame.
+    period_s: Second,
+    /// Finished bins, oldest first, as points (nominal time, delay).
+    bins: VecDeque<Point>,
+    /// The bin that goes on: when it began, and its point so far.
+    current: Option<(Second, Point)>,
+    line: Option<Line>,
+}
+
+/// `x` is the nominal time of an index, `y` how much later than that it arrived, both in seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Point {
+    x: Second,
+    y: Second,
+}
+
+/// Delay at `x`: `at.y + slope · (x − at.x)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Line {
+    at: Point,
+    slope: f64,
+}
+
+impl Line {
+    fn y(&self, x: Second) -> Second {
+        self.at.y + self.slope * (x - self.at.x)
+    }
+}
+
+impl Clock {
+    /// A clock of a stream with this nominal rate in Hz; a rate that is none is taken as 1 Hz.
+    pub fn new(rate_hz: f64) -> Self {
+        let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
+        Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }
+    }
+
+    /// Notes that all frames before `index` had arrived at `arrival_s`. Neither may go back;
+    /// observations that do, or that are not finite, are passed over.
+    pub fn observe(&mut self, index: u64, arrival_s: Second) {
+        let x = index as f64 * self.period_s;
+        let point = Point { x, y: arrival_s - x };
+        let newest = self.current.map(|(_, point)| point).or(self.bins.back().copied());
+        if !point.y.is_finite() || newest.is_some_and(|newest| x < newest.x) {
+            return;
+        }
+        match &mut self.current {
+            Some((since, best)) if arrival_s - *since < BIN_S => {
+                if point.y <= best.y {
+                    *best = point;
+                    if self.line.is_none_or(|line| point.y < line.y(x)) {
+                        self.fit();
+                    }
+                }
+            }
+            current => {
+                if let Some((_, best)) = current.replace((arrival_s, point)) {
+                    self.bins.push_back(best);
+                    if self.bins.len() > BINS {
+                        self.bins.pop_front();
+                    }
+                    self.forget_before_step();
+                }
+                self.fit();
+            }
+        }
+    }
+
+    /// When the frame `index` was sampled, up to the stream's constant delay; none before the
+    /// first arrival.
+    pub fn time_s(&self, index: u64) -> Option<Second> {
+        let x = index as f64 * self.period_s;
+        self.line.map(|line| x + line.y(x))
+    }
+
+    /// Index of the first frame sampled at `time_s` or later; 0 for times before the stream.
+    pub fn index_at(&self, time_s: Second) -> Option<u64> {
+        let Line { at, slope } = self.line?;
+        // time = x + at.y + slope · (x − at.x)
+        let x = (time_s - at.y + slope * at.x) / (1.0 + slope);
+        // The cast saturates at both ends; a hair less, so that an index finds itself.
+        Some((x / self.period_s - 1e-6).ceil() as u64)
+    }
+
+    /// How much longer than nominal the stream's seconds are, as a fraction; 0 while unknown.
+    pub fn drift(&self) -> f64 {
+        self.line.map_or(0.0, |line| line.slope)
+    }
+
+    fn points(&self) -> impl Iterator<Item = Point> + '_ {
+        self.bins.iter().copied().chain(self.current.map(|(_, point)| point))
+    }
+
+    fn fit(&mut self) {
+        let points: Vec<Point> = self.points().collect();
+        let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
+        let span = last.x - first.x;
+        let lowest = |slope: f64| {
+            let over = |p: &&Point| p.y - slope * (p.x - first.x);
+            let at = points.iter().min_by(|a, b| over(a).total_cmp(&over(b)));
+            at.map(|at| Line { at: *at, slope })
+        };
+        self.line = if span < LEAST_SPAN_S {
+            lowest(0.0)
+        } else {
+            match edge_under(&points, first.x + 0.5 * span) {
+                Some(line) if line.slope.abs() <= WORST_DRIFT => Some(line),
+                _ => lowest(0.0),
+            }
+        };
+    }
+
+    /// Forgets what was before a step of the index, which arrivals after it contradict.
+    fn forget_before_step(&mut self) {
+        let Some(old) = self.bins.len().checked_sub(STEP_BINS).filter(|old| *old >= STEP_BINS)
+        else {
+            return;
+        };
+        let (Some(line), Some(first)) = (self.line, self.bins.front()) else { return };
+        // Before the drift is known, it would look like a step.
+        if self.bins[old - 1].x - first.x < LEAST_SPAN_S {
+            return;
+        }
+        let off = |point: &Point| point.y - line.y(point.x);
+        let all = |far: fn(Second) -> bool| self.bins.range(old..).all(|point| far(off(point)));
+        // The line is below all points, so what is early shows as old points that are late.
+        let late = all(|off| off > STEP_S);
+        let early = self.bins.range(..old).all(|point| off(point) > STEP_S);
+        if late || early {
+            self.bins.drain(..old);
+        }
+    }
+}
+
+/// The edge of the lower convex hull of `points` (in order of x) that lies over or at `middle`.
+fn edge_under(points: &[Point], middle: Second) -> Option<Line> {
+    let mut hull: Vec<Point> = Vec::with_capacity(points.len());
+    for &p in points {
+        if let Some(last) = hull.last_mut().filter(|last| last.x >= p.x) {
+            last.y = last.y.min(p.y);
+            continue;
+        }
+        while let [.., a, b] = hull[..] {
+            // b is on or above the line from a to p
+            if (b.y - a.y) * (p.x - a.x) < (p.y - a.y) * (b.x - a.x) {
+                break;
+            }
+            hull.pop();
+        }
+        hull.push(p);
+    }
+    let edge = hull.windows(2).find(|edge| edge[1].x >= middle)?;
+    let (a, b) = (edge[0], edge[1]);
+    Some(Line { at: a, slope: (b.y - a.y) / (b.x - a.x) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers in 0..1 that repeat with their seed.
+    fn uniform(seed: &mut u64) -> f64 {
+        *seed =
+            seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*seed >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// How samples come: in bursts, each late by a share that is exponential and now and then has
+    /// a Pareto tail (index 1.5, so that its variance is infinite).
+    struct Line {
+        rate_hz: f64,
+        drift: f64,
+        burst_s: f64,
+        jitter_s: f64,
+    }
+
+    impl Line {
+        fn true_time(&self, index: u64) -> f64 {
+            3.0 + index as f64 / self.rate_hz * (1.0 + self.drift)
+        }
+
+        /// A clock after `seconds`, and the largest error of a 5 s span from `from_s` on.
+        fn run(&self, seconds: f64, from_s: f64, seed: u64) -> (Clock, f64) {
+            let (mut clock, seed) = (Clock::new(self.rate_hz), &mut (seed + 1));
+            let (mut index, mut last, mut worst) = (0, 0.0_f64, 0.0_f64);
+            while (index as f64) < seconds * self.rate_hz {
+                index += (self.burst_s * self.rate_hz * (0.5 + uniform(seed))) as u64 + 1;
+                let mut late = -self.jitter_s * (1.0 - uniform(seed)).ln();
+                if uniform(seed) < 0.05 {
+                    late += 0.005 * (1.0 - uniform(seed)).powf(-1.0 / 1.5);
+                }
+                last = last.max(self.true_time(index) + late);
+                clock.observe(index, last);
+                if last - 3.0 > from_s {
+                    let start = last - 6.0;
+                    let span = |t: f64| clock.index_at(t).unwrap() as f64;
+                    let frames = span(start + 5.0) - span(start);
+                    let true_frames = 5.0 * self.rate_hz / (1.0 + self.drift);
+                    worst = worst.max((frames - true_frames).abs() / self.rate_hz);
+                }
+            }
+            (clock, worst)
+        }
+    }
+
+    #[test]
+    fn drift_costs_at_most_1_ms_over_5_s_in_jitter_of_any_kind() {
+        let mut worst = 0.0_f64;
+        for seed in 0..40 {
+            for drift_ppm in [-100.0, -37.0, 0.0, 100.0] {
+                for (rate_hz, burst_s, jitter_s) in
+                    [(10_000.0, 0.003, 0.000_5), (10_000.0, 0.016, 0.004), (44_100.0, 0.01, 0.002)]
+                {
+                    let line = Line { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
+                    let (_, error_s) = line.run(40.0, 6.0, seed);
+                    worst = worst.max(error_s);
+                }
+            }
+        }
+        println!("worst error of a 5 s span: {:.3} ms", worst * 1e3);
+        assert!(worst <= 1e-3, "{worst}");
+    }
+
+    #[test]
+    fn the_drift_is_found() {
+        let line = Line { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
+        let (clock, _) = line.run(60.0, 100.0, 7);
+        assert!((clock.drift() - 100e-6).abs() < 10e-6, "{}", clock.drift());
+    }
+
+    #[test]
+    fn a_stylus_without_its_crystal_is_followed() {
+        let line = Line { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
+        let (_, error_s) = line.run(60.0, 16.0, 3);
+        assert!(error_s <= 1e-3, "{error_s}");
+    }
+
+    #[test]
+    fn an_index_and_its_time_belong_to_each_other() {
+        let line = Line { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
+        let (clock, _) = line.run(30.0, 100.0, 1);
+        for index in [0, 1, 44_099, 1_000_000] {
+            assert_eq!(clock.index_at(clock.time_s(index).unwrap()), Some(index));
+        }
+        assert_eq!(clock.index_at(-1e9), Some(0));
+    }
+
+    #[test]
+    fn a_step_of_the_index_is_followed_in_both_directions() {
+        for step_s in [0.2, -0.2] {
+            let mut clock = Clock::new(1000.0);
+            for i in 0..30_000u64 {
+                let step = if i < 20_000 { 0.0 } else { step_s };
+                clock.observe(i, 1.0 + i as f64 * 1e-3 + step);
+            }
+            let error = clock.time_s(29_999).unwrap() - (1.0 + 29.999 + step_s);
+            assert!(error.abs() < 1e-6 && clock.drift().abs() < 1e-6, "{step_s}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_is_passed_over() {
+        let mut clock = Clock::new(f64::NAN);
+        assert_eq!((clock.time_s(0), clock.index_at(0.0)), (None, None));
+        clock.observe(5, f64::NAN);
+        clock.observe(5, f64::INFINITY);
+        assert_eq!(clock.time_s(0), None);
+        clock.observe(5, 1.0);
+        clock.observe(4, 2.0);
+        assert_eq!(clock.time_s(5), Some(1.0));
+        clock.observe(u64::MAX, 3.0);
+        assert!(clock.time_s(5).is_some_and(f64::is_finite));
+    }
+}

@@ -1,0 +1,168 @@
+//! Finds taps and drags in levels of force and vibration: pure, a state machine fed hop by hop.
+//!
+//! Contact begins where any stream reaches [`Limits::onset`] and ends once all are below
+//! [`Limits::quiet`]; the two differ so that a level near one of them does not flutter. A short
+//! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
+//! limits of level are multiples of each stream's own noise floor, see [`Level`].
+
+mod level;
+
+pub use level::{Feel, HOP_S, Level};
+
+/// When what is a tap, and what a drag.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Level at which contact begins, in multiples of the noise floor.
+    pub onset: f64,
+    /// Level below which it is quiet, in the same.
+    pub quiet: f64,
+    /// A tap that is quiet for so long is over, in seconds.
+    pub tap_hold_s: f64,
+    /// A contact that is longer is no tap but a drag, in seconds.
+    pub longest_tap_s: f64,
+    /// A drag comes at most so long after its tap, in seconds.
+    pub longest_pause_s: f64,
+    /// A drag that is quiet for so long is over, and ended when it became quiet, in seconds.
+    pub drag_hold_s: f64,
+    /// What stirs for longer is no drag but the room, in seconds.
+    pub longest_drag_s: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            onset: 6.0,
+            quiet: 3.0,
+            tap_hold_s: 0.05,
+            longest_tap_s: 0.3,
+            longest_pause_s: 3.0,
+            drag_hold_s: 0.3,
+            longest_drag_s: 60.0,
+        }
+    }
+}
+
+/// What was found; hops are counted from the begin of the streams, and so are half-open spans.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Found {
+    /// A drag goes on.
+    Drag {
+        /// the tap before it
+        tap: Option<(u64, u64)>,
+        /// its first hop
+        start: u64,
+    },
+    /// The drag has ended.
+    End {
+        /// the first hop after it
+        end: u64,
+    },
+    /// The drag was none: learn the floor anew.
+    Room,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum State {
+    Quiet { tap: Option<(u64, u64)> },
+    Contact { tap: Option<(u64, u64)>, start: u64, quiet_at: Option<u64> },
+    Drag { start: u64, quiet_at: Option<u64> },
+}
+
+/// The state machine.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    limits: Limits,
+    state: State,
+    hop: u64,
+}
+
+impl Detector {
+    /// Nothing found yet.
+    pub fn new(limits: Limits) -> Self {
+        Self { limits, state: State::Quiet { tap: None }, hop: 0 }
+    }
+
+    /// What it goes by.
+    pub fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// Whether there is contact, so that noise floors are to be held.
+    pub fn in_contact(&self) -> bool {
+        !matches!(self.state, State::Quiet { .. })
+    }
+
+    /// Takes the next hop: the highest level among the streams.
+    pub fn hop(&mut self, level: f64) -> Option<Found> {
+        let at = self.hop;
+        self.hop += 1;
+        let limits = self.limits;
+        let lasted = |since: u64, seconds: f64| (at + 1 - since) as f64 * HOP_S >= seconds - 1e-9;
+        // A level that is no number is not quiet, and begins nothing either.
+        let is_quiet = level < limits.quiet;
+        match &mut self.state {
+            State::Quiet { tap } => {
+                if tap.is_some_and(|(_, end)| lasted(end, limits.longest_pause_s)) {
+                    *tap = None;
+                }
+                if level >= limits.onset {
+                    self.state = State::Contact { tap: *tap, start: at, quiet_at: None };
+                }
+                None
+            }
+            State::Contact { tap, start, quiet_at } => {
+                *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
+                match *quiet_at {
+                    Some(end) if lasted(end, limits.tap_hold_s) => {
+                        self.state = State::Quiet { tap: Some((*start, end)) };
+                        None
+                    }
+                    None if lasted(*start, limits.longest_tap_s) => {
+                        let found = Found::Drag { tap: *tap, start: *start };
+                        self.state = State::Drag { start: *start, quiet_at: None };
+                        Some(found)
+                    }
+                    _ => None,
+                }
+            }
+            State::Drag { start, quiet_at } => {
+                *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
+                match *quiet_at {
+                    Some(end) if lasted(end, limits.drag_hold_s) => {
+                        self.state = State::Quiet { tap: None };
+                        Some(Found::End { end })
+                    }
+                    _ if lasted(*start, limits.longest_drag_s) => {
+                        self.state = State::Quiet { tap: None };
+                        Some(Found::Room)
+                    }
+                    _ => None,
+                }
+            }
+        }
+    }
+
+    /// The streams have ended or stalled: a drag that goes on ends here.
+    pub fn finish(&mut self) -> Option<Found> {
+        let state = std::mem::replace(&mut self.state, State::Quiet { tap: None });
+        match state {
+            State::Drag { quiet_at, .. } => Some(Found::End { end: quiet_at.unwrap_or(self.hop) }),
+            _ => None,
+        }
+    }
+}
+
+/// The first hop in `window` at which `levels` (hop by hop, the first one being hop `first`)
+/// reaches `onset` after a hop below it: where a tap begins in another stream.
+pub fn onset_in(
+    levels: &[f64],
+    first: u64,
+    window: std::ops::Range<u64>,
+    onset: f64,
+) -> Option<u64> {
+    let at = |hop: u64| levels.get(usize::try_from(hop.checked_sub(first)?).ok()?).copied();
+    window.skip_while(|hop| at(*hop).is_none_or(|x| x >= onset)).find(|hop| at(*hop) >= Some(onset))
+}
+
+#[cfg(test)]
+mod tests;

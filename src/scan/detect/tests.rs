@@ -1,0 +1,160 @@
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::dataset::synth;
+use crate::trial::Signal;
+
+const RATE_HZ: f64 = 10_000.0;
+
+/// Noise of this amplitude that repeats.
+fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
+    let mut next = || {
+        *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        ((*seed >> 8) as f32 / (1 << 24) as f32 - 0.5) * 2.0 * amplitude
+    };
+    (0..frames).map(|_| next()).collect()
+}
+
+/// Levels of a stream, and what a detector finds in them.
+fn find(feel: Feel, channels: usize, rate_hz: f64, samples: &[f32]) -> (Vec<f64>, Vec<Found>) {
+    let (mut level, mut detector) =
+        (Level::new(feel, channels, rate_hz), Detector::new(Limits::default()));
+    let (mut levels, mut found) = (Vec::new(), Vec::new());
+    for part in samples.chunks(channels * 37) {
+        let held = detector.in_contact();
+        if found.last() == Some(&Found::Room) {
+            level.relearn();
+        }
+        level.feed(part, held, |x| {
+            levels.push(x);
+            found.extend(detector.hop(x));
+        });
+    }
+    found.extend(detector.finish());
+    (levels, found)
+}
+
+fn synthetic(source: &str, entry: usize) -> (f64, Vec<f32>) {
+    let trial = synth::embedded().entries[entry].load().unwrap();
+    let signals: BTreeMap<_, _> = trial.signals;
+    match &signals[source] {
+        Signal::Series(series) => (series.rate_hz(), series.samples().to_vec()),
+        Signal::Image(_) => panic!("{source} is no series"),
+    }
+}
+
+/// Silence, tap, silence, drag, silence of a microphone; where tap and drag begin and end, in s.
+fn joined(entry: usize) -> (f64, Vec<f32>, [f64; 3]) {
+    let (rate_hz, tap) = synthetic("mi1", entry);
+    let (_, drag) = synthetic("mi2", entry);
+    // The room of the recording itself: what comes before the stylus touches.
+    let quiet = (tap[..800].iter().map(|x| x * x).sum::<f32>() / 800.0).sqrt();
+    let seed = &mut 7;
+    let mut silence = |seconds: f64| noise((seconds * rate_hz) as usize, quiet * 1.7, seed);
+    let mut all = silence(1.0);
+    let tap_s = all.len() as f64 / rate_hz + 0.02;
+    all.extend(&tap);
+    all.extend(silence(0.6));
+    let start_s = all.len() as f64 / rate_hz;
+    all.extend(&drag);
+    let end_s = all.len() as f64 / rate_hz;
+    all.extend(silence(1.0));
+    (rate_hz, all, [tap_s, start_s, end_s])
+}
+
+#[test]
+fn tap_and_drag_are_found_in_the_sound_of_every_synthetic_surface() {
+    let mut worst = 0.0_f64;
+    for entry in (0..synth::embedded().entries.len()).step_by(7) {
+        let (rate_hz, samples, [tap_s, start_s, end_s]) = joined(entry);
+        let (_, found) = find(Feel::Vibration, 1, rate_hz, &samples);
+        let [Found::Drag { tap: Some((tap, _)), start }, Found::End { end }] = found[..] else {
+            panic!("entry {entry}: {found:?}, expected {tap_s} {start_s} {end_s}");
+        };
+        for (hop, true_s) in [(tap, tap_s), (start, start_s), (end, end_s)] {
+            let error = hop as f64 * HOP_S - true_s;
+            worst = worst.max(error.abs());
+            assert!(error.abs() <= 0.02, "entry {entry}: {hop} for {true_s}");
+        }
+    }
+    println!("worst error of a begin or an end: {:.1} ms", worst * 1e3);
+}
+
+#[test]
+fn a_drag_is_found_in_force_above_what_rests_on_the_sensor() {
+    let seed = &mut 3;
+    let mut samples: Vec<f32> = noise(30_000, 0.001, seed).iter().map(|x| 0.1 + x).collect();
+    let push = noise(20_000, 0.02, seed).into_iter().map(|x| 0.3 + x);
+    samples.splice(8_000..28_000, push);
+    let (_, found) = find(Feel::Force, 1, RATE_HZ, &samples);
+    assert_eq!(found, [Found::Drag { tap: None, start: 160 }, Found::End { end: 560 }]);
+}
+
+#[test]
+fn noise_alone_is_nothing_and_a_louder_room_is_learnt() {
+    let seed = &mut 5;
+    let mut samples = noise(40_000, 0.01, seed);
+    assert_eq!(find(Feel::Vibration, 1, RATE_HZ, &samples).1, []);
+    samples.extend(noise(650_000, 0.1, seed));
+    let (_, found) = find(Feel::Vibration, 1, RATE_HZ, &samples);
+    assert_eq!(found[1..], [Found::Room], "{found:?}");
+}
+
+#[test]
+fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
+    let level = |hop: u64| match hop {
+        100..=109 => 20.0,
+        200..=399 | 440..=599 => 10.0,
+        // between the limits: neither begins nor ends anything
+        600..=649 => 4.0,
+        _ => 1.0,
+    };
+    let mut detector = Detector::new(Limits::default());
+    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(level(hop))).collect();
+    assert_eq!(found, [Found::Drag { tap: Some((100, 110)), start: 200 }, Found::End { end: 650 }]);
+}
+
+#[test]
+fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
+    let run = |taps: [u64; 2], drag: u64| {
+        let mut detector = Detector::new(Limits::default());
+        let on = |hop: u64| taps.iter().any(|t| (*t..t + 8).contains(&hop)) || hop >= drag;
+        let found: Vec<_> = (0..drag + 100)
+            .filter_map(|hop| detector.hop(if on(hop) { 9.0 } else { 0.0 }))
+            .collect();
+        found[0]
+    };
+    assert_eq!(run([100, 150], 300), Found::Drag { tap: Some((150, 158)), start: 300 });
+    assert_eq!(run([100, 150], 800), Found::Drag { tap: None, start: 800 });
+}
+
+#[test]
+fn levels_do_not_depend_on_how_the_samples_come() {
+    let samples = noise(20_000, 0.1, &mut 1);
+    let levels = |chunk: usize| {
+        let (mut level, mut all) = (Level::new(Feel::Vibration, 2, RATE_HZ), Vec::new());
+        samples.chunks(chunk).for_each(|part| level.feed(part, false, |x| all.push(x)));
+        all
+    };
+    assert_eq!(levels(2), levels(20_000));
+    assert_eq!(levels(74).len(), 200);
+}
+
+#[test]
+fn a_constant_offset_between_two_streams_is_read_off_their_taps() {
+    for offset_s in [-0.2, -0.03, 0.0, 0.07, 0.25] {
+        let seed = &mut 11;
+        let mut stream = |rate_hz: f64, tap_s: f64| {
+            let mut samples = noise((2.0 * rate_hz) as usize, 0.002, seed);
+            let tap = noise((0.06 * rate_hz) as usize, 0.5, seed);
+            let at = (tap_s * rate_hz) as usize;
+            samples[at..at + tap.len()].copy_from_slice(&tap);
+            find(Feel::Vibration, 1, rate_hz, &samples).0
+        };
+        let (lead, other) = (stream(10_000.0, 1.0), stream(44_100.0, 1.0 + offset_s));
+        let tap = onset_in(&lead, 0, 60..400, 6.0).unwrap();
+        let seen = onset_in(&other, 0, tap - 60..tap + 60, 6.0).unwrap();
+        let found_s = (seen as f64 - tap as f64) * HOP_S;
+        assert!((found_s - offset_s).abs() <= 0.02, "{offset_s}: {found_s}");
+    }
+}
