@@ -3,6 +3,7 @@
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
 mod compare;
+mod devices;
 mod eval;
 mod method;
 mod replay;
@@ -33,6 +34,7 @@ enum Command {
     Eval(eval::Args),
     Compare(compare::Args),
     Synth(synth::Args),
+    Devices(devices::Args),
 }
 
 /// How a command ended, short of doing all that it was asked to.
@@ -62,6 +64,7 @@ pub fn run() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Synth(args) => synth::run(&args),
+        Command::Devices(args) => devices::run(&args),
     };
     let (code, kind, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
