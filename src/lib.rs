@@ -15,6 +15,7 @@
 pub mod cli;
 pub mod dataset;
 pub mod device;
+pub mod duration;
 pub mod evaluate;
 pub mod kernel;
 pub mod library;

@@ -1,6 +1,9 @@
 //! Which method compares trials, and with what settings.
 
-use crate::recognise::{Method, PositionMode, Precision, Reference, ReferenceOptions};
+use crate::recognise::{
+    Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
+    ReferenceOptions,
+};
 use crate::scene::Scene;
 
 /// The methods, by name.
@@ -8,6 +11,10 @@ use crate::scene::Scene;
 pub enum MethodName {
     /// The paper's method, exactly.
     Reference,
+    /// The kernel two-sample test on samples that keep where they came from.
+    Joint,
+    /// Fourier features and a shrinkage discriminant.
+    Embedding,
 }
 
 /// How positions are drawn.
@@ -43,6 +50,9 @@ pub struct MethodArgs {
     /// Sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
+    /// With `embedding`: let the nearest trial win, instead of training a discriminant
+    #[arg(long)]
+    no_discriminant: bool,
 }
 
 /// Parses a count.
@@ -66,10 +76,19 @@ impl MethodArgs {
     /// Does `work` with the method that was asked for, on the sources of `scene`.
     pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
         match self.method {
+            MethodName::Joint => work.with(Joint::new(scene.clone())),
+            MethodName::Embedding => {
+                work.with(Embedding::new(scene.clone(), self.embedding_options()))
+            }
             MethodName::Reference => {
                 work.with(Reference::new(scene.clone(), self.reference_options()))
             }
         }
+    }
+
+    /// The settings of `embedding`.
+    pub fn embedding_options(&self) -> EmbeddingOptions {
+        EmbeddingOptions { discriminant: !self.no_discriminant, ..EmbeddingOptions::default() }
     }
 
     /// The settings of `reference`.

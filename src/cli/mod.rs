@@ -3,15 +3,19 @@
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
 mod compare;
+mod dependence;
 mod devices;
+mod duration;
 mod eval;
 mod method;
+mod need;
 mod replay;
 mod samples;
 mod show;
 mod synth;
+mod tally;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -33,6 +37,8 @@ enum Command {
     Replay(replay::Args),
     Eval(eval::Args),
     Compare(compare::Args),
+    Dependence(dependence::Args),
+    Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
 }
@@ -63,6 +69,8 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Dependence(args) => dependence::run(&args),
+        Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Devices(args) => devices::run(&args),
     };
@@ -102,6 +110,6 @@ pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
 }
 
 /// A file that a person named, for messages.
-pub(crate) fn shown(path: &PathBuf) -> String {
+pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
 }

@@ -6,15 +6,17 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::method::{MethodArgs, WithMethod};
+use super::need::Needs;
+use super::tally::Tally;
 use super::{Done, Failure, SourceArgs, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol, wilson_interval};
+use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, RankedSurface, Ranking, RecogniseError};
+use crate::recognise::{Method, Ranking, RecogniseError};
 use crate::scan::{Event, Options, Scan, Session};
-use crate::scene::{Scene, SourceId};
-use crate::trial::{EXPERT, TrialKey, flaws};
+use crate::scene::Scene;
+use crate::trial::{EXPERT, TrialKey};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -49,31 +51,13 @@ pub struct Args {
     json: bool,
 }
 
-/// One line of JSON: a scan and its answer.
-#[derive(serde::Serialize)]
-struct Line<'a> {
-    scan: u32,
-    surface: &'a str,
-    truth: Option<&'a str>,
-    user: Option<&'a str>,
-    trial: Option<u32>,
-    synthetic: bool,
-    ranked: &'a [RankedSurface],
-    margin: f64,
-    latency_ms: f64,
-    scan_s: f64,
-    lost_samples: u64,
-    sources: &'a [SourceId],
-    spoiled: &'a [String],
-}
-
 /// What is played, and what it is compared with.
-struct Stage {
-    scene: Scene,
+pub(super) struct Stage {
+    pub scene: Scene,
     /// All trials, of data and library.
-    entries: Vec<Entry>,
-    folds: Vec<Fold>,
-    synthetic: bool,
+    pub entries: Vec<Entry>,
+    pub folds: Vec<Fold>,
+    pub synthetic: bool,
 }
 
 /// Runs the command.
@@ -159,7 +143,7 @@ impl WithMethod for Player<'_> {
         let device =
             Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
         let session = Session::start(vec![Box::new(device)], Options::default())?;
-        let mut tally = Tally { total, ..Tally::default() };
+        let mut tally = Tally::new(args.json, total, Needs::of(stage));
         let mut free_since = Instant::now();
         for event in session.events() {
             match event {
@@ -169,7 +153,7 @@ impl WithMethod for Player<'_> {
                     // A scan that waited for its turn behind others is not slow to name.
                     let from = scan.ended_at.max(free_since);
                     match recognise(&method, model, &scan) {
-                        Ok(ranking) => tally.answer(args, &scan, &ranking, from),
+                        Ok(ranking) => tally.answer(&scan, &ranking, from),
                         Err(error) => tally.damage(&format!("scan {}: {error}", scan.number)),
                     }
                     free_since = Instant::now();
@@ -208,120 +192,4 @@ fn recognise<M: Method>(
     let trial = Arc::new(scan.trial.clone());
     let query = method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
     method.rank(model, &query)
-}
-
-/// What has been named so far.
-#[derive(Default)]
-struct Tally {
-    total: usize,
-    answers: usize,
-    with_truth: usize,
-    right: usize,
-    latencies_ms: Vec<f64>,
-    damages: usize,
-    spoiled: usize,
-}
-
-impl Tally {
-    fn answer(&mut self, args: &Args, scan: &Scan, ranking: &Ranking, from: Instant) {
-        let latency_ms = from.elapsed().as_secs_f64() * 1e3;
-        self.answers += 1;
-        self.latencies_ms.push(latency_ms);
-        self.spoiled += usize::from(!scan.spoiled.is_empty());
-        let truth = scan.truth.as_ref();
-        let right = truth.map(|key| key.surface == ranking.surface());
-        self.with_truth += usize::from(right.is_some());
-        self.right += usize::from(right == Some(true));
-        for (id, signal) in &scan.trial.signals {
-            self.tell_flaws(scan, id, signal);
-        }
-        for reason in &scan.spoiled {
-            eprintln!("warning: scan {}: {reason}", scan.number);
-        }
-        if args.json {
-            show::json(&Line {
-                scan: scan.number,
-                surface: ranking.surface(),
-                truth: truth.map(|key| key.surface.as_str()),
-                user: truth.map(|key| key.user.as_str()),
-                trial: truth.map(|key| key.number),
-                synthetic: scan.synthetic,
-                ranked: &ranking.ranked,
-                margin: ranking.margin,
-                latency_ms,
-                scan_s: scan.scan_s,
-                lost_samples: scan.lost_samples,
-                sources: &ranking.sources,
-                spoiled: &scan.spoiled,
-            });
-        } else {
-            self.tell(ranking, right, truth, latency_ms);
-        }
-    }
-
-    fn tell(&self, ranking: &Ranking, right: Option<bool>, truth: Option<&TrialKey>, ms: f64) {
-        let verdict = match (right, truth) {
-            (Some(true), _) => "right".to_string(),
-            (Some(false), Some(key)) => format!("wrong, it was {}", key.surface),
-            _ => String::new(),
-        };
-        eprintln!(
-            "{:>4}/{}  {:<28} margin {:<6.2} {:>7.1} ms  {verdict}",
-            self.answers,
-            self.total,
-            ranking.surface(),
-            ranking.margin,
-            ms
-        );
-    }
-
-    fn tell_flaws(&mut self, scan: &Scan, id: &SourceId, signal: &crate::trial::Signal) {
-        // A switch such as the metal detector is constant most of the time.
-        let crate::trial::Signal::Series(series) = signal else { return };
-        if id.as_str() == "me" {
-            return;
-        }
-        for flaw in flaws(series) {
-            eprintln!("warning: scan {}: {id}: {flaw}", scan.number);
-        }
-    }
-
-    fn damage(&mut self, text: &str) {
-        self.damages += 1;
-        eprintln!("warning: {text}");
-    }
-
-    fn sum_up(&mut self, synthetic: bool) {
-        if self.answers == 0 {
-            return;
-        }
-        let mark = if synthetic { " (synthetic scene)" } else { "" };
-        let (low, high) = wilson_interval(self.right, self.with_truth);
-        self.latencies_ms.sort_by(f64::total_cmp);
-        let median = self.latencies_ms[self.latencies_ms.len() / 2];
-        eprintln!();
-        if self.with_truth > 0 {
-            eprintln!(
-                "accuracy {} of {} scans (95 % interval {} to {}){mark}",
-                show::percent(self.right as f64 / self.with_truth as f64),
-                self.with_truth,
-                show::percent(low),
-                show::percent(high)
-            );
-        }
-        eprintln!("latency  {median:.1} ms from the end of a scan to its name (median)");
-    }
-
-    fn verdict(&self, lost: u64) -> Done {
-        if self.answers == 0 {
-            return Err(Failure::Failed("no scan was named; see the warnings above".into()));
-        }
-        if self.damages + self.spoiled > 0 || lost > 0 {
-            return Err(Failure::Damaged(format!(
-                "{} of {} scans named; {} warning(s), {} scan(s) spoiled, {lost} sample(s) lost",
-                self.answers, self.total, self.damages, self.spoiled
-            )));
-        }
-        Ok(())
-    }
 }

@@ -1,5 +1,6 @@
 //! What people see: summaries, progress, tables. All of it on stderr.
 
+use std::io::Write;
 use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -17,9 +18,14 @@ pub fn library(library: &Library) {
 }
 
 /// Prints one JSON document, or one line of a stream of them, on stdout.
+///
+/// A reader that has gone away (`| head`) wants no more: the program ends there.
 pub fn json(value: &impl serde::Serialize) {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
-    println!("{}", serde_json::to_string(value).expect("plain data"));
+    let text = serde_json::to_string(value).expect("plain data");
+    if writeln!(std::io::stdout(), "{text}").is_err() {
+        std::process::exit(1);
+    }
 }
 
 /// A fraction as a percentage.

@@ -1,9 +1,13 @@
 //! How well a method names surfaces: protocols, folds, accuracies.
 
+mod chart;
+mod chart_figure;
 mod fold;
 mod outcome;
 mod run;
 
+pub use chart::{Chart, Point, pareto};
+pub use chart_figure::{ChartError, figure};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
 pub use run::{Progress, prepare, run};

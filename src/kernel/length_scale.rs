@@ -11,7 +11,12 @@ pub const MEDIAN_SUBSET: usize = 100;
 /// Distances of exactly zero are left out, as the authors' program does; where none remains (one
 /// sample, constant data) σ is 1.
 pub fn length_scale(samples: ArrayView2<'_, f64>) -> f64 {
-    let n = samples.nrows().min(MEDIAN_SUBSET);
+    length_scale_of(samples, MEDIAN_SUBSET)
+}
+
+/// [`length_scale`] over the first `subset` samples.
+pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
+    let n = samples.nrows().min(subset);
     let mut squared = Vec::with_capacity(n * n.saturating_sub(1) / 2);
     for i in 0..n {
         for j in 0..i {

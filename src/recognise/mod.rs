@@ -7,16 +7,28 @@
 mod colour;
 mod compare;
 mod domain;
+pub mod embedding;
+pub mod framed;
+mod frames;
+mod grouped;
+mod joint;
+mod merge;
+mod pixels;
 mod prepared;
 mod rank;
 mod reference;
 mod sampling;
+mod scale;
 mod score;
+mod slow;
 mod spectrum;
 
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use framed::{FramedStream, FramedTrial};
+pub use joint::{Joint, JointModel};
 pub use prepared::PreparedTrial;
 pub use rank::{Candidate, RankedSurface, Ranking, rank};
 pub use reference::{PositionMode, Reference, ReferenceOptions};

@@ -72,7 +72,10 @@ pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) ->
     let margin = order.get(1).map_or(0.0, |second| (second.1 - order[0].1).max(0.0));
     let ranked = order
         .into_iter()
-        .map(|(surface, log_ds)| RankedSurface { surface: surface.into(), score: log_ds.exp() })
+        .map(|(surface, log_ds)| RankedSurface {
+            surface: surface.into(),
+            score: log_ds.exp().min(f64::MAX),
+        })
         .collect();
     Some(Ranking { ranked, margin, sources, nearest })
 }

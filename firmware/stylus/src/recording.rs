@@ -1,0 +1,115 @@
+//! In emulation only: a recording's samples at the converter's place, read by semihosting.
+//!
+//! QEMU's arguments: `arg=stylus,arg=FILE[,arg=exit]`. FILE holds i16, little-endian, 7 channels a
+//! sample. Sampling stops at its end; with `exit`, so does the emulation once all is sent.
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use cortex_m_semihosting::{debug, hprintln, nr, syscall, syscall1};
+use surfaced_stylus_core::{ByteRing, Sample, SampleRing, Sampling, Stylus};
+use surfaced_wire::STYLUS_CHANNELS;
+
+/// What has been read and not yet been sampled.
+static READ: SampleRing<ROOM> = SampleRing::new();
+/// The file has no more.
+static ENDED: AtomicBool = AtomicBool::new(false);
+
+const ROOM: usize = 1024;
+const BLOCK: usize = 256;
+
+/// The recording's next sample, for the sampling interrupt.
+pub fn next() -> Option<[i16; STYLUS_CHANNELS]> {
+    let sample = READ.pop()?;
+    if READ.free() == ROOM && ENDED.load(Ordering::Relaxed) {
+        // The last one: the ticks that follow are no overruns.
+        crate::SAMPLING.stop();
+    }
+    Some(sample.values)
+}
+
+/// Keeps the recording's ring filled and notices its end.
+pub struct Feed {
+    file: usize,
+    exit: bool,
+    reported: bool,
+    told: bool,
+}
+
+impl Feed {
+    /// Opens the file named on QEMU's command line; without one there is nothing to sample.
+    pub fn open() -> Self {
+        let mut line = [0u8; 1024];
+        let mut block = [line.as_mut_ptr() as usize, line.len()];
+        // SAFETY: SYS_GET_CMDLINE writes at most the given length and stores the true one.
+        let failed = unsafe { syscall1(nr::GET_CMDLINE, block.as_mut_ptr() as usize) };
+        let len = if failed == 0 { block[1].min(line.len() - 1) } else { 0 };
+        // Words: the program's name, the file, "exit". A file's name cannot hold a space here.
+        let word = |from: usize| {
+            let len = line[from..len].iter().position(|b| matches!(b, b' ' | 0));
+            len.map_or(1023, |n| from + n)
+        };
+        let start = word(0).min(1022) + 1;
+        let end = word(start.min(len)).min(len.max(start));
+        let exit = line[end..].starts_with(b" exit");
+        line[end] = 0; // the call wants a zero at the end
+        // SAFETY: SYS_OPEN reads the path of the length given; mode 1 is "rb".
+        let file = unsafe { syscall!(OPEN, line.as_ptr().wrapping_add(start), 1, end - start) };
+        let mut feed = Self { file, exit, reported: false, told: false };
+        if end == start || file == usize::MAX {
+            hprintln!("no recording");
+            ENDED.store(true, Ordering::Relaxed);
+            feed.told = true;
+        }
+        feed.refill();
+        feed
+    }
+
+    /// One round of the main loop, after the stylus's own, which says whether it is `idle`.
+    pub fn attend<const T: usize>(
+        &mut self,
+        stylus: &mut Stylus<'_>,
+        idle: bool,
+        sampling: &Sampling,
+        line: &ByteRing<T>,
+    ) {
+        self.refill();
+        let ended = ENDED.load(Ordering::Relaxed) && READ.free() == ROOM && !sampling.is_on();
+        if self.told || !ended {
+            return;
+        }
+        if !self.reported {
+            // The next poll sends the rest and then this.
+            self.reported = true;
+            stylus.report();
+        } else if idle && line.free() == T {
+            self.told = true;
+            hprintln!(
+                "frames_sent={} messages_sent={} overruns={} dropped={}",
+                stylus.samples_sent(),
+                stylus.frames_sent(),
+                sampling.overruns(),
+                sampling.dropped()
+            );
+            if self.exit {
+                debug::exit(debug::EXIT_SUCCESS);
+            }
+        }
+    }
+
+    fn refill(&mut self) {
+        while READ.free() >= BLOCK && !ENDED.load(Ordering::Relaxed) {
+            let mut bytes = [0u8; BLOCK * 2 * STYLUS_CHANNELS];
+            // SAFETY: SYS_READ writes at most the given length; it returns what it did not write.
+            let rest = unsafe { syscall!(READ, self.file, bytes.as_mut_ptr(), bytes.len()) };
+            let len = bytes.len().saturating_sub(rest);
+            for sample in bytes[..len].as_chunks::<{ 2 * STYLUS_CHANNELS }>().0 {
+                let pairs = sample.as_chunks::<2>().0;
+                let values = core::array::from_fn(|c| i16::from_le_bytes(pairs[c]));
+                READ.push(Sample { tick: 0, values }); // there is room for a block
+            }
+            if len < bytes.len() {
+                ENDED.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}

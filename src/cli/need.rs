@@ -1,0 +1,72 @@
+//! What T* asks of a scan, for commands that name scans: how much longer to drag.
+
+use super::replay::Stage;
+use crate::duration::{DurationReport, Question, Settings, report};
+use crate::kernel::Threshold;
+use crate::library::Library;
+use crate::recognise::Ranking;
+use crate::scene::{Domain, Scene, SourceId};
+
+/// T* of a library's surfaces, as far as it can be told.
+pub struct Needs {
+    scene: Scene,
+    report: Option<DurationReport>,
+}
+
+/// Draws of a start for each lag: a fifth of the paper's, since this runs before every replay.
+const DRAWS: usize = 100;
+
+impl Needs {
+    /// From the trials that are compared with. A library too small for T*, or without sources of
+    /// domain `time`, asks for nothing.
+    pub fn of(stage: &Stage) -> Self {
+        let scene = stage.scene.clone();
+        let mut in_library: Vec<usize> =
+            stage.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
+        in_library.sort_unstable();
+        in_library.dedup();
+        let library = Library {
+            name: String::new(),
+            scene: scene.clone(),
+            entries: in_library.into_iter().map(|i| stage.entries[i].clone()).collect(),
+            synthetic: stage.synthetic,
+            remarks: Vec::new(),
+        };
+        let sources = (scene.sources())
+            .filter(|spec| spec.domain == Domain::Time && spec.sigma.is_none())
+            .filter(|spec| library.entries.iter().any(|e| e.sources.contains(&spec.id)))
+            .map(|spec| spec.id.clone())
+            .collect::<Vec<_>>();
+        if sources.is_empty() {
+            return Self { scene, report: None };
+        }
+        let settings =
+            Settings { draws: DRAWS, threshold: Threshold::Gamma, ..Settings::default() };
+        let question = Question { sources, settings, ..Question::default() };
+        Self { scene, report: report(&library, &question, |_, _| {}).ok() }
+    }
+
+    /// Whether a source is a switch, which rests at one value most of the time.
+    pub fn is_switch(&self, id: &SourceId) -> bool {
+        self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
+    }
+
+    /// The longest scan that any source asks for on the surface that was named, in seconds.
+    pub fn scan_s(&self, ranking: &Ranking) -> Option<f64> {
+        let report = self.report.as_ref()?;
+        (ranking.sources.iter())
+            .filter_map(|id| report.need(ranking.surface(), id.as_str()))
+            .map(|need| need.scan_s())
+            .max_by(f64::total_cmp)
+    }
+
+    /// Warnings about sources whose samples lie closer than T*.
+    pub fn warnings(&self, ranking: &Ranking, scan_s: f64) -> Vec<String> {
+        let Some(report) = &self.report else { return Vec::new() };
+        (ranking.sources.iter())
+            .filter_map(|id| {
+                report.need(ranking.surface(), id.as_str())?.warning(id.as_str(), scan_s)
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,163 @@
+//! The curve of HSIC against the lag, as the paper's Fig. 7 shows it: mean with its band, κ, T*.
+
+use plotters::prelude::*;
+
+use super::estimate::CurvePoint;
+use super::report::SourceDuration;
+
+const PANEL: (u32, u32) = (640, 380);
+const HSIC: RGBColor = RGBColor(0, 90, 160);
+const KAPPA: RGBColor = RGBColor(200, 70, 0);
+const MARK: RGBColor = RGBColor(30, 30, 30);
+
+/// Why a figure cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("the figure cannot be drawn: {0}")]
+pub struct FigureError(String);
+
+/// An SVG with a panel for each surface and source that has a curve, two in a row.
+///
+/// # Errors
+/// If there is no curve.
+pub fn figure(durations: &[SourceDuration]) -> Result<String, FigureError> {
+    let shown: Vec<_> = durations.iter().filter(|d| d.curve.len() > 1).collect();
+    if shown.is_empty() {
+        return Err(FigureError("no surface and source has a curve".into()));
+    }
+    let columns = shown.len().min(2);
+    let rows = shown.len().div_ceil(columns);
+    let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE).map_err(drawing)?;
+        for (area, row) in root.split_evenly((rows, columns)).iter().zip(shown) {
+            panel(area, row)?;
+        }
+        root.present().map_err(drawing)?;
+    }
+    Ok(svg)
+}
+
+fn drawing(error: impl std::fmt::Display) -> FigureError {
+    FigureError(error.to_string())
+}
+
+fn panel(
+    area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
+    row: &SourceDuration,
+) -> Result<(), FigureError> {
+    let rate_hz = row.rate_hz.unwrap_or(1.0);
+    let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
+    let curve = &row.curve;
+    // The curve far beyond T* is flat: four times T* shows what matters.
+    let last = curve.last().map_or(1, |p| p.lag);
+    let end = row.t_star_samples.map_or(last, |t| last.min((4 * t).max(20)));
+    let inside: Vec<&CurvePoint> = curve.iter().filter(|p| p.lag <= end).collect();
+    let top = inside.iter().map(|p| p.hsic_high.max(p.hsic_quantile).max(p.kappa));
+    let top = 1.25 * top.fold(f64::MIN_POSITIVE, f64::max);
+    let title = format!("{} · {} (Q = {})", row.surface, row.source, row.trials);
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 20))
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(72)
+        .build_cartesian_2d(0.0..ms(end) * 1.02, 0.0..top)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc("time between samples [ms]")
+        .y_desc("HSIC")
+        .x_labels(8)
+        .y_labels(6)
+        .y_label_formatter(&|y| if top < 0.01 { format!("{y:.4}") } else { format!("{y:.3}") })
+        .label_style(("sans-serif", 14))
+        .draw()
+        .map_err(drawing)?;
+
+    let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
+    let mut band: Vec<(f64, f64)> = line(|p| p.hsic_high).collect();
+    band.extend(inside.iter().rev().map(|p| (ms(p.lag), p.hsic_low)));
+    let key = |style: ShapeStyle| {
+        move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 22, y)], style)
+    };
+    chart
+        .draw_series(std::iter::once(Polygon::new(band, HSIC.mix(0.25))))
+        .map_err(drawing)?
+        .label("interval of the mean")
+        .legend(|(x, y)| Rectangle::new([(x, y - 4), (x + 22, y + 4)], HSIC.mix(0.25).filled()));
+    for (label, style, f) in [
+        ("mean HSIC", HSIC.stroke_width(2), (|p| p.hsic_mean) as fn(&CurvePoint) -> f64),
+        ("quantile of HSIC", HSIC.mix(0.45).stroke_width(1), |p| p.hsic_quantile),
+        ("mean threshold κ", KAPPA.stroke_width(2), |p| p.kappa),
+    ] {
+        chart
+            .draw_series(LineSeries::new(line(f), style))
+            .map_err(drawing)?
+            .label(label)
+            .legend(key(style));
+    }
+    if let Some(t) = row.t_star_samples {
+        let at = ms(t);
+        let style = MARK.stroke_width(1);
+        chart
+            .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))
+            .map_err(drawing)?;
+        let text = format!("T* = {at:.2} ms");
+        // Low in the panel, where no curve is.
+        let beside = (at + 0.01 * ms(end), 0.1 * top);
+        chart
+            .draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))
+            .map_err(drawing)?;
+    } else {
+        let text = "no T* within the range";
+        let at = (0.03 * ms(end), 0.07 * top);
+        chart
+            .draw_series(std::iter::once(Text::new(text, at, ("sans-serif", 15))))
+            .map_err(drawing)?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.85))
+        .border_style(BLACK.mix(0.2))
+        .label_font(("sans-serif", 13))
+        .draw()
+        .map_err(drawing)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Rule, Settings, Trials, simulate, t_star};
+    use super::*;
+    use crate::kernel::Threshold;
+    use crate::scene::SourceId;
+
+    #[test]
+    fn a_figure_marks_t_star() {
+        let mut rng = crate::seed::rng(1, &[b"figure"]);
+        let make = || simulate::ar1(6000, 20.0, &mut rng);
+        let trials = Trials::new(simulate::trials(10, 1e4, make).unwrap()).unwrap();
+        let settings = Settings { draws: 50, threshold: Threshold::Gamma, ..Settings::default() };
+        let estimate = t_star(&trials, settings).unwrap();
+        let row = SourceDuration {
+            surface: "G1 <mesh>".into(),
+            source: SourceId::new("ir").unwrap(),
+            trials: 10,
+            t_star_samples: estimate.t_star(),
+            t_star_s: estimate.t_star_s(),
+            scan_s: None,
+            reason: None,
+            remarks: Vec::new(),
+            rule: Rule::MeanCi,
+            latest_start: Some(1),
+            rate_hz: Some(1e4),
+            curve: estimate.curve,
+        };
+        let svg = figure(std::slice::from_ref(&row)).unwrap();
+        assert!(svg.contains("T* =") && svg.contains("&lt;mesh&gt;"), "{svg}");
+        assert!(figure(&[SourceDuration { curve: Vec::new(), ..row }]).is_err());
+    }
+}

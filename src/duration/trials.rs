@@ -1,0 +1,267 @@
+//! The trials of one surface and source, checked before anything is computed from them.
+
+use crate::kernel::{FEWEST_PAIRS, HsicError};
+use crate::trial::Series;
+
+/// Share of equal samples at one end of a channel's range above which it counts as saturated.
+const SATURATED: f64 = 0.5;
+/// Share from which saturation is worth a remark.
+const WORTH_SAYING: f64 = 0.02;
+/// How many moments are looked at to see whether trials differ at all.
+const MOMENTS: usize = 2000;
+
+/// Why T* cannot be computed.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum DurationError {
+    /// too few trials
+    #[error("{0} trials; expected at least {FEWEST_PAIRS} of one surface (record more)")]
+    TooFewTrials(usize),
+    /// trials of different rates
+    #[error("trial {trial} has {rate_hz} Hz and trial 1 has {expected_hz} Hz; expected one rate")]
+    Rates {
+        /// trial, counted from 1
+        trial: usize,
+        /// its rate
+        rate_hz: f64,
+        /// the first trial's rate
+        expected_hz: f64,
+    },
+    /// trials of different shapes
+    #[error("trial {trial} has {channels} channels and trial 1 has {expected}")]
+    Channels {
+        /// trial, counted from 1
+        trial: usize,
+        /// its number of channels
+        channels: usize,
+        /// the first trial's
+        expected: usize,
+    },
+    /// recordings too short for any lag
+    #[error("the shortest trial has {0} samples; expected at least {FEWEST_FRAMES}")]
+    TooShort(usize),
+    /// nothing changes
+    #[error(
+        "the source is constant: nothing moves, so there is no time after which it is independent"
+    )]
+    Constant,
+    /// trials mostly agree
+    #[error(
+        "all trials hold one and the same value {:.0} % of the time, as a metal detector does; \
+         T* has no meaning here", share * 100.0
+    )]
+    MostlyOneValue {
+        /// share of moments at which all trials agree
+        share: f64,
+    },
+    /// clipped
+    #[error(
+        "channel {channel} is saturated: {:.0} % of its samples lie at one end of its range; \
+         lower the gain and record again", share * 100.0
+    )]
+    Saturated {
+        /// channel, counted from 1
+        channel: usize,
+        /// share of samples at that end
+        share: f64,
+    },
+    /// settings that cannot work
+    #[error("{0}")]
+    Settings(String),
+    /// a test that cannot be made
+    #[error(transparent)]
+    Hsic(#[from] HsicError),
+}
+
+/// Fewest samples of a trial.
+pub const FEWEST_FRAMES: usize = 100;
+
+/// Q trials of one surface and source: one rate, one shape, cropped to the shortest.
+#[derive(Clone, Debug)]
+pub struct Trials {
+    series: Vec<Series>,
+    frames: usize,
+    /// For people: what limits the answer, a line each.
+    pub remarks: Vec<String>,
+}
+
+impl Trials {
+    /// Trials, each an independent recording of the same surface.
+    ///
+    /// # Errors
+    /// If there are fewer than five, if they differ in rate or channels, if they are too short,
+    /// constant, saturated, or of one value most of the time. NaN and infinity cannot occur in a
+    /// [`Series`].
+    pub fn new(series: Vec<Series>) -> Result<Self, DurationError> {
+        if series.len() < FEWEST_PAIRS {
+            return Err(DurationError::TooFewTrials(series.len()));
+        }
+        let (rate_hz, channels) = (series[0].rate_hz(), series[0].channels());
+        for (i, s) in series.iter().enumerate() {
+            let trial = i + 1;
+            if s.channels() != channels {
+                let (channels, expected) = (s.channels(), channels);
+                return Err(DurationError::Channels { trial, channels, expected });
+            }
+            if s.rate_hz() != rate_hz {
+                let (rate_hz, expected_hz) = (s.rate_hz(), rate_hz);
+                return Err(DurationError::Rates { trial, rate_hz, expected_hz });
+            }
+        }
+        let frames = series.iter().map(Series::frames).min().unwrap_or(0);
+        if frames < FEWEST_FRAMES {
+            return Err(DurationError::TooShort(frames));
+        }
+        let mut trials = Self { series, frames, remarks: Vec::new() };
+        trials.check_values()?;
+        Ok(trials)
+    }
+
+    /// Number of trials.
+    pub fn count(&self) -> usize {
+        self.series.len()
+    }
+
+    /// Samples of the shortest trial.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        self.series[0].channels()
+    }
+
+    /// Samples a second.
+    pub fn rate_hz(&self) -> f64 {
+        self.series[0].rate_hz()
+    }
+
+    /// The sample of one trial at one moment, both counted from 0: one value a channel.
+    #[inline]
+    pub fn sample(&self, trial: usize, frame: usize) -> &[f32] {
+        let channels = self.series[trial].channels();
+        &self.series[trial].samples()[frame * channels..(frame + 1) * channels]
+    }
+
+    fn check_values(&mut self) -> Result<(), DurationError> {
+        let channels = self.channels();
+        let ranges: Vec<_> = (0..channels).map(|c| self.range(c)).collect();
+        if ranges.iter().all(|range| range.low == range.high) {
+            return Err(DurationError::Constant);
+        }
+        let share = self.agreement();
+        if share > 0.5 {
+            return Err(DurationError::MostlyOneValue { share });
+        }
+        for (i, range) in ranges.iter().enumerate() {
+            let channel = i + 1;
+            if range.low == range.high {
+                self.remarks.push(format!("channel {channel} is constant and adds nothing"));
+            } else if range.binary {
+                self.remarks.push(format!(
+                    "channel {channel} has two values only: ties make κ coarse, and rare changes \
+                     are easily missed"
+                ));
+            } else if range.at_an_end > SATURATED {
+                return Err(DurationError::Saturated { channel, share: range.at_an_end });
+            } else if range.at_an_end > WORTH_SAYING {
+                self.remarks.push(format!(
+                    "channel {channel} is saturated in {:.0} % of its samples",
+                    range.at_an_end * 100.0
+                ));
+            }
+        }
+        if self.count() < 30 {
+            self.remarks.push(format!(
+                "{} trials have little power: a weak dependence is not seen, so T* is rather too \
+                 short than too long",
+                self.count()
+            ));
+        }
+        Ok(())
+    }
+
+    fn range(&self, channel: usize) -> Range {
+        let values = || {
+            self.series
+                .iter()
+                .flat_map(move |s| s.samples()[channel..].iter().step_by(s.channels()))
+        };
+        let (low, high) =
+            values().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &x| (l.min(x), h.max(x)));
+        let (mut at_low, mut at_high, mut count) = (0usize, 0usize, 0usize);
+        for &x in values() {
+            at_low += usize::from(x == low);
+            at_high += usize::from(x == high);
+            count += 1;
+        }
+        let at_an_end = at_low.max(at_high) as f64 / count as f64;
+        Range { low, high, binary: at_low + at_high == count, at_an_end }
+    }
+
+    /// Share of moments at which all trials hold the same sample.
+    fn agreement(&self) -> f64 {
+        let step = self.frames.div_ceil(MOMENTS);
+        let (mut same, mut looked) = (0usize, 0usize);
+        for frame in (0..self.frames).step_by(step) {
+            let first = self.sample(0, frame);
+            same += usize::from((1..self.count()).all(|q| self.sample(q, frame) == first));
+            looked += 1;
+        }
+        same as f64 / looked as f64
+    }
+}
+
+struct Range {
+    low: f32,
+    high: f32,
+    binary: bool,
+    /// Share of samples at the low or the high end, whichever is more.
+    at_an_end: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trials(make: impl Fn(usize, usize) -> f32) -> Result<Trials, DurationError> {
+        let one = |q| (0..1000).map(|i| make(q, i)).collect();
+        Trials::new((0..10).map(|q| Series::new(1e4, 1, one(q)).unwrap()).collect())
+    }
+
+    fn noise(q: usize, i: usize) -> f32 {
+        ((q * 7919 + i * 104_729 + q * i) % 1009) as f32
+    }
+
+    #[test]
+    fn a_constant_source_is_refused() {
+        assert_eq!(trials(|_, _| 3.0).unwrap_err(), DurationError::Constant);
+    }
+
+    #[test]
+    fn a_metal_detector_that_rarely_fires_is_refused() {
+        let error = trials(|q, i| f32::from(q == 3 && i > 900)).unwrap_err();
+        assert!(matches!(error, DurationError::MostlyOneValue { .. }), "{error}");
+    }
+
+    #[test]
+    fn a_saturated_channel_is_refused_and_a_partly_saturated_one_remarked() {
+        let error = trials(|q, i| noise(q, i).min(300.0)).unwrap_err();
+        assert!(matches!(error, DurationError::Saturated { channel: 1, .. }), "{error}");
+        let some = trials(|q, i| noise(q, i).min(900.0)).unwrap();
+        assert!(some.remarks.iter().any(|r| r.contains("saturated in 1")), "{:?}", some.remarks);
+    }
+
+    #[test]
+    fn a_binary_channel_is_answered_with_its_limits() {
+        let some = trials(|q, i| f32::from(noise(q, i) > 500.0)).unwrap();
+        assert!(some.remarks.iter().any(|r| r.contains("two values")), "{:?}", some.remarks);
+    }
+
+    #[test]
+    fn four_trials_are_too_few() {
+        let one = |q: usize| (0..1000).map(|i| noise(q, i)).collect();
+        let four = (0..4).map(|q| Series::new(1e4, 1, one(q)).unwrap()).collect();
+        assert_eq!(Trials::new(four).unwrap_err(), DurationError::TooFewTrials(4));
+    }
+}

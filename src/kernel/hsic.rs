@@ -1,0 +1,243 @@
+//! The Hilbert–Schmidt independence criterion of two sets of paired samples, and the threshold
+//! that tells dependence from chance.
+//!
+//! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4;
+//! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a
+//! median length scale of its own, and H = I − 11ᵀ/n centres. This is the plain form, in f64, the
+//! oracle of the batches that `duration` works with.
+
+use ndarray::{Array2, ArrayView2};
+use rand::seq::SliceRandom;
+
+use super::length_scale::length_scale_of;
+use super::permutation_moments::{CentredMoments, permutation_moments};
+use crate::kernel::Pearson3;
+
+/// Fewest pairs that a test of independence is done with: of 4! = 24 permutations none is rarer
+/// than 1 in 24, so that nothing could be significant at 5 %.
+pub const FEWEST_PAIRS: usize = 5;
+
+/// Why two sets of samples cannot be tested.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum HsicError {
+    /// different numbers of samples
+    #[error("{x} samples on one side and {y} on the other; expected pairs")]
+    Unpaired {
+        /// samples of the first side
+        x: usize,
+        /// samples of the second side
+        y: usize,
+    },
+    /// too few samples
+    #[error("{0} pairs of samples; expected at least {FEWEST_PAIRS}")]
+    TooFew(usize),
+    /// NaN or infinity
+    #[error(
+        "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
+    )]
+    NotFinite {
+        /// 1 or 2
+        side: usize,
+        /// channel, counted from 1
+        channel: usize,
+        /// sample, counted from 1
+        sample: usize,
+        /// what stands there
+        value: f64,
+    },
+    /// every sample alike
+    #[error(
+        "side {0} is constant: its samples are all alike, so nothing can be said about dependence"
+    )]
+    Constant(usize),
+    /// a significance level that is none
+    #[error("a significance level of {0} is not possible; expected a number between 0 and 0.5")]
+    Alpha(f64),
+    /// too few permutations for the level
+    #[error(
+        "{permutations} permutations cannot resolve a level of {alpha}; expected at least {least}"
+    )]
+    Permutations {
+        /// how many were asked for
+        permutations: usize,
+        /// significance level
+        alpha: f64,
+        /// how many are needed
+        least: usize,
+    },
+}
+
+/// How the threshold κ is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Threshold {
+    /// From this many random permutations of one side (the paper's way).
+    Permutations(usize),
+    /// From a Pearson III (shifted gamma) distribution with the exact mean, variance and skewness
+    /// of the permutation distribution: no shuffling, no Monte Carlo error.
+    Gamma,
+}
+
+/// The paper's number of permutations.
+pub const PERMUTATIONS: usize = 100;
+
+/// One test of independence.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Dependence {
+    /// Number of pairs.
+    pub n: usize,
+    /// Length scale of the first side.
+    pub sigma_x: f64,
+    /// Length scale of the second side.
+    pub sigma_y: f64,
+    /// HSIC_b.
+    pub hsic: f64,
+    /// Threshold at the level asked for; a larger HSIC_b means dependence.
+    pub kappa: f64,
+    /// Chance of such an HSIC_b, or a larger one, if the sides are independent. With S
+    /// permutations, (1 + number as large)/(1 + S).
+    pub p_value: f64,
+}
+
+/// Gaussian kernel matrix of samples of shape (n, channels): shape (n, n).
+pub fn kernel_matrix(samples: ArrayView2<'_, f64>, sigma: f64) -> Array2<f64> {
+    let gamma = -0.5 / (sigma * sigma);
+    let n = samples.nrows();
+    let mut k = Array2::ones((n, n));
+    for i in 0..n {
+        for j in 0..i {
+            let d: f64 =
+                samples.row(i).iter().zip(samples.row(j)).map(|(a, b)| (a - b).powi(2)).sum();
+            let value = (gamma * d).exp();
+            k[[i, j]] = value;
+            k[[j, i]] = value;
+        }
+    }
+    k
+}
+
+/// HKH: a symmetric matrix of shape (n, n) with the means of its rows and columns taken out.
+pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
+    let n = k.nrows() as f64;
+    let means: Vec<f64> = k.rows().into_iter().map(|row| row.sum() / n).collect();
+    let mean = means.iter().sum::<f64>() / n;
+    for ((i, j), value) in k.indexed_iter_mut() {
+        *value += mean - means[i] - means[j];
+    }
+    k
+}
+
+/// HSIC_b = tr(KHLH)/n² of paired samples of shape (n, channels), with a length scale for each
+/// side. Never negative but for rounding, which is cut off.
+pub fn hsic_b(x: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>, sigma_x: f64, sigma_y: f64) -> f64 {
+    let n = x.nrows() as f64;
+    let k = centred(kernel_matrix(x, sigma_x));
+    let l = kernel_matrix(y, sigma_y);
+    ((&k * &l).sum() / (n * n)).max(0.0)
+}
+
+/// Position, counted from 0, of the (1 − α) quantile among `count` values sorted upwards: rank
+/// round((1 − α)·count), as the authors' program takes it.
+pub fn quantile_index(count: usize, alpha: f64) -> usize {
+    (((1.0 - alpha) * count as f64).round() as usize).clamp(1, count.max(1)) - 1
+}
+
+/// Tests whether paired samples of shape (n, channels) depend on each other.
+///
+/// Length scales are medians over all samples. `alpha` is the level of κ.
+///
+/// # Errors
+/// If the sides differ in length, hold fewer than [`FEWEST_PAIRS`] samples, are constant or not
+/// finite; if `alpha` is not within (0, 0.5]; if there are fewer than 1/α permutations.
+pub fn test_independence(
+    x: ArrayView2<'_, f64>,
+    y: ArrayView2<'_, f64>,
+    alpha: f64,
+    threshold: Threshold,
+    rng: &mut impl rand::Rng,
+) -> Result<Dependence, HsicError> {
+    check_level(alpha, threshold)?;
+    check_samples(x, y)?;
+    let (sigma_x, sigma_y) = (length_scale_of(x, x.nrows()), length_scale_of(y, y.nrows()));
+    let n = x.nrows();
+    let n2 = (n * n) as f64;
+    let k = centred(kernel_matrix(x, sigma_x));
+    let l = kernel_matrix(y, sigma_y);
+    let hsic = ((&k * &l).sum() / n2).max(0.0);
+    let (kappa, p_value) = match threshold {
+        Threshold::Permutations(count) => {
+            let null = permuted(&k, &l, count, rng);
+            // A permutation that leaves everything in place must count as "as large".
+            let as_large = null.iter().filter(|&&v| v >= hsic * (1.0 - 1e-12)).count();
+            (null[quantile_index(count, alpha)], (1 + as_large) as f64 / (1 + count) as f64)
+        }
+        Threshold::Gamma => {
+            let moments =
+                permutation_moments(n, &CentredMoments::of(&k), &CentredMoments::of(&centred(l)));
+            let (kappa, p) = Pearson3::test(&moments, hsic * n2, alpha);
+            (kappa / n2, p)
+        }
+    };
+    Ok(Dependence { n, sigma_x, sigma_y, hsic, kappa, p_value })
+}
+
+/// HSIC_b of `count` random permutations of one side, sorted upwards, from the centred kernel
+/// matrix of one side and the plain one of the other. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
+pub fn permuted(
+    k_centred: &Array2<f64>,
+    l: &Array2<f64>,
+    count: usize,
+    rng: &mut impl rand::Rng,
+) -> Vec<f64> {
+    let n = l.nrows();
+    let n2 = (n * n) as f64;
+    let mut order: Vec<usize> = (0..n).collect();
+    let mut null: Vec<f64> = (0..count)
+        .map(|_| {
+            order.shuffle(rng);
+            let mut sum = 0.0;
+            for i in 0..n {
+                let (row, k) = (l.row(order[i]), k_centred.row(i));
+                let off: f64 = (0..i).map(|j| k[j] * row[order[j]]).sum();
+                sum += k[i] * row[order[i]] + 2.0 * off;
+            }
+            sum / n2
+        })
+        .collect();
+    null.sort_unstable_by(f64::total_cmp);
+    null
+}
+
+fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {
+    if !(alpha > 0.0 && alpha <= 0.5) {
+        return Err(HsicError::Alpha(alpha));
+    }
+    let least = (1.0 / alpha).ceil() as usize;
+    match threshold {
+        Threshold::Permutations(permutations) if permutations < least => {
+            Err(HsicError::Permutations { permutations, alpha, least })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_samples(x: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>) -> Result<(), HsicError> {
+    if x.nrows() != y.nrows() {
+        return Err(HsicError::Unpaired { x: x.nrows(), y: y.nrows() });
+    }
+    if x.nrows() < FEWEST_PAIRS {
+        return Err(HsicError::TooFew(x.nrows()));
+    }
+    for (side, samples) in [(1, x), (2, y)] {
+        if let Some(((row, column), &value)) =
+            samples.indexed_iter().find(|(_, value)| !value.is_finite())
+        {
+            let (channel, sample) = (column + 1, row + 1);
+            return Err(HsicError::NotFinite { side, channel, sample, value });
+        }
+        if samples.rows().into_iter().all(|row| row == samples.row(0)) {
+            return Err(HsicError::Constant(side));
+        }
+    }
+    Ok(())
+}

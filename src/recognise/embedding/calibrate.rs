@@ -1,0 +1,117 @@
+//! From distances to probabilities: temperatures, fitted on left-out library trials.
+//!
+//! A posterior is softmax(−d/(2τ)). Windows of one trial are not independent, so distances are too
+//! sure of themselves, the more so the shorter the scan; τ(T) makes up for it (Guo et al. 2017,
+//! "On calibration of modern neural networks", for a τ by likelihood on held-out data).
+
+/// Lengths of a scan at which τ is fitted, in seconds; the whole trial comes last.
+pub const PREFIXES_S: [f64; 10] = [0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0];
+
+/// τ of libraries too small to fit it: measured on the real sounds.
+const DEFAULT: [(f64, f64); 5] = [(0.2, 10.5), (0.4, 5.0), (0.5, 3.0), (2.0, 3.0), (3.0, 2.0)];
+
+/// Highest τ that is tried.
+const HIGHEST: f64 = 200.0;
+
+/// Number of τ that are tried.
+const STEPS: usize = 60;
+
+/// Distances of a left-out trial to all classes, and its own class.
+pub type HeldOut = (Vec<f64>, usize);
+
+/// τ as a function of the length of a scan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Temperature {
+    /// (T in seconds, τ), T rising.
+    points: Vec<(f64, f64)>,
+    /// Whether left-out trials of the library say so.
+    pub calibrated: bool,
+}
+
+impl Temperature {
+    /// Where there is nothing to calibrate with.
+    pub fn uncalibrated() -> Self {
+        Self { points: DEFAULT.to_vec(), calibrated: false }
+    }
+
+    /// Fits τ at each length; it never rises with the length.
+    pub fn fit(held_out: Vec<(f64, Vec<HeldOut>)>) -> Self {
+        let mut points: Vec<(f64, f64)> = held_out
+            .iter()
+            .filter(|(_, trials)| !trials.is_empty())
+            .map(|(seconds, trials)| (*seconds, best_temperature(trials)))
+            .collect();
+        if points.is_empty() {
+            return Self::uncalibrated();
+        }
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut highest = 1.0;
+        for (_, tau) in points.iter_mut().rev() {
+            highest = f64::max(highest, *tau);
+            *tau = highest;
+        }
+        Self { points, calibrated: true }
+    }
+
+    /// τ for a scan of so many seconds, interpolated.
+    pub fn at(&self, seconds: f64) -> f64 {
+        let after = self.points.partition_point(|(t, _)| *t < seconds);
+        match (after.checked_sub(1).map(|i| self.points[i]), self.points.get(after)) {
+            (Some((t0, a)), Some(&(t1, b))) => a + (b - a) * (seconds - t0) / (t1 - t0),
+            (Some((_, tau)), None) | (None, Some(&(_, tau))) => tau,
+            (None, None) => 1.0,
+        }
+    }
+}
+
+/// The τ in [1, 200] of least log loss.
+pub fn best_temperature(held_out: &[HeldOut]) -> f64 {
+    let loss = |tau: f64| -> f64 {
+        held_out.iter().map(|(d, class)| -log_posterior(d, tau)[*class].max(-700.0)).sum()
+    };
+    let tau = |step: usize| HIGHEST.powf(step as f64 / (STEPS - 1) as f64);
+    let losses = (0..STEPS).map(|step| (loss(tau(step)), tau(step)));
+    losses.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1.0, |(_, tau)| tau)
+}
+
+/// ln of softmax(−d/(2τ)); −∞ for infinite distances.
+pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
+    let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+    if !least.is_finite() {
+        return vec![-(distances.len() as f64).ln(); distances.len()];
+    }
+    let logits: Vec<f64> = distances.iter().map(|d| (least - d) / (2.0 * tau)).collect();
+    let total = logits.iter().map(|x| x.exp()).sum::<f64>().ln();
+    logits.iter().map(|x| x - total).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_posterior_sums_to_one_whatever_the_distances() {
+        for d in [vec![1e12, 0.0, f64::INFINITY], vec![3.0; 3], vec![f64::INFINITY; 2]] {
+            let sum: f64 = log_posterior(&d, 2.0).iter().map(|x| x.exp()).sum();
+            assert!((sum - 1.0).abs() < 1e-12, "{d:?}");
+        }
+    }
+
+    #[test]
+    fn an_overconfident_distance_gets_a_higher_temperature() {
+        // One in ten is wrong, by as much as the others are right.
+        let trial = |i: usize| (vec![0.0, 40.0], usize::from(i % 10 == 0));
+        let tau = best_temperature(&(0..100).map(trial).collect::<Vec<_>>());
+        assert!((20.0 / tau - 9f64.ln()).abs() < 0.2, "{tau}");
+    }
+
+    #[test]
+    fn temperatures_fall_with_the_length_of_a_scan() {
+        let trial = |wrong: usize, i: usize| (vec![0.0, 40.0], usize::from(i < wrong));
+        let at = |seconds, wrong| (seconds, (0..100).map(|i| trial(wrong, i)).collect());
+        let fitted = Temperature::fit(vec![at(1.0, 5), at(0.5, 2), at(2.0, 0)]);
+        assert!(fitted.at(0.1) >= fitted.at(0.75) && fitted.at(0.75) >= fitted.at(1.5));
+        assert!(fitted.at(9.0) >= 1.0);
+        assert_eq!(Temperature::uncalibrated().at(0.45), 4.0);
+    }
+}

@@ -1,0 +1,317 @@
+//! The method `embedding`: one vector of Fourier features a source and trial, and a shrinkage
+//! discriminant on them.
+//!
+//! The squared distance of two vectors is the MMD² of a kernel that compares values of one band
+//! (or of one channel and lag) on a circle, summed over bands: see [`circle`]. With
+//! `discriminant` off, the nearest library trial wins, as in `reference`. With it on (the default)
+//! a discriminant is trained when the library is loaded, from its trials, windows of them, and
+//! copies with noise; distances of several sources add up, each divided by a temperature fitted on
+//! left-out library trials, and the score of a surface is 1/posterior, so that, as everywhere,
+//! smaller is more alike, and the margin is the log of the odds.
+
+pub mod calibrate;
+pub mod circle;
+pub mod discriminant;
+pub mod linear;
+mod source;
+mod train;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use self::calibrate::{HeldOut, best_temperature, log_posterior};
+use self::discriminant::SHRINKAGE;
+use self::source::{Window, squared_distance};
+use self::train::{Labels, SourceModel, train};
+use super::framed::{FramedSource, FramedTrial, check_rates, nothing_in_common, sorted_library};
+use super::merge::{SourceScores, merge};
+use super::rank::{Candidate, Ranking, rank};
+use super::{Method, RecogniseError};
+use crate::library::Entry;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Trial, TrialKey};
+
+/// The least squared distance that enters a logarithm.
+const DISTANCE_FLOOR: f64 = 1e-9;
+
+/// Settings of the method.
+#[derive(Clone, Debug)]
+pub struct EmbeddingOptions {
+    /// Train a discriminant; without it the nearest trial wins.
+    pub discriminant: bool,
+    /// Harmonics of each band of a spectrum, 1 to 4; by default 4, and 2 where a source has
+    /// several channels.
+    pub harmonics: Option<usize>,
+    /// Train with copies of the library's spectra to which noise is added.
+    pub noise_copies: bool,
+    /// γ of the discriminant.
+    pub shrinkage: f64,
+}
+
+impl Default for EmbeddingOptions {
+    fn default() -> Self {
+        Self { discriminant: true, harmonics: None, noise_copies: true, shrinkage: SHRINKAGE }
+    }
+}
+
+/// The method `embedding`.
+#[derive(Clone, Debug)]
+pub struct Embedding {
+    scene: Scene,
+    options: EmbeddingOptions,
+}
+
+impl Embedding {
+    /// The method for the sources of a scene.
+    pub fn new(scene: Scene, options: EmbeddingOptions) -> Self {
+        Self { scene, options }
+    }
+}
+
+/// A library, embedded and trained.
+pub struct EmbeddingModel {
+    library: Vec<Arc<FramedTrial>>,
+    surfaces: Vec<String>,
+    labels: Labels,
+    sources: BTreeMap<SourceId, SourceModel>,
+    /// τ of the sum over sources.
+    temperature: f64,
+    /// Combined distances of left-out library trials, with their classes.
+    held_out: Vec<HeldOut>,
+    /// For people: what the library was too small for.
+    remarks: Vec<String>,
+}
+
+/// How far a query is from each surface, and what that means.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Posterior {
+    /// The surfaces, sorted.
+    pub surfaces: Vec<String>,
+    /// Combined distance to each, Σ w_s·d_s/τ_s.
+    pub distances: Vec<f64>,
+    /// ln of the posterior probability of each.
+    pub log_posterior: Vec<f64>,
+    /// The sources that were used.
+    pub sources: Vec<SourceId>,
+}
+
+impl Posterior {
+    /// Index of the most probable surface; the first of equal ones.
+    pub fn best(&self) -> usize {
+        let mut best = 0;
+        for (i, p) in self.log_posterior.iter().enumerate() {
+            if *p > self.log_posterior[best] {
+                best = i;
+            }
+        }
+        best
+    }
+}
+
+impl EmbeddingModel {
+    /// For people: what the library was too small for, a line each.
+    pub fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+
+    /// The surfaces, sorted.
+    pub fn surfaces(&self) -> &[String] {
+        &self.surfaces
+    }
+
+    /// Combined distances of left-out library trials under models trained without them, with the
+    /// index of each trial's surface. Empty where there is nothing to leave out.
+    pub fn held_out(&self) -> &[HeldOut] {
+        &self.held_out
+    }
+
+    /// How probable each surface is. `None` without a discriminant for any of the query's sources.
+    ///
+    /// # Errors
+    /// If the query has no source in common with the library, or a rate that cannot be compared.
+    pub fn posterior(&self, query: &FramedTrial) -> Result<Option<Posterior>, RecogniseError> {
+        let vectors = self.embed(query)?;
+        Ok(self.posterior_of(query, &vectors))
+    }
+
+    fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
+        let shared: Vec<(&SourceModel, &FramedSource)> = (query.sources.iter())
+            .filter_map(|(id, source)| Some((self.sources.get(id)?, source)))
+            .collect();
+        if shared.is_empty() {
+            return Err(nothing_in_common(query, self.sources.keys()));
+        }
+        for (model, source) in &shared {
+            let id = &model.spec.id;
+            let like = self.library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
+            if let Some((like, key)) = like {
+                check_rates(id, source, like, key)?;
+            }
+        }
+        let embed = |(model, source): (&'_ SourceModel, &FramedSource)| {
+            model.embedder.embed(source, Window::Whole)
+        };
+        let vectors: Vec<Vec<f32>> = shared.par_iter().map(|&pair| embed(pair)).collect();
+        let with_model = shared.iter().zip(vectors);
+        Ok(with_model.map(|((model, _), vector)| EmbeddedSource { model, vector }).collect())
+    }
+
+    fn posterior_of(
+        &self,
+        query: &FramedTrial,
+        vectors: &[EmbeddedSource<'_>],
+    ) -> Option<Posterior> {
+        let mut distances = vec![0.0; self.surfaces.len()];
+        let mut sources = Vec::new();
+        for EmbeddedSource { model, vector } in vectors {
+            let Some(discriminant) = &model.discriminant else { continue };
+            let tau = model.temperature.at(query.sources[&model.spec.id].duration_s);
+            add_source(&mut distances, discriminant.distances(vector), model.spec.weight / tau);
+            sources.push(model.spec.id.clone());
+        }
+        if sources.is_empty() {
+            return None;
+        }
+        let log_posterior = log_posterior(&distances, self.temperature);
+        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources })
+    }
+
+    /// Squared distances to library trials, as logarithms, source by source.
+    fn log_distances(&self, vectors: &[EmbeddedSource<'_>]) -> Vec<(f64, SourceScores)> {
+        let of_source = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
+            let distance = |of_trial: &Option<Vec<f32>>| {
+                let d2 = squared_distance(vector, of_trial.as_ref()?);
+                Some(d2.max(DISTANCE_FLOOR).ln())
+            };
+            (model.spec.weight, model.vectors.iter().map(distance).collect())
+        };
+        vectors.par_iter().map(of_source).collect()
+    }
+
+    /// One candidate a surface: its trial nearest to the query, at −ln posterior.
+    fn candidates(&self, posterior: &Posterior, vectors: &[EmbeddedSource<'_>]) -> Vec<Candidate> {
+        let best = posterior.best();
+        let nearness = |i: usize| -> f64 {
+            let each = vectors.iter().filter_map(|EmbeddedSource { model, vector }| {
+                let d2 = squared_distance(vector, model.vectors[i].as_ref()?);
+                Some(model.spec.weight * d2.max(DISTANCE_FLOOR).ln())
+            });
+            each.sum()
+        };
+        let key = |class: usize| -> Option<TrialKey> {
+            let mut members = (0..self.library.len()).filter(|&i| self.labels.class[i] == class);
+            let member = if class == best {
+                members.map(|i| (nearness(i), i)).min_by(|a, b| a.0.total_cmp(&b.0))?.1
+            } else {
+                members.next()?
+            };
+            Some(self.library[member].key.clone())
+        };
+        (posterior.log_posterior.iter().enumerate())
+            .filter_map(|(class, p)| Some(Candidate { key: key(class)?, log_ds: -p }))
+            .collect()
+    }
+}
+
+struct EmbeddedSource<'a> {
+    model: &'a SourceModel,
+    vector: Vec<f32>,
+}
+
+/// Adds one source's distances. A class that the source never saw counts as the median of the
+/// others: lacking it is neither an advantage nor a disadvantage.
+fn add_source(sum: &mut [f64], distances: Vec<f64>, factor: f64) {
+    let mut known: Vec<f64> = distances.iter().copied().filter(|d| d.is_finite()).collect();
+    known.sort_by(f64::total_cmp);
+    let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
+    for (sum, d) in sum.iter_mut().zip(distances) {
+        *sum += factor * if d.is_finite() { d } else { median };
+    }
+}
+
+impl Method for Embedding {
+    type Prepared = FramedTrial;
+    type Model = EmbeddingModel;
+
+    fn name(&self) -> &'static str {
+        "embedding"
+    }
+
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FramedTrial, RecogniseError> {
+        FramedTrial::new(&entry.key, trial, &self.scene)
+    }
+
+    fn fit(&self, library: Vec<Arc<FramedTrial>>) -> Result<EmbeddingModel, RecogniseError> {
+        let library = sorted_library(library)?;
+        let labels = Labels::new(library.iter().map(|trial| &trial.key));
+        let mut surfaces: Vec<String> =
+            library.iter().map(|trial| trial.key.surface.clone()).collect();
+        surfaces.dedup();
+        let mut sources = BTreeMap::new();
+        for spec in self.scene.sources() {
+            let trials: Vec<_> = library.iter().map(|trial| trial.sources.get(&spec.id)).collect();
+            if trials.iter().any(Option::is_some) {
+                sources.insert(spec.id.clone(), train(spec, &trials, &labels, &self.options));
+            }
+        }
+        let held_out = combined_held_out(&library, &labels, &sources);
+        let temperature = if held_out.is_empty() { 1.0 } else { best_temperature(&held_out) };
+        let remarks = if self.options.discriminant { remarks(&sources) } else { Vec::new() };
+        Ok(EmbeddingModel { library, surfaces, labels, sources, temperature, held_out, remarks })
+    }
+
+    fn rank(&self, model: &EmbeddingModel, query: &FramedTrial) -> Result<Ranking, RecogniseError> {
+        let vectors = model.embed(query)?;
+        let (candidates, sources) = match model.posterior_of(query, &vectors) {
+            Some(posterior) => (model.candidates(&posterior, &vectors), posterior.sources),
+            None => {
+                let ids = vectors.iter().map(|source| source.model.spec.id.clone()).collect();
+                (merge(&model.log_distances(&vectors), &model.library), ids)
+            }
+        };
+        // There is a candidate: every surface has a trial, and some trial has a shared source.
+        Ok(rank(candidates, 1, sources).expect("at least one candidate"))
+    }
+}
+
+/// Sums over sources for library trials that were left out of training.
+fn combined_held_out(
+    library: &[Arc<FramedTrial>],
+    labels: &Labels,
+    sources: &BTreeMap<SourceId, SourceModel>,
+) -> Vec<HeldOut> {
+    let of_trial = |i: usize| {
+        let mut sum = vec![0.0; labels.classes];
+        for (id, source) in &library[i].sources {
+            let Some(model) = sources.get(id).filter(|m| m.discriminant.is_some()) else {
+                continue;
+            };
+            let tau = model.temperature.at(source.duration_s);
+            add_source(&mut sum, model.held_out[i].clone()?, model.spec.weight / tau);
+        }
+        sum.iter().any(|&d| d > 0.0).then_some((sum, labels.class[i]))
+    };
+    (0..library.len()).filter_map(of_trial).collect()
+}
+
+fn remarks(sources: &BTreeMap<SourceId, SourceModel>) -> Vec<String> {
+    let of_source = |(id, model): (&SourceId, &SourceModel)| {
+        if model.discriminant.is_none() {
+            Some(format!(
+                "{id}: too little to train a discriminant with; {}",
+                if sources.values().all(|m| m.discriminant.is_none()) {
+                    "the nearest trial wins"
+                } else {
+                    "it is left out of the comparison"
+                }
+            ))
+        } else if !model.temperature.calibrated {
+            Some(format!("{id}: too few trials a surface to calibrate probabilities"))
+        } else {
+            None
+        }
+    };
+    sources.iter().filter_map(of_source).collect()
+}

@@ -1,0 +1,59 @@
+//! Times the paper's Fig. 7 workload and the online form, on one core.
+//!
+//!     cargo run --release --example duration_bench
+
+use std::time::Instant;
+
+use surfaced::duration::{
+    OnlineDuration, OnlineSettings, Rule, Search, Settings, Trials, simulate,
+};
+use surfaced::kernel::Threshold;
+use surfaced::seed;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut rng = seed::rng(1, &[b"bench"]);
+    let make = || simulate::ar1(48_000, 100.0, &mut rng);
+    let trials = Trials::new(simulate::trials(10, 1e4, make)?)?;
+    println!("Fig. 7 work: R = 500, 1000 lags, Q = 10, one source, one surface, one core");
+    for (name, threshold) in
+        [("100 permutations", Threshold::Permutations(100)), ("gamma", Threshold::Gamma)]
+    {
+        let settings = Settings { threshold, rule: Rule::MeanCi, ..Settings::default() };
+        let mut search = Search::new(&trials, settings)?;
+        let start = Instant::now();
+        let kappa: f64 = (1..=1000).map(|lag| search.at(lag).kappa).sum();
+        let seconds = start.elapsed().as_secs_f64();
+        println!(
+            "  {name:17} {seconds:6.3} s, {:5.2} µs a test (mean κ {:.5})",
+            seconds * 1e6 / 500_000.0,
+            kappa / 1000.0
+        );
+    }
+    online()
+}
+
+/// The online form fed with 20 s of a stream in blocks of 10 ms.
+fn online() -> Result<(), Box<dyn std::error::Error>> {
+    const SECONDS: usize = 20;
+    println!("online form, 10 kHz, one estimate every 0.5 s");
+    for (channels, tau) in [(1, 20.0), (1, 200.0), (3, 200.0)] {
+        let mut rng = seed::rng(2, &[b"bench"]);
+        let stream = simulate::ar1(SECONDS * 10_000 * channels, tau * channels as f64, &mut rng);
+        let mut online = OnlineDuration::new(1e4, channels, OnlineSettings::default());
+        let (mut spent, mut slowest, mut last) = (0.0, 0.0f64, None);
+        for block in stream.chunks(100 * channels) {
+            let start = Instant::now();
+            last = online.push(block)?.or(last);
+            let seconds = start.elapsed().as_secs_f64();
+            spent += seconds;
+            slowest = slowest.max(seconds);
+        }
+        println!(
+            "  {channels} channel(s), τ = {tau}: {:.2} % of a core, slowest block {:.1} ms, T* {:?}",
+            100.0 * spent / SECONDS as f64,
+            slowest * 1e3,
+            last.and_then(|estimate| estimate.t_star_samples)
+        );
+    }
+    Ok(())
+}
