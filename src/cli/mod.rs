@@ -4,6 +4,7 @@
 
 mod compare;
 mod dependence;
+mod devices;
 mod duration;
 mod eval;
 mod method;
@@ -40,6 +41,7 @@ enum Command {
     Dependence(dependence::Args),
     Duration(duration::Args),
     Synth(synth::Args),
+    Devices(devices::Args),
 }
 
 /// How a command ended, short of doing all that it was asked to.
@@ -71,6 +73,7 @@ pub fn run() -> ExitCode {
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
+        Command::Devices(args) => devices::run(&args),
     };
     let (code, kind, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,

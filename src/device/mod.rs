@@ -4,13 +4,20 @@
 //! one ring a stream, and reports its state and the marks of scans through its [`Control`].
 //! Nothing downstream can tell a recording from a sensor.
 
+pub mod camera;
 mod control;
+pub mod list;
 mod mark;
+pub mod microphone;
+mod open;
 mod replay;
 pub mod serial;
 
+pub use camera::Camera;
 pub use control::{Control, DeviceState, Report, ReportKind};
 pub use mark::{Begin, Mark, Open};
+pub use microphone::Microphone;
+pub use open::OpenError;
 pub use replay::{Replay, Speed};
 
 use crate::ring::{Sink, Stopped};

@@ -1,0 +1,131 @@
+//! `surfaced devices`: what is plugged in, by names that stay, and what is wrong with each.
+
+use super::{Done, Failure, show};
+use crate::device::list::{self, Listed};
+
+/// List serial ports, microphones and cameras with stable ids, and what is wrong with each
+#[derive(clap::Args)]
+pub struct Args {
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct Report {
+    serial_ports: Kind,
+    microphones: Kind,
+    cameras: Kind,
+}
+
+/// The devices of one kind.
+#[derive(serde::Serialize)]
+struct Kind {
+    /// Whether this build has the drivers for them.
+    built: bool,
+    devices: Vec<Listed>,
+    /// Why the list is empty although there may be some; what to do.
+    problem: Option<String>,
+}
+
+impl Kind {
+    fn of<E: std::fmt::Display>(listed: Result<Vec<Listed>, E>) -> Self {
+        match listed {
+            Ok(devices) => Self { built: true, devices, problem: None },
+            Err(error) => {
+                Self { built: true, devices: Vec::new(), problem: Some(error.to_string()) }
+            }
+        }
+    }
+
+    #[cfg(not(all(feature = "microphone", feature = "camera")))]
+    fn left_out(feature: &str) -> Self {
+        let problem = format!(
+            "this build has no {feature}s; build with `--features live`, or `--features {feature}` \
+             (on Debian, first: apt-get install pkg-config libasound2-dev libclang-dev)"
+        );
+        Self { built: false, devices: Vec::new(), problem: Some(problem) }
+    }
+}
+
+#[cfg(feature = "microphone")]
+fn microphones() -> Kind {
+    Kind::of(crate::device::microphone::microphones())
+}
+
+#[cfg(not(feature = "microphone"))]
+fn microphones() -> Kind {
+    Kind::left_out("microphone")
+}
+
+#[cfg(feature = "camera")]
+fn cameras() -> Kind {
+    Kind::of(crate::device::camera::cameras())
+}
+
+#[cfg(not(feature = "camera"))]
+fn cameras() -> Kind {
+    Kind::left_out("camera")
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let report = Report {
+        serial_ports: Kind::of(list::serial_ports()),
+        microphones: microphones(),
+        cameras: cameras(),
+    };
+    let kinds = [
+        ("serial ports", &report.serial_ports),
+        ("microphones", &report.microphones),
+        ("cameras", &report.cameras),
+    ];
+    match args.json {
+        true => show::json(&report),
+        false => kinds.into_iter().for_each(|(name, kind)| tell(name, kind)),
+    }
+    let unasked: Vec<_> = kinds
+        .into_iter()
+        .filter(|(_, kind)| kind.built)
+        .filter_map(|(name, kind)| Some(format!("{name}: {}", kind.problem.as_ref()?)))
+        .collect();
+    if unasked.is_empty() { Ok(()) } else { Err(Failure::Failed(unasked.join("; "))) }
+}
+
+fn tell(name: &str, kind: &Kind) {
+    eprintln!("{name}:");
+    match &kind.problem {
+        Some(problem) => eprintln!("  {problem}"),
+        None if kind.devices.is_empty() => eprintln!("  none"),
+        None => {}
+    }
+    for device in &kind.devices {
+        let Listed { id, name, node, problem } = device;
+        let node = match node {
+            Some(node) if node != id => format!(" (now {node})"),
+            _ => String::new(),
+        };
+        eprintln!("  {id}{node}: {}", name.replace('\n', ", "));
+        if let Some(problem) = problem {
+            eprintln!("    ! {problem}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kind_that_cannot_be_listed_says_why() {
+        let kind = Kind::of(Err("no sound system"));
+        assert!(kind.built && kind.problem.as_deref() == Some("no sound system"));
+    }
+
+    #[cfg(not(feature = "live"))]
+    #[test]
+    fn a_build_without_live_devices_says_how_to_get_them() {
+        assert!(cameras().problem.unwrap().contains("--features live"));
+        assert!(microphones().problem.unwrap().contains("libasound2-dev"));
+    }
+}

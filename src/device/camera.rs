@@ -1,0 +1,285 @@
+//! The camera: upright pictures of 320 × 480 pixels, without and with flash.
+//!
+//! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
+//! the device's thread watches over it, judges the light of each frame, and makes pictures. When
+//! the reader hangs, the state is "stalled" until it comes back; nobody waits for it to end. What
+//! needs V4L2 is behind [`Video`]; the crate's feature `camera` brings the real one.
+
+mod flash;
+mod frame;
+pub mod name;
+mod reader;
+mod upright;
+#[cfg(feature = "camera")]
+mod v4l;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+
+pub use flash::{Flash, FlashControl, FlashLine, Shutter};
+pub use frame::{Frame, FrameError, FrameFormat, Rgb};
+pub use reader::{Frames, Video};
+pub use upright::{Turn, upright};
+#[cfg(feature = "camera")]
+pub use v4l::{V4l, cameras};
+
+use self::flash::{Cycle, Light};
+use self::reader::{News, Order};
+use super::open::{OpenError, RETRY, failed};
+use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use crate::ring::{Sink, Stop};
+use crate::scene::SourceId;
+
+/// How often the device's thread looks around, at least.
+const LOOK: Duration = Duration::from_millis(50);
+/// No picture for so long is a stall; cameras take their time to start.
+const STALLED: Duration = Duration::from_secs(2);
+/// How long a stop waits for the reader to give the camera back.
+const FAREWELL: Duration = Duration::from_millis(300);
+/// Damaged frames are summed up, and told this often at most.
+const SUM_UP: Duration = Duration::from_secs(10);
+
+/// A camera, as one stream of pictures, and a second one with flash if it has any.
+pub struct Camera {
+    plain: SourceId,
+    flash: Option<(SourceId, Flash)>,
+    video: Arc<dyn Video>,
+    turn: Turn,
+    every: Duration,
+    settle: Duration,
+    shutter: Shutter,
+    name: String,
+}
+
+/// Why a reader is followed no more.
+enum End {
+    Stop,
+    Failed(OpenError),
+    Lost(String),
+}
+
+/// What lasts from one reader to the next.
+struct Watch<'a> {
+    camera: &'a mut Camera,
+    sinks: &'a mut [Sink],
+    control: &'a Control,
+    cycle: Cycle,
+    /// A picture was seen at least once.
+    seen: bool,
+    /// When the last plain picture was pushed.
+    pushed: Option<Instant>,
+    damaged: u64,
+    summed_up: Option<Instant>,
+}
+
+impl Camera {
+    /// The camera that `video` opens, as the stream `plain` of five pictures a second.
+    pub fn new(plain: SourceId, video: Arc<dyn Video>) -> Self {
+        let name = format!("camera {}", video.device());
+        Self {
+            plain,
+            flash: None,
+            video,
+            turn: Turn::None,
+            every: Duration::from_millis(200),
+            settle: Duration::from_millis(300),
+            shutter: Shutter::default(),
+            name,
+        }
+    }
+
+    /// Sets how the picture is turned to stand upright.
+    pub fn turn(mut self, turn: Turn) -> Self {
+        self.turn = turn;
+        self
+    }
+
+    /// Sets the time between two plain pictures; what the camera delivers in between is dropped.
+    pub fn every(mut self, every: Duration) -> Self {
+        self.every = every;
+        self
+    }
+
+    /// Adds the stream `stream` of pictures with flash, one each time that [`Camera::shutter`] is
+    /// released. `settle` is the time from switching the light until frames show it, with the
+    /// camera's own exposure control; while it passes, frames are dropped.
+    pub fn flash(mut self, stream: SourceId, flash: Flash, settle: Duration) -> Self {
+        self.flash = Some((stream, flash));
+        self.settle = settle;
+        self
+    }
+
+    /// Asks for pictures with flash, from any thread.
+    pub fn shutter(&self) -> Shutter {
+        self.shutter.clone()
+    }
+}
+
+impl Device for Camera {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn streams(&self) -> Vec<StreamSpec> {
+        let flash = self.flash.as_ref().map(|(stream, _)| stream);
+        let images = |id: &SourceId| StreamSpec { id: id.clone(), kind: StreamKind::Images };
+        [Some(&self.plain), flash].into_iter().flatten().map(images).collect()
+    }
+
+    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+        control.state(DeviceState::Opening, "");
+        let cycle = Cycle::new(self.settle);
+        let mut watch = Watch {
+            camera: self,
+            sinks,
+            control,
+            cycle,
+            seen: false,
+            pushed: None,
+            damaged: 0,
+            summed_up: None,
+        };
+        let mut told = None;
+        while !control.stopped() {
+            let stop = Stop::default();
+            let (orders, news) = reader::start(watch.camera.video.clone(), stop.clone())?;
+            let end = watch.follow(&orders, &news);
+            watch.light_off(&orders);
+            stop.request();
+            drop(orders);
+            // It gives the camera back at its next frame. One that hangs is left to itself.
+            let farewell = Instant::now() + FAREWELL;
+            while news.recv_deadline(farewell).is_ok() {}
+            match end {
+                End::Stop => break,
+                End::Failed(error) => {
+                    failed(error, watch.seen, &mut told, control)?;
+                }
+                End::Lost(why) => {
+                    told = None;
+                    control.state(DeviceState::Lost, why);
+                    control.sleep_until(Instant::now() + RETRY);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Watch<'_> {
+    /// Makes pictures of what the reader sends, until it ends.
+    fn follow(&mut self, orders: &Sender<Order>, news: &Receiver<News>) -> End {
+        let mut last = Instant::now();
+        while !self.control.stopped() {
+            match news.recv_timeout(LOOK) {
+                Ok(News::Opened) => last = Instant::now(),
+                Ok(News::Failed(error)) => return End::Failed(error),
+                Ok(News::Ended(why)) => return End::Lost(why),
+                Ok(News::Obeyed(Ok(()))) => {}
+                Ok(News::Obeyed(Err(why))) => self.no_light(&why),
+                Ok(News::Frame(frame, at)) => {
+                    if self.frame(&frame, at, orders) {
+                        last = Instant::now();
+                        self.seen = true;
+                        self.control.state(DeviceState::Streaming, "");
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return End::Lost("the thread that reads it has ended".into());
+                }
+            }
+            if last.elapsed() > STALLED {
+                let why = "no good frame arrives; if that goes on, unplug it and plug it in again";
+                self.control.state(DeviceState::Stalled, why);
+            }
+        }
+        End::Stop
+    }
+
+    /// Deals with one frame; whether it was good, or good for nothing but not to blame.
+    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
+        let has_flash = self.camera.flash.is_some();
+        let shutter = &self.camera.shutter;
+        let verdict = self.cycle.judge(at, || has_flash && shutter.take());
+        let due = self.pushed.is_none_or(|pushed| at >= pushed + self.camera.every);
+        let sink = match verdict.light {
+            Light::Plain if due => Some(0),
+            Light::Flash => Some(1),
+            Light::Plain | Light::Between => None,
+        };
+        let mut good = true;
+        if let Some(index) = sink {
+            good = self.picture(frame, index);
+            if index == 0 && good {
+                self.pushed = Some(at);
+            }
+            if index == 1 && !good {
+                // The frame with flash was damaged: once more.
+                self.camera.shutter.flash();
+            }
+        }
+        if let Some(on) = verdict.switch {
+            self.switch(on, orders);
+        }
+        good
+    }
+
+    fn picture(&mut self, frame: &Frame, index: usize) -> bool {
+        let picture = match frame.to_rgb() {
+            Ok(rgb) => upright(&rgb, self.camera.turn),
+            Err(error) => {
+                self.damaged(&error);
+                None
+            }
+        };
+        let Some(picture) = picture else { return false };
+        if let Some(sink) = self.sinks.get_mut(index).and_then(Sink::images) {
+            sink.push(Arc::new(picture));
+        }
+        true
+    }
+
+    fn damaged(&mut self, error: &FrameError) {
+        self.damaged += 1;
+        if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
+            let (name, count) = (&self.camera.name, self.damaged);
+            self.control.warn(format!("{name}: {count} frames were damaged; the last: {error}"));
+            (self.damaged, self.summed_up) = (0, Some(Instant::now()));
+        }
+    }
+
+    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
+        let switched = match &mut self.camera.flash {
+            None => Ok(()),
+            Some((_, Flash::Line(line))) => line.switch(on),
+            Some((_, Flash::Control(control))) => {
+                let value = if on { control.on } else { control.off };
+                let order = Order { control: control.id, value };
+                orders.try_send(order).map_err(|_| "the camera does not take orders".into())
+            }
+        };
+        if let Err(why) = switched {
+            self.no_light(&why);
+        }
+    }
+
+    fn no_light(&mut self, why: &str) {
+        self.cycle.cancel();
+        let name = &self.camera.name;
+        self.control.warn(format!("{name}: the flash cannot be switched: {why}"));
+    }
+
+    /// Leaves no light on behind.
+    fn light_off(&mut self, orders: &Sender<Order>) {
+        if self.cycle.lit() {
+            self.switch(false, orders);
+            self.cycle.cancel();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

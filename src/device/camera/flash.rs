@@ -1,0 +1,157 @@
+//! The light beside the camera, and which frames were taken in its light.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Switches the light beside the camera, by a command to the stylus for instance.
+pub trait FlashLine: Send {
+    /// Switches it on or off.
+    ///
+    /// # Errors
+    /// With a text for people, if it cannot be told whether this has worked.
+    fn switch(&mut self, on: bool) -> Result<(), String>;
+}
+
+/// What switches the light.
+pub enum Flash {
+    /// A line outside the camera.
+    Line(Box<dyn FlashLine>),
+    /// A control of the camera itself.
+    Control(FlashControl),
+}
+
+/// A control of a V4L2 camera that switches its light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FlashControl {
+    /// Number of the control, as `v4l2-ctl --list-ctrls` shows it.
+    pub id: u32,
+    /// Its value for a light that stays on.
+    pub on: i64,
+    /// Its value for no light.
+    pub off: i64,
+}
+
+impl FlashControl {
+    /// V4L2_CID_FLASH_LED_MODE with a torch (2) and without light (0).
+    pub const TORCH: Self = Self { id: 0x009c_0901, on: 2, off: 0 };
+}
+
+/// Asks for pictures in the light of the flash; clones ask the same camera.
+#[derive(Clone, Debug, Default)]
+pub struct Shutter(Arc<AtomicBool>);
+
+impl Shutter {
+    /// Asks for one picture with flash. Asking again before it is taken changes nothing.
+    pub fn flash(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    pub(super) fn take(&self) -> bool {
+        self.0.swap(false, Ordering::AcqRel)
+    }
+}
+
+/// In which light a frame was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Light {
+    /// Without flash.
+    Plain,
+    /// With flash.
+    Flash,
+    /// While the light changed; of no use.
+    Between,
+}
+
+/// What to do about a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Verdict {
+    pub light: Light,
+    /// Switch the light now.
+    pub switch: Option<bool>,
+}
+
+/// Follows the light from frame to frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cycle {
+    settle: Duration,
+    phase: Phase,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    Off,
+    Rising(Instant),
+    Falling(Instant),
+}
+
+impl Cycle {
+    /// A light that needs `settle` until frames show a change: its own time, that of the camera's
+    /// exposure control, and the frames under way in between.
+    pub fn new(settle: Duration) -> Self {
+        Self { settle, phase: Phase::Off }
+    }
+
+    /// Judges a frame that arrived at `now`; `wanted` asks whether a picture with flash is wanted.
+    pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> Verdict {
+        let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
+        match self.phase {
+            Phase::Rising(since) if settled(since) => {
+                self.phase = Phase::Falling(now);
+                Verdict { light: Light::Flash, switch: Some(false) }
+            }
+            Phase::Falling(since) if settled(since) => {
+                self.phase = Phase::Off;
+                Verdict { light: Light::Plain, switch: None }
+            }
+            Phase::Rising(_) | Phase::Falling(_) => Verdict { light: Light::Between, switch: None },
+            Phase::Off if wanted() => {
+                self.phase = Phase::Rising(now);
+                Verdict { light: Light::Plain, switch: Some(true) }
+            }
+            Phase::Off => Verdict { light: Light::Plain, switch: None },
+        }
+    }
+
+    /// The light could not be switched on: no frame shows it.
+    pub fn cancel(&mut self) {
+        self.phase = Phase::Off;
+    }
+
+    /// Whether the light is on, as far as is known.
+    pub fn lit(&self) -> bool {
+        matches!(self.phase, Phase::Rising(_))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_with_flash_is_one_taken_after_the_light_has_settled() {
+        let mut cycle = Cycle::new(Duration::from_millis(100));
+        let begin = Instant::now();
+        let mut seen = Vec::new();
+        for i in 0..12 {
+            let now = begin + Duration::from_millis(40 * i);
+            let verdict = cycle.judge(now, || i == 2);
+            seen.push((verdict.light, verdict.switch));
+        }
+        let plain = (Light::Plain, None);
+        let between = (Light::Between, None);
+        let (on, flash) = ((Light::Plain, Some(true)), (Light::Flash, Some(false)));
+        let expected = [plain, plain, on, between, between, flash, between, between, plain];
+        assert_eq!(seen[..9], expected);
+        assert!(seen[9..].iter().all(|frame| *frame == plain));
+    }
+
+    #[test]
+    fn a_shutter_is_released_once() {
+        let shutter = Shutter::default();
+        assert!(!shutter.take());
+        shutter.clone().flash();
+        shutter.flash();
+        assert!(shutter.take() && !shutter.take());
+    }
+}

@@ -1,0 +1,217 @@
+//! The real cameras: V4L2, through nokhwa.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use nokhwa::utils::{
+    ApiBackend, CameraFormat, CameraIndex, ControlValueSetter, FrameFormat as Coding,
+    KnownCameraControl, RequestedFormat, RequestedFormatType,
+};
+use nokhwa::{Camera as Nokhwa, NokhwaError};
+
+use super::{Frame, FrameFormat, Frames, Turn, Video, name};
+use crate::device::list::{Listed, node_problem, permission_hint};
+use crate::device::open::OpenError;
+use crate::trial::Image;
+
+const DEV: &str = "/dev";
+/// The codings that are understood, the best first.
+const CODINGS: [Coding; 4] = [Coding::RAWRGB, Coding::RAWBGR, Coding::YUYV, Coding::MJPEG];
+/// Frames a second that suffice; more cost work and light.
+const RATE_HZ: u32 = 30;
+
+/// A camera of V4L2.
+#[derive(Clone, Debug)]
+pub struct V4l {
+    id: String,
+    turn: Turn,
+}
+
+impl V4l {
+    /// The camera with this name, as `surfaced devices` lists it. From the sizes that it offers the
+    /// one is taken that shows the upright region in full, after this turn, with the least data.
+    pub fn new(id: impl Into<String>, turn: Turn) -> Self {
+        Self { id: id.into(), turn }
+    }
+}
+
+impl Video for V4l {
+    fn device(&self) -> String {
+        self.id.clone()
+    }
+
+    fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
+        let number = name::resolve(Path::new(DEV), &self.id)?;
+        let mut camera = open(number, &self.id)?;
+        let offers = camera
+            .compatible_camera_formats()
+            .map_err(|error| explain(number, &self.id, &error))?;
+        let format = choose(&offers, self.turn).unwrap_or_else(|| camera.camera_format());
+        if format != camera.camera_format() {
+            let exact = RequestedFormat::with_formats(RequestedFormatType::Exact(format), &CODINGS);
+            camera.set_camera_requset(exact).map_err(|error| explain(number, &self.id, &error))?;
+        }
+        camera.open_stream().map_err(|error| explain(number, &self.id, &error))?;
+        Ok(Box::new(Reader(camera)))
+    }
+}
+
+/// A camera whose stream is open.
+struct Reader(Nokhwa);
+
+impl Frames for Reader {
+    fn next(&mut self) -> Result<Frame, String> {
+        let format = self.0.camera_format();
+        let bytes = self.0.frame_raw().map_err(|error| error.to_string())?.into_owned();
+        Ok(Frame {
+            format: match format.format() {
+                Coding::MJPEG => FrameFormat::Mjpeg,
+                Coding::YUYV => FrameFormat::Yuyv,
+                Coding::RAWRGB => FrameFormat::Rgb,
+                Coding::RAWBGR => FrameFormat::Bgr,
+                other => return Err(format!("the camera has changed to {other} frames")),
+            },
+            width: format.width() as usize,
+            height: format.height() as usize,
+            bytes,
+        })
+    }
+
+    fn control(&mut self, id: u32, value: i64) -> Result<(), String> {
+        let control = KnownCameraControl::Other(u128::from(id));
+        let known = self.0.camera_controls().unwrap_or_default();
+        let boolean = known.iter().any(|known| {
+            known.control() == control && matches!(known.value(), ControlValueSetter::Boolean(_))
+        });
+        let setter = match boolean {
+            true => ControlValueSetter::Boolean(value != 0),
+            false => ControlValueSetter::Integer(value),
+        };
+        self.0.set_camera_control(control, setter).map_err(|error| error.to_string())
+    }
+}
+
+fn open(number: u32, id: &str) -> Result<Nokhwa, OpenError> {
+    // Any format at first; which ones there are is known only of an open camera.
+    let any = RequestedFormat::with_formats(RequestedFormatType::None, &CODINGS);
+    Nokhwa::with_backend(CameraIndex::Index(number), any, ApiBackend::Video4Linux)
+        .map_err(|error| explain(number, id, &error))
+}
+
+/// The format that shows the region of 320 × 480 without having to enlarge it, and with the least
+/// data; if there is none, the largest. Of one size, the best coding, then the rate nearest to 30.
+fn choose(offers: &[CameraFormat], turn: Turn) -> Option<CameraFormat> {
+    let cost = |offer: &&CameraFormat| {
+        let (width, height) = (u64::from(offer.width()), u64::from(offer.height()));
+        let (w, h) = if turn.swaps() { (height, width) } else { (width, height) };
+        let whole = w >= Image::COLS as u64 && h >= Image::ROWS as u64;
+        let area = width * height;
+        let coding = CODINGS.iter().position(|known| *known == offer.format());
+        (!whole, if whole { area } else { u64::MAX - area }, coding)
+    };
+    let understood = |offer: &&CameraFormat| CODINGS.contains(&offer.format());
+    let rate = |offer: &&CameraFormat| offer.frame_rate().abs_diff(RATE_HZ);
+    offers.iter().filter(understood).min_by_key(|offer| (cost(offer), rate(offer))).copied()
+}
+
+fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
+    let camera = format!("camera {id}");
+    // nokhwa gives the system's words, with the number of the error in them.
+    let text = error.to_string();
+    let has = |code: &str| text.contains(&format!("(os error {code})"));
+    match () {
+        () if has("13") || has("1") => OpenError::Denied {
+            device: camera,
+            hint: permission_hint(Path::new(&format!("{DEV}/video{number}")), "video"),
+        },
+        () if has("16") => OpenError::Busy(camera),
+        () if has("2") || has("19") => OpenError::Absent(camera),
+        () if text.contains("Failed to Fufill") => OpenError::Unfit(format!(
+            "{camera} has no format that is understood (MJPEG, YUYV, RGB, BGR); choose another one"
+        )),
+        () => OpenError::Failed(format!("{camera}: {text}")),
+    }
+}
+
+/// The cameras of this machine, with names that stay, and what is wrong with each.
+///
+/// # Errors
+/// If V4L2 cannot be asked.
+pub fn cameras() -> Result<Vec<Listed>, OpenError> {
+    let found = nokhwa::query(ApiBackend::Video4Linux)
+        .map_err(|error| OpenError::Failed(error.to_string()))?;
+    let numbers: BTreeSet<(u32, String)> = found
+        .iter()
+        .filter_map(|camera| Some((camera.index().as_index().ok()?, camera.human_name())))
+        .collect();
+    Ok(numbers.into_iter().filter_map(|(number, name)| listed(number, name)).collect())
+}
+
+/// None for a node that is no camera: most cameras have another one for their metadata.
+fn listed(number: u32, name: String) -> Option<Listed> {
+    let node = Path::new(DEV).join(format!("video{number}"));
+    let stable = name::stable(Path::new(DEV), &node);
+    let id = stable.as_ref().unwrap_or(&node).display().to_string();
+    let problem = match node_problem(&node, "video") {
+        Some(problem) => Some(problem),
+        None => match open(number, &id) {
+            Ok(_) => None,
+            Err(OpenError::Unfit(_)) if !is_first(number) => return None,
+            Err(error) => Some(error.to_string()),
+        },
+    };
+    let unstable = "it has no name that stays; its number may change at the next plug";
+    let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
+    Some(Listed { id, name, node: Some(node.display().to_string()), problem })
+}
+
+/// Whether a node is the first one of its hardware.
+fn is_first(number: u32) -> bool {
+    std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"))
+        .map_or(true, |index| index.trim() == "0")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn offer(width: u32, height: u32, coding: Coding, rate: u32) -> CameraFormat {
+        CameraFormat::new_from(width, height, coding, rate)
+    }
+
+    #[test]
+    fn the_smallest_size_that_shows_the_whole_region_is_chosen() {
+        let offers = [
+            offer(1920, 1080, Coding::MJPEG, 30),
+            offer(640, 480, Coding::MJPEG, 30),
+            offer(640, 480, Coding::YUYV, 15),
+            offer(640, 480, Coding::YUYV, 30),
+            offer(640, 480, Coding::GRAY, 30),
+            offer(640, 360, Coding::YUYV, 30),
+            offer(320, 240, Coding::YUYV, 30),
+        ];
+        assert_eq!(choose(&offers, Turn::None), Some(offers[3]));
+        // On its side, 640 × 360 holds 480 × 320.
+        assert_eq!(choose(&offers, Turn::Right), Some(offers[5]));
+        assert_eq!(choose(&offers[5..], Turn::None), Some(offers[5]));
+        assert_eq!(choose(&offers[4..5], Turn::None), None);
+    }
+
+    #[test]
+    fn what_the_system_says_is_told_apart() {
+        let said = |code| {
+            let text = format!("V4L2 Error: it failed (os error {code})");
+            explain(3, "eye", &NokhwaError::OpenDeviceError("3".into(), text))
+        };
+        assert_eq!(said(16), OpenError::Busy("camera eye".into()));
+        assert_eq!(said(19), OpenError::Absent("camera eye".into()));
+        assert!(said(13).to_string().contains("usermod -aG video"));
+        assert!(matches!(said(22), OpenError::Failed(_)));
+    }
+
+    #[test]
+    fn a_camera_that_is_not_there_is_absent() {
+        let opened = V4l::new("usb-no-such-camera", Turn::None).open();
+        assert!(matches!(opened, Err(OpenError::Absent(_))));
+    }
+}

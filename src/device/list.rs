@@ -1,0 +1,173 @@
+//! What is plugged into this machine, by names that stay, and what is wrong with each.
+//!
+//! Nothing is opened to find out that need not be: opening a serial line resets some boards.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use serialport::SerialPortType;
+
+/// One device of this machine.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Listed {
+    /// Names it in a configuration. It stays the same when something else is plugged in, unless
+    /// `problem` says otherwise.
+    pub id: String,
+    /// For people: what it is.
+    pub name: String,
+    /// The device node that it has now, if it has one.
+    pub node: Option<String>,
+    /// What keeps it from being used, and what to do; none if it can be used.
+    pub problem: Option<String>,
+}
+
+/// The serial ports of this machine.
+///
+/// # Errors
+/// If the system cannot be asked.
+pub fn serial_ports() -> Result<Vec<Listed>, serialport::Error> {
+    // The crate relies on this folder.
+    if !Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut ports: Vec<Listed> = serialport::available_ports()?.iter().map(serial_port).collect();
+    ports.sort_by(|a, b| a.id.cmp(&b.id));
+    Ok(ports)
+}
+
+fn serial_port(port: &serialport::SerialPortInfo) -> Listed {
+    let node = Path::new(&port.port_name);
+    let (id, name, stays) = match &port.port_type {
+        SerialPortType::UsbPort(usb) => {
+            let words = [&usb.manufacturer, &usb.product, &usb.serial_number];
+            let words: Vec<_> = words.into_iter().flatten().map(String::as_str).collect();
+            let name = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "));
+            let alias = alias(Path::new("/dev/serial/by-id"), node);
+            let stays = alias.is_some();
+            (alias.unwrap_or_else(|| node.into()), name, stays)
+        }
+        SerialPortType::PciPort => (node.into(), "PCI".to_string(), true),
+        SerialPortType::BluetoothPort => (node.into(), "Bluetooth".to_string(), true),
+        SerialPortType::Unknown => (node.into(), "on board".to_string(), true),
+    };
+    let unstable = || {
+        let text = "it has no name that stays (no udev?); its number may change at the next plug";
+        (!stays).then(|| text.to_string())
+    };
+    Listed {
+        id: id.display().to_string(),
+        name: name.trim_end().to_string(),
+        problem: node_problem(node, "dialout").or_else(unstable),
+        node: Some(port.port_name.clone()),
+    }
+}
+
+/// The link in `folder` that leads to `node`: the first by name, if there are several.
+pub(super) fn alias(folder: &Path, node: &Path) -> Option<PathBuf> {
+    let node = node.canonicalize().ok()?;
+    let links = fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+    links.filter(|link| link.canonicalize().is_ok_and(|target| target == node)).min()
+}
+
+/// What keeps this user from a device node: that it is gone, not permitted, or in use.
+pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
+    use rustix::fs::{Access, access};
+    match access(node, Access::READ_OK | Access::WRITE_OK) {
+        Ok(()) => holder(Path::new("/proc"), node)
+            .map(|holder| format!("in use by process {holder}; end it, or name another device")),
+        Err(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM) => {
+            Some(format!("permission denied; {}", permission_hint(node, group)))
+        }
+        Err(error) => Some(error.to_string()),
+    }
+}
+
+/// What to do where the user may not use a device node: `group` is who usually may.
+pub fn permission_hint(node: &Path, group: &str) -> String {
+    let subsystem = if group == "video" { "video4linux" } else { "tty" };
+    let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
+    let kind = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    format!(
+        "add yourself to the group that may (sudo usermod -aG {group} $USER, then log in again), \
+         or write to /etc/udev/rules.d/60-stylus.rules: SUBSYSTEM==\"{subsystem}\", \
+         KERNEL==\"{kind}[0-9]*\", TAG+=\"uaccess\" and run: sudo udevadm control --reload && \
+         sudo udevadm trigger"
+    )
+}
+
+/// Number and name of another process that has `node` open, as far as this user may see it.
+fn holder(proc: &Path, node: &Path) -> Option<String> {
+    let device = fs::metadata(node).ok().filter(|node| node.file_type().is_char_device())?.rdev();
+    let has = |process: &Path| {
+        let Ok(open) = fs::read_dir(process.join("fd")) else { return false };
+        open.flatten().any(|entry| {
+            // The name first: looking at what lies behind a link may take long (a dead network).
+            let link = fs::read_link(entry.path()).unwrap_or_default();
+            link.starts_with("/dev")
+                && fs::metadata(entry.path())
+                    .is_ok_and(|m| m.file_type().is_char_device() && m.rdev() == device)
+        })
+    };
+    let own = std::process::id();
+    fs::read_dir(proc).ok()?.flatten().find_map(|entry| {
+        let number: u32 = entry.file_name().to_str()?.parse().ok()?;
+        let name = || fs::read_to_string(entry.path().join("comm")).unwrap_or_default();
+        (number != own && has(&entry.path())).then(|| format!("{number} ({})", name().trim()))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_is_named_by_the_link_that_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let node = dir.path().join("ttyACM0");
+        let links = dir.path().join("by-id");
+        fs::create_dir(&links).unwrap();
+        fs::write(&node, "").unwrap();
+        assert_eq!(alias(&links, &node), None);
+        for (name, to) in [("usb-b", "../ttyACM0"), ("usb-a", "../ttyACM0"), ("other", "../gone")] {
+            std::os::unix::fs::symlink(to, links.join(name)).unwrap();
+        }
+        assert_eq!(alias(&links, &node), Some(links.join("usb-a")));
+        assert_eq!(alias(&dir.path().join("none"), &node), None);
+    }
+
+    #[test]
+    fn a_missing_permission_comes_with_the_udev_rule() {
+        let hint = permission_hint(Path::new("/dev/ttyACM3"), "dialout");
+        assert!(hint.contains("usermod -aG dialout") && hint.contains("KERNEL==\"ttyACM[0-9]*\""));
+        let hint = permission_hint(Path::new("/dev/video10"), "video");
+        assert!(hint.contains("video4linux") && hint.contains("KERNEL==\"video[0-9]*\""), "{hint}");
+    }
+
+    #[test]
+    fn a_node_that_is_gone_is_a_problem() {
+        let said = node_problem(Path::new("/dev/no-such-port"), "dialout").unwrap();
+        assert!(said.contains("No such file"), "{said}");
+    }
+
+    #[test]
+    fn the_process_that_has_a_node_is_named() {
+        let mut child = std::process::Command::new("sleep")
+            .arg("60")
+            .stdin(fs::File::open("/dev/full").unwrap())
+            .spawn()
+            .unwrap();
+        let mut found = None;
+        for _ in 0..100 {
+            found = holder(Path::new("/proc"), Path::new("/dev/full"));
+            if found.as_deref().is_some_and(|text| text.contains("(sleep)")) {
+                break;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(found, Some(format!("{} (sleep)", child.id())));
+    }
+}

@@ -1,0 +1,261 @@
+//! The microphone: 44.1 kHz, one channel, whatever the sound device delivers.
+//!
+//! The sound system calls back on a thread of its own, which must never wait: it mixes to one
+//! channel and puts that into a ring, in which losses keep their place. The device's thread
+//! carries it on to the session, watches level and pace, and opens the stream anew when it is
+//! lost. What needs the sound system is behind [`Sound`]; the crate's feature `microphone` brings
+//! the real one.
+
+#[cfg(feature = "microphone")]
+mod alsa;
+mod intake;
+mod level;
+mod mono;
+mod pace;
+
+use std::any::Any;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, Sender};
+
+#[cfg(feature = "microphone")]
+pub use alsa::{Alsa, microphones};
+pub use intake::Intake;
+pub use level::{Level, LevelWatch};
+pub use mono::{Pcm, Pick, mix};
+pub use pace::Pace;
+
+use super::open::{OpenError, failed};
+use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use crate::ring::{Bell, Piece, SeriesSink, SeriesTap, Sink, series};
+use crate::scene::SourceId;
+
+/// The rate of every microphone in Hz, which is that of LMT108.
+pub const RATE_HZ: u32 = 44_100;
+
+/// Between the callback and the device's thread, in seconds: the longest that this thread may be
+/// held up without a loss.
+const BUFFER_S: f64 = 1.0;
+/// How often the device's thread looks around, at least.
+const LOOK: Duration = Duration::from_millis(20);
+/// No sound for so long is a stall.
+const STALLED: Duration = Duration::from_millis(700);
+/// No sound for so long, and the stream is opened anew.
+const GIVE_UP: Duration = Duration::from_secs(4);
+
+/// What goes wrong with a stream that runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Trouble {
+    /// Samples were lost before they could be read; the stream goes on.
+    Overrun,
+    /// The stream has ended, or delivers nothing that can be used any more: why.
+    Gone(String),
+}
+
+/// A sound system.
+pub trait Sound: Send {
+    /// For people: the microphone that it opens.
+    fn device(&self) -> String;
+
+    /// Opens the microphone at [`RATE_HZ`]. From then on `intake` is fed from a callback, and
+    /// `troubles` told (by `try_send`, as nothing may wait there), until what is returned is
+    /// dropped.
+    ///
+    /// # Errors
+    /// If the microphone cannot be opened.
+    fn open(
+        &mut self,
+        intake: Intake,
+        troubles: Sender<Trouble>,
+    ) -> Result<Box<dyn Any>, OpenError>;
+}
+
+/// A microphone, as one stream of one channel in which full scale is ±1.
+pub struct Microphone {
+    stream: SourceId,
+    pick: Pick,
+    sound: Box<dyn Sound>,
+    name: String,
+}
+
+/// Why a stream that ran does so no more.
+enum End {
+    Stop,
+    Lost(String),
+    /// For good.
+    Unfit(String),
+}
+
+/// What lasts from one opening to the next.
+struct Listening<'a> {
+    sink: &'a mut SeriesSink,
+    control: &'a Control,
+    pace: Pace,
+    level: LevelWatch,
+    begin: Instant,
+    /// Sound was heard at least once.
+    heard: bool,
+}
+
+impl Microphone {
+    /// The microphone that `sound` opens, as the stream `stream`.
+    pub fn new(stream: SourceId, sound: Box<dyn Sound>) -> Self {
+        let name = format!("microphone {}", sound.device());
+        Self { stream, pick: Pick::Mean, sound, name }
+    }
+
+    /// Sets which channel is the microphone; the mean of all unless this is called.
+    pub fn pick(mut self, pick: Pick) -> Self {
+        self.pick = pick;
+        self
+    }
+}
+
+impl Device for Microphone {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn streams(&self) -> Vec<StreamSpec> {
+        let kind = StreamKind::Series { channels: 1, rate_hz: f64::from(RATE_HZ) };
+        vec![StreamSpec { id: self.stream.clone(), kind }]
+    }
+
+    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+        let Some(sink) = sinks.first_mut().and_then(Sink::series) else {
+            return Err(DeviceError::Failed("a microphone needs the ring of a series".into()));
+        };
+        control.state(DeviceState::Opening, "");
+        let rate_hz = f64::from(RATE_HZ);
+        let mut listening = Listening {
+            sink,
+            control,
+            pace: Pace::new(rate_hz),
+            level: LevelWatch::new(rate_hz),
+            begin: Instant::now(),
+            heard: false,
+        };
+        let mut told = None;
+        while !control.stopped() {
+            let (bell, woken) = Bell::new();
+            let buffer = (BUFFER_S * rate_hz) as usize;
+            let (enter, mut leave) = series(1, buffer, bell.clone());
+            let (trouble, troubles) = crossbeam_channel::bounded(16);
+            let intake = Intake::new(enter, bell, self.pick);
+            let broken = intake.broken();
+            let stream = match self.sound.open(intake, trouble) {
+                Ok(stream) => stream,
+                Err(error) => match failed(error, listening.heard, &mut told, control)? {
+                    true => continue,
+                    false => break,
+                },
+            };
+            told = None;
+            let end = listening.follow(&mut leave, &woken, &troubles);
+            drop(stream);
+            if broken.get() > 0 {
+                let count = broken.get();
+                control.warn(format!("{}: {count} samples were no numbers; silence", self.name));
+            }
+            match end {
+                End::Stop => break,
+                End::Unfit(why) => return Err(DeviceError::Failed(why)),
+                End::Lost(why) => {
+                    control.state(DeviceState::Lost, why);
+                    control.sleep_until(Instant::now() + Duration::from_millis(250));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Listening<'_> {
+    /// Carries sound from the callback to the session until the stream ends.
+    fn follow(
+        &mut self,
+        tap: &mut SeriesTap,
+        woken: &Receiver<()>,
+        troubles: &Receiver<Trouble>,
+    ) -> End {
+        self.pace.reopened();
+        let mut last = Instant::now();
+        // Whether the next frames come after an interruption.
+        let mut interrupted = self.heard;
+        while !self.control.stopped() {
+            let _ = woken.recv_timeout(LOOK);
+            // Before the ring is looked at: what follows an overrun is in the ring after it.
+            let trouble = troubles.try_iter().fold(None, |worst, next| match (&worst, &next) {
+                (Some(Trouble::Gone(_)), _) => worst,
+                _ => Some(next),
+            });
+            interrupted |= trouble == Some(Trouble::Overrun);
+            if self.carry(tap, &mut interrupted) {
+                last = Instant::now();
+                self.heard = true;
+                self.control.state(DeviceState::Streaming, "");
+            }
+            if let Some(Trouble::Gone(why)) = trouble {
+                return End::Lost(why);
+            }
+            if self.pace.unpaced(self.now_s(), self.sink.position()) {
+                return End::Unfit(
+                    "the microphone delivers much faster than in real time, as a device without \
+                     hardware does; choose another one from `surfaced devices`"
+                        .into(),
+                );
+            }
+            if last.elapsed() > GIVE_UP {
+                return End::Lost("no sound arrives; it is opened anew".into());
+            }
+            if last.elapsed() > STALLED {
+                let why = "open, but no sound arrives; check that nothing has suspended it";
+                self.control.state(DeviceState::Stalled, why);
+            }
+        }
+        End::Stop
+    }
+
+    /// Moves all that has arrived; whether there was anything.
+    fn carry(&mut self, tap: &mut SeriesTap, interrupted: &mut bool) -> bool {
+        let now_s = self.now_s();
+        let (mut change, mut came) = (None, false);
+        let Self { sink, pace, level, .. } = self;
+        let held = tap.meter().counts().fill;
+        tap.drain(|piece| match piece {
+            Piece::Missing(frames) => sink.skip(frames),
+            Piece::Samples(samples) => {
+                if std::mem::take(interrupted) {
+                    // What the interruption cost comes before the frames that followed it.
+                    let position = sink.position() + held.max(samples.len() as u64);
+                    sink.skip(pace.missing(now_s, position));
+                }
+                came = true;
+                sink.push(samples);
+                change = level.take(samples).or(change);
+            }
+        });
+        if came {
+            pace.arrived(now_s, sink.position());
+        }
+        match change {
+            None => {}
+            Some(Level::Heard) => self.control.warn("the microphone is heard well again"),
+            Some(Level::Silent) => self.control.warn(
+                "the microphone is silent, without even a noise; check that it is plugged in, \
+                 switched on and not muted",
+            ),
+            Some(Level::Clipped) => {
+                self.control.warn("the microphone is clipped; lower its gain, or press less");
+            }
+        }
+        came
+    }
+
+    fn now_s(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64()
+    }
+}
+
+#[cfg(test)]
+mod tests;

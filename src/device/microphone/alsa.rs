@@ -1,0 +1,282 @@
+//! The real sound system: ALSA, through cpal.
+
+use std::any::Any;
+use std::time::Duration;
+
+use cpal::traits::{DeviceTrait, HostTrait, StreamTrait};
+use cpal::{
+    BufferSize, Data, Device, ErrorKind, I24, SampleFormat, StreamConfig, SupportedBufferSize,
+    SupportedStreamConfigRange, U24,
+};
+use crossbeam_channel::Sender;
+
+use super::{Intake, Pcm, RATE_HZ, Sound, Trouble};
+use crate::device::list::Listed;
+use crate::device::open::OpenError;
+
+/// Frames a callback, if the device lets one choose: 12 ms.
+const PERIOD: u32 = 512;
+/// How often the thread of a stream looks whether its device is still there.
+const POLL: Duration = Duration::from_millis(500);
+
+impl Pcm for I24 {
+    fn unit(self) -> f32 {
+        self.inner() as f32 / 8_388_608.0
+    }
+}
+
+impl Pcm for U24 {
+    fn unit(self) -> f32 {
+        (self.inner() - 8_388_608) as f32 / 8_388_608.0
+    }
+}
+
+/// A microphone of ALSA.
+#[derive(Clone, Debug)]
+pub struct Alsa {
+    id: String,
+}
+
+impl Alsa {
+    /// The microphone with this name in ALSA, as `surfaced devices` lists it; the system's own
+    /// choice if it is `default`. Names with the number of a card (`hw:0,0`) work, but mean
+    /// another device once one more is plugged in.
+    ///
+    /// # Errors
+    /// If it is ALSA's null device, which is no microphone.
+    pub fn new(id: impl Into<String>) -> Result<Self, OpenError> {
+        let id = id.into();
+        match is_null(&id) {
+            true => Err(OpenError::Unfit(format!(
+                "`{id}` is ALSA's null device, which delivers silence as fast as it is read; \
+                 choose a microphone from `surfaced devices`"
+            ))),
+            false => Ok(Self { id }),
+        }
+    }
+}
+
+fn is_null(id: &str) -> bool {
+    id.split(':').next() == Some("null")
+}
+
+impl Sound for Alsa {
+    fn device(&self) -> String {
+        self.id.clone()
+    }
+
+    fn open(
+        &mut self,
+        intake: Intake,
+        troubles: Sender<Trouble>,
+    ) -> Result<Box<dyn Any>, OpenError> {
+        let said = |error: cpal::Error| explain(&self.id, &error);
+        let device = find(&self.id)?;
+        let offers: Vec<_> = device.supported_input_configs().map_err(said)?.collect();
+        let offer = choose(&offers).ok_or_else(|| unfit(&self.id, &offers))?;
+        let format = offer.sample_format();
+        let config = StreamConfig {
+            channels: offer.channels(),
+            sample_rate: RATE_HZ,
+            buffer_size: match *offer.buffer_size() {
+                SupportedBufferSize::Range { min, max } if min <= max => {
+                    BufferSize::Fixed(PERIOD.clamp(min, max))
+                }
+                _ => BufferSize::Default,
+            },
+        };
+        let stream = device
+            .build_input_stream_raw(
+                config,
+                format,
+                callback(format, usize::from(config.channels), intake),
+                move |error| {
+                    // Some errors come again and again; whoever listens needs only the first ones.
+                    let _ = match error.kind() {
+                        ErrorKind::Xrun => troubles.try_send(Trouble::Overrun),
+                        ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),
+                        _ => troubles.try_send(Trouble::Gone(error.to_string())),
+                    };
+                },
+                Some(POLL),
+            )
+            .map_err(said)?;
+        stream.play().map_err(said)?;
+        Ok(Box::new(stream))
+    }
+}
+
+/// Hands each block of the stream to `intake` in the format that it comes in.
+fn callback(
+    format: SampleFormat,
+    channels: usize,
+    mut intake: Intake,
+) -> impl FnMut(&Data, &cpal::InputCallbackInfo) + Send + 'static {
+    macro_rules! take {
+        ($data:ident as $($format:ident: $type:ty),*) => {
+            match format {
+                $(SampleFormat::$format => {
+                    if let Some(samples) = $data.as_slice::<$type>() {
+                        intake.take(samples, channels);
+                    }
+                })*
+                // `choose` takes no other format.
+                _ => {}
+            }
+        };
+    }
+    move |data, _| {
+        take!(data as I8: i8, I16: i16, I24: I24, I32: i32, U8: u8, U16: u16, U24: U24, U32: u32,
+            F32: f32, F64: f64);
+    }
+}
+
+/// How good a format is, the best being the highest; none if it cannot be understood.
+fn rank(format: SampleFormat) -> Option<u32> {
+    use SampleFormat::{F32, F64, I8, I16, I24, I32, U8, U16, U24, U32};
+    let order = [U8, I8, U16, I16, U24, I24, U32, F64, I32, F32];
+    order.iter().position(|known| *known == format).map(|at| at as u32)
+}
+
+/// The best offer at 44.1 kHz: the fewest channels, then the best format.
+fn choose(offers: &[SupportedStreamConfigRange]) -> Option<SupportedStreamConfigRange> {
+    let fits = |offer: &&SupportedStreamConfigRange| {
+        (offer.min_sample_rate()..=offer.max_sample_rate()).contains(&RATE_HZ)
+            && rank(offer.sample_format()).is_some()
+    };
+    let best = |offer: &&SupportedStreamConfigRange| {
+        (std::cmp::Reverse(offer.channels()), rank(offer.sample_format()))
+    };
+    offers.iter().filter(fits).max_by_key(best).copied()
+}
+
+fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
+    let mut rates: Vec<_> =
+        offers.iter().flat_map(|o| [o.min_sample_rate(), o.max_sample_rate()]).collect();
+    rates.sort_unstable();
+    rates.dedup();
+    let rates = rates.iter().map(|rate| format!("{rate} Hz")).collect::<Vec<_>>().join(", ");
+    OpenError::Unfit(format!(
+        "microphone {id} does not do {RATE_HZ} Hz (it does {rates}); name it with `plughw:` in \
+         front, or take `default`: then ALSA converts"
+    ))
+}
+
+fn find(id: &str) -> Result<Device, OpenError> {
+    let host = cpal::default_host();
+    let absent = || OpenError::Absent(format!("microphone {id}"));
+    if id == "default" {
+        return host.default_input_device().ok_or_else(absent);
+    }
+    host.device_by_id(&cpal::DeviceId::new(host.id(), id)).ok_or_else(absent)
+}
+
+fn explain(id: &str, error: &cpal::Error) -> OpenError {
+    let device = format!("microphone {id}");
+    match error.kind() {
+        ErrorKind::DeviceNotAvailable | ErrorKind::HostUnavailable => OpenError::Absent(device),
+        ErrorKind::DeviceBusy => OpenError::Busy(device),
+        ErrorKind::PermissionDenied => OpenError::Denied {
+            device,
+            hint: "add yourself to the group that may: sudo usermod -aG audio $USER, then log in \
+                   again"
+                .into(),
+        },
+        ErrorKind::UnsupportedOperation => {
+            OpenError::Unfit(format!("{device} is for playing only; choose another one"))
+        }
+        _ => OpenError::Failed(format!("{device}: {error}")),
+    }
+}
+
+/// The microphones of this machine, with names that stay, and what is wrong with each.
+///
+/// # Errors
+/// If ALSA cannot be asked.
+pub fn microphones() -> Result<Vec<Listed>, OpenError> {
+    let host = cpal::default_host();
+    let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;
+    let listed = devices.filter(DeviceTrait::supports_input).filter_map(|device| {
+        let id = device.id().ok()?.id().to_string();
+        worth_listing(&id).then(|| Listed {
+            name: device.to_string(),
+            problem: problem(&id, &device),
+            node: None,
+            id,
+        })
+    });
+    Ok(listed.collect())
+}
+
+fn problem(id: &str, device: &Device) -> Option<String> {
+    match device.supported_input_configs() {
+        Err(error) => Some(explain(id, &error).to_string()),
+        Ok(offers) => {
+            let offers: Vec<_> = offers.collect();
+            choose(&offers).is_none().then(|| unfit(id, &offers).to_string())
+        }
+    }
+}
+
+/// ALSA lists every device many times, in the ways in which it may be opened. Of a card, only the
+/// one that converts rates and names the card, not its number; beside that, what has no card.
+fn worth_listing(id: &str) -> bool {
+    const OTHERS: [&str; 8] =
+        ["null", "lavrate", "samplerate", "speexrate", "speex", "upmix", "vdownmix", "oss"];
+    match id.split_once(':') {
+        None => !OTHERS.contains(&id),
+        Some(("plughw", rest)) => {
+            let card = rest.strip_prefix("CARD=").and_then(|rest| rest.split(',').next());
+            card.is_some_and(|card| card.parse::<u32>().is_err())
+        }
+        Some(_) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn offer(channels: u16, rates: (u32, u32), format: SampleFormat) -> SupportedStreamConfigRange {
+        let buffer = SupportedBufferSize::Unknown;
+        SupportedStreamConfigRange::new(channels, rates.0, rates.1, buffer, format)
+    }
+
+    #[test]
+    fn the_null_device_is_refused_by_name() {
+        for id in ["null", "null:CARD=0"] {
+            assert!(Alsa::new(id).unwrap_err().to_string().contains("null device"));
+        }
+        assert!(Alsa::new("default").is_ok());
+    }
+
+    #[test]
+    fn one_channel_at_44100_is_chosen_in_the_best_format() {
+        let offers = [
+            offer(2, (8_000, 96_000), SampleFormat::F32),
+            offer(1, (48_000, 48_000), SampleFormat::F32),
+            offer(1, (44_100, 44_100), SampleFormat::I16),
+            offer(1, (8_000, 48_000), SampleFormat::I32),
+            offer(1, (44_100, 44_100), SampleFormat::DsdU8),
+        ];
+        assert_eq!(choose(&offers), Some(offers[3]));
+        assert_eq!(choose(&offers[1..2]), None);
+        let said = unfit("hw:CARD=mic", &offers[1..2]).to_string();
+        assert!(said.contains("48000 Hz") && said.contains("plughw:"), "{said}");
+    }
+
+    #[test]
+    fn of_each_card_one_name_is_listed_that_stays() {
+        let listed = ["default", "pulse", "plughw:CARD=Device,DEV=0"];
+        let not = ["null", "hw:CARD=Device,DEV=0", "plughw:CARD=0,DEV=0", "front:CARD=Device"];
+        assert!(listed.into_iter().all(worth_listing));
+        assert!(!not.into_iter().any(worth_listing));
+    }
+
+    #[test]
+    fn numbers_of_24_bits_have_their_full_scale_at_1() {
+        assert_eq!(I24::new(-8_388_608).map(Pcm::unit), Some(-1.0));
+        assert_eq!(U24::new(0).map(Pcm::unit), Some(-1.0));
+        assert_eq!(U24::new(8_388_608).map(Pcm::unit), Some(0.0));
+    }
+}

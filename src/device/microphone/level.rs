@@ -1,0 +1,140 @@
+//! Notices a microphone that is silent or clipped, within a second.
+
+/// How a microphone sounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Level {
+    /// As it should.
+    Heard,
+    /// Nothing at all: not even the noise that every microphone has.
+    Silent,
+    /// Louder than it can tell.
+    Clipped,
+}
+
+/// A window in seconds. What fills a whole one is told at its end, so at most two of them later.
+const WINDOW_S: f64 = 0.4;
+/// The last bit of a 16-bit converter, full scale being ±1. No more than that is silence.
+const LAST_BIT: f32 = 1.0 / 32_768.0;
+/// From here on a sample is at the limit, even of an 8-bit converter (127 / 128).
+const LIMIT: f32 = 0.99;
+/// So many samples in a row at a limit are no chance.
+const RUN: usize = 3;
+
+/// Watches the level of one channel.
+#[derive(Clone, Debug)]
+pub struct LevelWatch {
+    window: usize,
+    seen: usize,
+    low: f32,
+    high: f32,
+    run: usize,
+    clipped: bool,
+    level: Level,
+}
+
+impl LevelWatch {
+    /// A watch over a channel of `rate_hz` samples a second, in which full scale is ±1.
+    pub fn new(rate_hz: f64) -> Self {
+        Self {
+            window: ((rate_hz * WINDOW_S) as usize).max(1),
+            seen: 0,
+            low: f32::INFINITY,
+            high: f32::NEG_INFINITY,
+            run: 0,
+            clipped: false,
+            level: Level::Heard,
+        }
+    }
+
+    /// How it sounds, as of the last window.
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Hears samples; the new level if it changed.
+    pub fn take(&mut self, samples: &[f32]) -> Option<Level> {
+        let before = self.level;
+        for &x in samples {
+            self.low = self.low.min(x);
+            self.high = self.high.max(x);
+            self.run = if x.abs() >= LIMIT { self.run + 1 } else { 0 };
+            self.clipped |= self.run >= RUN;
+            self.seen += 1;
+            if self.seen == self.window {
+                self.judge();
+            }
+        }
+        (self.level != before).then_some(self.level)
+    }
+
+    fn judge(&mut self) {
+        self.level = match () {
+            () if self.clipped => Level::Clipped,
+            () if self.high - self.low <= LAST_BIT => Level::Silent,
+            () => Level::Heard,
+        };
+        (self.seen, self.clipped) = (0, false);
+        (self.low, self.high) = (f32::INFINITY, f32::NEG_INFINITY);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE: usize = 44_100;
+
+    fn noise(seconds: f64) -> Vec<f32> {
+        (0..(seconds * RATE as f64) as usize)
+            .map(|i| (i as f32 * 1.7).sin() * 3.0 * LAST_BIT)
+            .collect()
+    }
+
+    /// The changes within so many seconds, each with the moment it was told, in blocks of 10 ms.
+    fn changes(watch: &mut LevelWatch, samples: &[f32]) -> Vec<(f64, Level)> {
+        let blocks = samples.chunks(RATE / 100).enumerate();
+        blocks.filter_map(|(i, block)| Some(((i + 1) as f64 * 0.01, watch.take(block)?))).collect()
+    }
+
+    #[test]
+    fn a_dead_microphone_is_told_once_and_within_a_second() {
+        let mut watch = LevelWatch::new(RATE as f64);
+        assert_eq!(changes(&mut watch, &noise(3.0)), []);
+        // A constant offset is no sound.
+        let told = changes(&mut watch, &vec![0.25; 5 * RATE]);
+        assert_eq!(told.len(), 1);
+        assert!(told[0].0 <= 1.0 && told[0].1 == Level::Silent, "{told:?}");
+        let told = changes(&mut watch, &noise(3.0));
+        assert_eq!((told.len(), watch.level()), (1, Level::Heard));
+    }
+
+    #[test]
+    fn a_clipped_microphone_is_told_once_and_within_a_second() {
+        let mut watch = LevelWatch::new(RATE as f64);
+        let loud: Vec<_> =
+            (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();
+        let told = changes(&mut watch, &loud);
+        assert_eq!(told.len(), 1);
+        assert!(told[0].0 <= 1.0 && told[0].1 == Level::Clipped, "{told:?}");
+    }
+
+    #[test]
+    fn a_single_sample_at_the_limit_is_no_clipping() {
+        let mut watch = LevelWatch::new(RATE as f64);
+        let mut samples = noise(2.0);
+        samples.iter_mut().step_by(50).for_each(|x| *x = 1.0);
+        assert_eq!(changes(&mut watch, &samples), []);
+    }
+
+    #[test]
+    fn the_size_of_blocks_does_not_matter() {
+        let samples = [noise(1.0), vec![0.0; RATE], noise(0.5)].concat();
+        for size in [1, 7, 1000, 2 * RATE] {
+            let mut watch = LevelWatch::new(RATE as f64);
+            samples.chunks(size).for_each(|block| {
+                watch.take(block);
+            });
+            assert_eq!(watch.level(), Level::Heard);
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Compares a stream with the clock: how many frames an interruption cost, and whether the stream
+//! runs at its rate at all.
+
+/// Two clocks drift apart by no more than this share, and a good deal less as a rule.
+const DRIFT: f64 = 500e-6;
+/// A buffer that was full when the stream began explains no more than this, in seconds.
+const BURST_S: f64 = 4.0;
+/// How long a new stream is watched for being unpaced, in seconds.
+const TRIAL_S: f64 = 5.0;
+
+/// Follows when frames arrive.
+///
+/// A frame can come late but not early. So the earliest arrival, less the frame's own time, is the
+/// moment at which the stream seems to have begun; later than that by more than the usual delay
+/// means that frames are missing.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    rate_hz: f64,
+    /// The apparent begin in seconds, and when it was last looked at.
+    begin: Option<(f64, f64)>,
+    /// Moment and position of the first arrival.
+    first: Option<(f64, u64)>,
+}
+
+impl Pace {
+    /// Of a stream with `rate_hz` frames a second.
+    pub fn new(rate_hz: f64) -> Self {
+        Self { rate_hz, begin: None, first: None }
+    }
+
+    /// The stream was opened anew: it may begin with what was waiting in a buffer.
+    pub fn reopened(&mut self) {
+        self.first = None;
+    }
+
+    /// Frames arrived at `now_s`, the last of which is number `position`, lost ones included.
+    pub fn arrived(&mut self, now_s: f64, position: u64) {
+        let seems = now_s - position as f64 / self.rate_hz;
+        let begin = match self.begin {
+            Some((begin, at_s)) => seems.min(begin + DRIFT * (now_s - at_s)),
+            None => seems,
+        };
+        self.begin = Some((begin, now_s));
+        self.first.get_or_insert((now_s, position));
+    }
+
+    /// How many frames an interruption cost, once the first frames after it have arrived at
+    /// `now_s` and `position` does not yet count any as lost. An estimate: it is off by the delay
+    /// of that arrival, a few milliseconds.
+    pub fn missing(&self, now_s: f64, position: u64) -> u64 {
+        let Some((begin, at_s)) = self.begin else { return 0 };
+        let late_s = now_s - position as f64 / self.rate_hz - begin - DRIFT * (now_s - at_s);
+        (late_s * self.rate_hz).max(0.0) as u64
+    }
+
+    /// Whether frames come much faster than real time, as they do from ALSA's null device.
+    pub fn unpaced(&self, now_s: f64, position: u64) -> bool {
+        let Some((first_s, first)) = self.first else { return false };
+        let (elapsed_s, frames) = (now_s - first_s, position.saturating_sub(first));
+        elapsed_s < TRIAL_S && frames as f64 / self.rate_hz > elapsed_s + BURST_S
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE_HZ: f64 = 44_100.0;
+    const BLOCK: u64 = 441;
+
+    /// Runs for so many seconds on a clock that is off by `drift`, and with a delay that changes.
+    fn run(pace: &mut Pace, from: (f64, u64), seconds: f64, drift: f64) -> (f64, u64) {
+        let (mut now_s, mut position) = from;
+        for i in 0..(seconds * 100.0) as u64 {
+            now_s += 0.01 * (1.0 + drift);
+            position += BLOCK;
+            pace.arrived(now_s + (i * 7 % 11) as f64 * 0.0005, position);
+        }
+        (now_s, position)
+    }
+
+    #[test]
+    fn an_interruption_is_measured_to_within_ten_milliseconds() {
+        for drift in [-100e-6, 0.0, 100e-6] {
+            let mut pace = Pace::new(RATE_HZ);
+            let (now_s, position) = run(&mut pace, (5.0, 0), 600.0, drift);
+            assert_eq!(pace.missing(now_s + 0.01, position + BLOCK) / 441, 0);
+            let missing = pace.missing(now_s + 2.01, position + BLOCK) as f64 / RATE_HZ;
+            assert!((missing - 2.0).abs() < 0.01, "{missing}");
+        }
+    }
+
+    #[test]
+    fn after_the_loss_is_counted_nothing_is_missing_any_more() {
+        let mut pace = Pace::new(RATE_HZ);
+        let (now_s, position) = run(&mut pace, (0.0, 0), 10.0, 0.0);
+        let position = position + BLOCK + pace.missing(now_s + 3.0, position + BLOCK);
+        pace.arrived(now_s + 3.0, position);
+        let (now_s, position) = run(&mut pace, (now_s + 3.0, position), 10.0, 0.0);
+        assert!(pace.missing(now_s + 0.01, position + BLOCK) < 441);
+    }
+
+    #[test]
+    fn a_stream_without_a_pace_is_told_from_one_that_begins_with_a_full_buffer() {
+        let mut pace = Pace::new(RATE_HZ);
+        pace.arrived(0.0, 441);
+        assert!(!pace.unpaced(0.1, 2 * 44_100));
+        assert!(pace.unpaced(0.5, 10 * 44_100));
+        let (now_s, position) = run(&mut pace, (0.0, 441), 4.0, 0.0);
+        assert!(!pace.unpaced(now_s, position));
+    }
+}

@@ -1,0 +1,63 @@
+//! Why hardware cannot be opened, and what to do about it.
+
+use std::time::Duration;
+
+use super::{Control, DeviceError, DeviceState};
+
+/// How long a driver waits before it tries again.
+pub(super) const RETRY: Duration = Duration::from_secs(1);
+
+/// Why hardware cannot be opened.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum OpenError {
+    /// it is not plugged in, or has another name
+    #[error("{0} is not there; plug it in, or look for its name with `surfaced devices`")]
+    Absent(String),
+    /// another program has it
+    #[error("{0} is in use; end the program that has it")]
+    Busy(String),
+    /// the user may not use it
+    #[error("permission denied on {device}; {hint}")]
+    Denied {
+        /// what may not be used
+        device: String,
+        /// what to do
+        hint: String,
+    },
+    /// it will never do what is needed; trying again is of no use
+    #[error("{0}")]
+    Unfit(String),
+    /// anything else that the system said
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl OpenError {
+    /// Whether trying again may help.
+    pub fn may_pass(&self) -> bool {
+        !matches!(self, Self::Unfit(_))
+    }
+}
+
+/// What is left to do after a failure to open: tells it, then waits. False if it is time to stop.
+///
+/// # Errors
+/// If trying again is of no use.
+pub(super) fn failed(
+    error: OpenError,
+    was_there: bool,
+    told: &mut Option<OpenError>,
+    control: &Control,
+) -> Result<bool, DeviceError> {
+    if !error.may_pass() {
+        return Err(DeviceError::Failed(error.to_string()));
+    }
+    let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
+    control.state(state, error.to_string());
+    // The state stays, but the reason is another one: busy instead of absent, say.
+    if told.as_ref().is_some_and(|before| *before != error) {
+        control.warn(error.to_string());
+    }
+    *told = Some(error);
+    Ok(control.sleep_until(std::time::Instant::now() + RETRY))
+}
