@@ -7,6 +7,7 @@ use surfaced::recognise::{
     DomainSamples, Precision, QuerySet, SampleSet, Scratch, amplitude_spectrum, hsv, image_grid,
     score_samples,
 };
+use surfaced::scene::Colour;
 use surfaced::trial::Image;
 
 const TOLERANCE: f64 = 1e-9;
@@ -122,7 +123,10 @@ fn image(value: impl Fn(usize, usize, usize) -> usize) -> DomainSamples {
         let value = &value;
         (0..Image::COLS).flat_map(move |c| (0..3).map(move |ch| (value(r, c, ch) % 256) as u8))
     });
-    DomainSamples::Pixels(Image::new(Image::COLS, Image::ROWS, bytes.collect()).unwrap())
+    DomainSamples::Pixels(
+        Image::new(Image::COLS, Image::ROWS, bytes.collect()).unwrap(),
+        Colour::Hsv,
+    )
 }
 
 #[test]
