@@ -26,6 +26,25 @@ def windows_of(samples: np.ndarray, length: int) -> list[np.ndarray]:
     return [samples[i : i + length] for i in range(0, len(samples) - length + 1, length)]
 
 
+def shifts(
+    method: Method, trials: list[Trial], folds: list[Fold]
+) -> list[tuple[list[int], list[int]]]:
+    """Folds that share features, by number, and the trials from which these are pretrained.
+
+    Pretraining for each fold would take most of the time. Two shifts will do: the first half of
+    the folds pretrains on trials that are queries of none of them, and so does the second.
+    """
+    numbers = list(range(len(folds)))
+    if not method.pretrained:
+        return [(numbers, [])]
+    half = len(folds) // 2
+    parts = [part for part in (numbers[:half], numbers[half:]) if part]
+    return [
+        (part, sorted(set.intersection(*(set(folds[number].library) for number in part))))
+        for part in parts
+    ]
+
+
 def query_length(trials: list[Trial], seconds: float | None) -> int:
     """Samples of a query: so many seconds, or the whole, which is the shortest trial's length."""
     shortest = min(trials, key=lambda trial: len(trial.samples))
@@ -47,22 +66,26 @@ def evaluate(
     method.prepare(trials[0].rate_hz, length)
     surfaces = sorted({trial.surface for trial in trials})
     cut = windows_of if method.windows and seconds is not None else lambda x, n: [x[:n]]
-    features = [
-        np.stack([method.features(window) for window in cut(trial.samples, length)])
-        for trial in trials
-    ]
     answers = []
-    for number, fold in enumerate(folds):
-        labels = [np.full(len(features[i]), surfaces.index(trials[i].surface)) for i in fold.library]
-        method.fit(np.concatenate([features[i] for i in fold.library]), np.concatenate(labels))
-        method.predict(method.features(trials[fold.library[0]].samples[:length]))  # warms up
-        for i in fold.queries:
-            query = trials[i].samples[:length].copy()
-            wall, cpu = time.perf_counter(), time.process_time()
-            label = method.predict(method.features(query))
-            cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-            right = surfaces[label] == trials[i].surface
-            answers.append(Answer(number, right, wall * 1e3, cpu * 1e3))
+    for numbers, unlabelled in shifts(method, trials, folds):
+        method.pretrain([w for i in unlabelled for w in cut(trials[i].samples, length)])
+        features = [
+            np.stack([method.features(window) for window in cut(trial.samples, length)])
+            for trial in trials
+        ]
+        for number in numbers:
+            fold = folds[number]
+            of_class = [surfaces.index(trials[i].surface) for i in fold.library]
+            labels = np.repeat(of_class, [len(features[i]) for i in fold.library])
+            method.fit(np.concatenate([features[i] for i in fold.library]), labels)
+            method.predict(method.features(trials[fold.library[0]].samples[:length]))  # warms up
+            for i in fold.queries:
+                query = trials[i].samples[:length].copy()
+                wall, cpu = time.perf_counter(), time.process_time()
+                label = method.predict(method.features(query))
+                cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+                right = surfaces[label] == trials[i].surface
+                answers.append(Answer(number, right, wall * 1e3, cpu * 1e3))
     result = summary(answers, len(folds))
     result.update(
         method=method.name,

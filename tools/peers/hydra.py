@@ -44,52 +44,58 @@ class Hydra:
 def _count(padded, weights, dilation, counts):
     length = padded.size - (TAPS - 1) * dilation
     response = np.empty((KERNELS, BLOCK), np.float32)
-    for group in range(weights.shape[0]):
-        for start in range(0, length, BLOCK):
-            size = min(BLOCK, length - start)
+    most = np.empty((4, BLOCK), np.float32)
+    for start in range(0, length, BLOCK):
+        size = min(BLOCK, length - start)
+        for group in range(weights.shape[0]):
             for kernel in range(KERNELS):
-                row = response[kernel, :size]
-                w = weights[group, kernel]
-                w0, w1, w2, w3, w4, w5, w6, w7, w8 = w
-                for t in range(size):
-                    at = start + t
-                    row[t] = (
-                        w0 * padded[at]
-                        + w1 * padded[at + dilation]
-                        + w2 * padded[at + 2 * dilation]
-                        + w3 * padded[at + 3 * dilation]
-                        + w4 * padded[at + 4 * dilation]
-                        + w5 * padded[at + 5 * dilation]
-                        + w6 * padded[at + 6 * dilation]
-                        + w7 * padded[at + 7 * dilation]
-                        + w8 * padded[at + 8 * dilation]
-                    )
-            _compete(response, size, counts[group])
+                _convolve(padded[start:], weights[group, kernel], dilation, response[kernel, :size])
+            _compete(response, size, most, counts[group])
 
 
 @numba.njit(fastmath=True, cache=True)
-def _compete(response, size, counts):
-    best = np.empty(BLOCK, np.float32)
-    least = np.empty(BLOCK, np.float32)
-    winner = np.zeros(BLOCK, np.int32)
-    loser = np.zeros(BLOCK, np.int32)
-    best[:size] = response[0, :size]
-    least[:size] = response[0, :size]
+def _convolve(x, w, d, out):
+    # one slice a tap: the compiler then sees loops without index checks, and vectorises them
+    n = out.size
+    w0, w1, w2, w3, w4, w5, w6, w7, w8 = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8]
+    x0, x1, x2 = x[:n], x[d : d + n], x[2 * d : 2 * d + n]
+    x3, x4, x5 = x[3 * d : 3 * d + n], x[4 * d : 4 * d + n], x[5 * d : 5 * d + n]
+    x6, x7, x8 = x[6 * d : 6 * d + n], x[7 * d : 7 * d + n], x[8 * d : 8 * d + n]
+    for t in range(n):
+        first = w0 * x0[t] + w1 * x1[t] + w2 * x2[t]
+        middle = w3 * x3[t] + w4 * x4[t] + w5 * x5[t]
+        out[t] = first + middle + w6 * x6[t] + w7 * x7[t] + w8 * x8[t]
+
+
+@numba.njit(fastmath=True, cache=True)
+def _compete(response, n, most, counts):
+    # whole rows, contiguous and all f32, again for the compiler; `open` is 1 until a time has its
+    # winner, so that the first of equal kernels takes it
+    best, least, open_best, open_least = most[0, :n], most[1, :n], most[2, :n], most[3, :n]
+    one, nil = np.float32(1), np.float32(0)
+    first = response[0, :n]
+    for t in range(n):
+        best[t] = first[t]
+        least[t] = first[t]
+        open_best[t] = one
+        open_least[t] = one
     for kernel in range(1, KERNELS):
-        row = response[kernel]
-        k = np.int32(kernel)
-        for t in range(size):
-            winner[t] = k if row[t] > best[t] else winner[t]
-            best[t] = max(row[t], best[t])
-            loser[t] = k if row[t] < least[t] else loser[t]
-            least[t] = min(row[t], least[t])
+        row = response[kernel, :n]
+        for t in range(n):
+            best[t] = row[t] if row[t] > best[t] else best[t]
+        for t in range(n):
+            least[t] = row[t] if row[t] < least[t] else least[t]
     for kernel in range(KERNELS):
-        k = np.int32(kernel)
-        soft = np.float32(0.0)
-        hard = np.int32(0)
-        for t in range(size):
-            soft += best[t] if winner[t] == k else np.float32(0.0)
-            hard += np.int32(1) if loser[t] == k else np.int32(0)
+        row = response[kernel, :n]
+        soft, hard = nil, nil
+        for t in range(n):
+            won = open_best[t] if row[t] == best[t] else nil
+            open_best[t] -= won
+            soft += won * best[t]
+        for t in range(n):
+            lost = open_least[t] if row[t] == least[t] else nil
+            open_least[t] -= lost
+            hard += lost
         counts[kernel, 0] += soft
         counts[kernel, 1] += hard
 

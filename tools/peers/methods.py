@@ -18,16 +18,20 @@ SERIES_RATE_HZ = 14_700  # what MiniRocket and Hydra see: the drag sound's band 
 
 
 class Method:
-    """One peer. `features` does not depend on the library, so that a library's can be computed
-    once for all folds; a query pays for `features` and for `predict`."""
+    """One peer. `features` does not depend on the fold's library, so that they can be computed
+    once for many folds; a query pays for `features` and for `predict`."""
 
     name: str
     setting: str
     windows = True  # a short query is compared with windows of its length; else with first ones
+    pretrained = False  # `features` needs some unlabelled library signals first
 
     def prepare(self, rate_hz: int, length: int) -> None:
         """What signals will look like."""
         self.rate_hz = rate_hz
+
+    def pretrain(self, signals: list[np.ndarray]) -> None:
+        """What `features` learns, from signals that are in the library of every fold served."""
 
     def features(self, samples: np.ndarray) -> np.ndarray:
         raise NotImplementedError
@@ -85,24 +89,28 @@ class Series(Method):
 
 class MiniRocket(Series):
     """Dempster, Schmidt, Webb, "MiniRocket: a very fast (almost) deterministic transform for time
-    series classification", KDD 2021, as in aeon; its biases come from the library of the fold."""
+    series classification", KDD 2021, as in aeon. Its biases are quantiles of convolutions of a few
+    random training series."""
 
     name = "minirocket"
     setting = "9996 features, 14.7 kHz, ridge"
+    pretrained = True
 
     def __init__(self, seed: int):
         self.seed = seed
 
+    def pretrain(self, signals):
+        self.transform = MiniRocketTransform(n_kernels=10_000, random_state=self.seed, n_jobs=1)
+        self.transform.fit(np.stack([self.series(samples) for samples in signals])[:, None, :])
+
     def features(self, samples):
-        return self.series(samples)
+        return self.transform.transform(self.series(samples)[None, None, :])[0]
 
     def fit(self, features, labels):
-        self.transform = MiniRocketTransform(n_kernels=10_000, random_state=self.seed, n_jobs=1)
-        found = self.transform.fit_transform(features[:, None, :])
-        self.fit_ridge(found, labels, StandardScaler())
+        self.fit_ridge(features, labels, StandardScaler())
 
     def predict(self, features):
-        return self.predict_ridge(self.transform.transform(features[None, None, :])[0])
+        return self.predict_ridge(features)
 
 
 class HydraMethod(Series):
