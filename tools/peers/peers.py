@@ -35,7 +35,7 @@ def main() -> int:
     options = parse()
     try:
         trials = load(options.data)
-        split = folds(trials)
+        split = folds(trials)[: options.folds]
         chart = read_chart(options.chart) if options.chart else None
         classes = len({trial.surface for trial in trials})
         print(f"{len(trials)} trials, {classes} surfaces, {len(split)} folds", file=sys.stderr)
@@ -73,6 +73,7 @@ def parse() -> argparse.Namespace:
         default=list(METHODS),
         help=f"some of {','.join(METHODS)} (default: all)",
     )
+    parser.add_argument("--folds", type=int, help="only so many of the first folds, for a glance")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="results as JSON")
     parser.add_argument("--chart", type=Path, help="JSON of `surfaced chart`, to be joined")
