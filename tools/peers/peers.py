@@ -73,11 +73,17 @@ def parse() -> argparse.Namespace:
         default=list(METHODS),
         help=f"some of {','.join(METHODS)} (default: all)",
     )
-    parser.add_argument("--folds", type=int, help="only so many of the first folds, for a glance")
+    parser.add_argument("--folds", type=positive, help="only so many of the first folds, for a glance")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="results as JSON")
     parser.add_argument("--chart", type=Path, help="JSON of `surfaced chart`, to be joined")
     return parser.parse_args()
+
+
+def positive(text: str) -> int:
+    if (number := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{number}; expected 1 or more")
+    return number
 
 
 def methods(text: str) -> list[str]:
