@@ -73,7 +73,7 @@ def parse() -> argparse.Namespace:
         default=list(METHODS),
         help=f"some of {','.join(METHODS)} (default: all)",
     )
-    parser.add_argument("--folds", type=positive, help="only so many of the first folds, for a glance")
+    parser.add_argument("--folds", type=positive, help="only the first so many folds")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="results as JSON")
     parser.add_argument("--chart", type=Path, help="JSON of `surfaced chart`, to be joined")
@@ -93,9 +93,21 @@ def methods(text: str) -> list[str]:
     return names
 
 
-HEADER = """\
-| method | setting | query | accuracy | 95 % | mean ± sd of folds | p50 ms | p99 ms | CPU p50 ms | library | load |
-|---|---|---|---|---|---|---|---|---|---|---|"""
+COLUMNS = (
+    "method",
+    "setting",
+    "query",
+    "accuracy",
+    "95 %",
+    "mean ± sd of folds",
+    "queries",
+    "p50 ms",
+    "p99 ms",
+    "CPU p50 ms",
+    "library",
+    "load",
+)
+HEADER = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
 
 
 def row(result: dict) -> str:
@@ -107,6 +119,7 @@ def row(result: dict) -> str:
         f"{result['accuracy']:.3f}",
         f"{result['accuracy_low']:.3f} to {result['accuracy_high']:.3f}",
         f"{result['accuracy_mean']:.3f} ± {result['accuracy_std']:.3f}",
+        str(result["queries"]),
         f"{result['query_ms_p50']:.3g}",
         f"{result['query_ms_p99']:.3g}",
         f"{result['query_cpu_ms_p50']:.3g}",
@@ -136,8 +149,8 @@ def join(chart: dict, results: list[dict]) -> None:
     """Puts the results among the chart's points, in place of earlier ones of the same name."""
     points = [{**{k: r[k] for k in POINT_KEYS}, "peer": True, "control": False} for r in results]
     new = {identity(point) for point in points}
-    kept = [point for point in chart["points"] if not (point.get("peer") and identity(point) in new)]
-    chart["points"] = kept + points
+    points = [p for p in chart["points"] if not (p.get("peer") and identity(p) in new)] + points
+    chart["points"] = points
 
 
 def identity(point: dict) -> tuple:
