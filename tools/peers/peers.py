@@ -28,6 +28,7 @@ POINT_KEYS = (
     "query_ms_p99",
     "queries",
 )
+MS_KEYS = ("query_ms_p50", "query_ms_p99", "query_cpu_ms_p50")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "numba", "aeon")
 
 
@@ -120,13 +121,15 @@ def row(result: dict) -> str:
         f"{result['accuracy_low']:.3f} to {result['accuracy_high']:.3f}",
         f"{result['accuracy_mean']:.3f} ± {result['accuracy_std']:.3f}",
         str(result["queries"]),
-        f"{result['query_ms_p50']:.3g}",
-        f"{result['query_ms_p99']:.3g}",
-        f"{result['query_cpu_ms_p50']:.3g}",
+        *(milliseconds(result[key]) for key in MS_KEYS),
         str(result["library_trials"]),
         "{:.1f} to {:.1f}".format(*result["load_average"]),
     )
     return f"| {' | '.join(cells)} |"
+
+
+def milliseconds(value: float) -> str:
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 
 def machine() -> dict:
