@@ -1,0 +1,124 @@
+"""Tests of the peers: each own implementation against a plain one, or against golden values.
+
+    run --check [GOLDEN]     GOLDEN: the folder with mmd_cases.csv and spectrum_x.csv
+"""
+
+import csv
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from scipy.io import wavfile
+
+from data import folds, load
+from evaluation import wilson
+from hydra import Hydra, transform_plainly
+from mmd import Mmd, amplitudes, sigma_of
+from peers import join
+
+
+def hydra_agrees_with_plain_numpy() -> None:
+    series = np.random.default_rng(0).standard_normal(3001).astype(np.float32)
+    hydra = Hydra(len(series), seed=2)
+    fast, plain = hydra.transform(series), transform_plainly(hydra, series)
+    assert fast.shape == plain.shape == (9 * 2 * 32 * 8 * 2,)
+    hard = np.abs(fast - plain).reshape(-1, 2)[:, 1]
+    # responses that f32 cannot tell apart may change sides
+    assert hard.max() <= 1, hard.max()
+    np.testing.assert_allclose(fast, plain, rtol=1e-3, atol=1.5)
+
+
+def mmd_agrees_with_the_plain_sums() -> None:
+    rng = np.random.default_rng(1)
+    library, query = rng.gamma(2, 1e-4, (3, 5000)), rng.gamma(1.9, 1e-4, 5000)
+    mmd = Mmd(library, 2, seed=3)
+    expected = np.zeros(3)
+    for at in mmd.positions:
+        for i, y in enumerate(library[:, at]):
+            expected[i] += plain_score(y, query[at], shift=True) / 2
+    assert np.abs(mmd.scores(query) - expected).max() < 1e-3
+
+
+def plain_score(y: np.ndarray, z: np.ndarray, shift: bool) -> float:
+    z = z + y.mean() - z.mean() if shift else z
+    sigma = sigma_of(z)
+
+    def mean(a, b):
+        return np.exp(-((a[:, None] - b[None]) ** 2) / (2 * sigma**2)).mean()
+
+    return len(z) * (mean(y, y) + mean(z, z) - 2 * mean(y, z))
+
+
+def golden_values_are_reproduced(golden: Path) -> None:
+    used = 0
+    with open(golden / "mmd_cases.csv", encoding="utf-8") as file:
+        for case in csv.DictReader(file):
+            if case["dims"] != "1":
+                continue
+            y, z = (np.loadtxt(golden / f"mmd_{case['case']}_{side}.csv") for side in "yz")
+            score, shift = float(case["score_m_mmd2"]), case["shift"] == "1"
+            np.testing.assert_allclose(sigma_of(z), float(case["sigma"]), rtol=1e-9)
+            np.testing.assert_allclose(plain_score(y, z, shift), score, rtol=1e-9)
+            if shift and len(z) == 400:
+                mmd = Mmd(y[None], 1, seed=0)
+                mmd.positions = [np.arange(400)]
+                mmd.samples = [(y - y.mean())[None]]
+                assert abs(mmd.scores(z)[0] - score) < 1e-3
+            used += 1
+    assert used > 0, "no case of one channel"
+    found = amplitudes(np.loadtxt(golden / "spectrum_x.csv"), 44_100)
+    np.testing.assert_allclose(found, np.loadtxt(golden / "spectrum_amp_0_7500Hz.csv"), rtol=1e-9)
+
+
+def a_recorded_library_is_read() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        for surface in ("cork", "felt"):
+            for number in (1, 2, 3):
+                trial = Path(folder) / surface / f"trial{number}"
+                trial.mkdir(parents=True)
+                wavfile.write(trial / "mi2.wav", 44_100, np.full(9, 16384, np.int16))
+        (trial / "trial.toml").write_text('user = "user1"\n', encoding="utf-8")
+        trials = load(Path(folder))
+    assert [(t.surface, t.number) for t in trials] == [
+        ("cork", 1), ("cork", 2), ("cork", 3), ("felt", 1), ("felt", 2),
+    ]
+    assert (trials[0].samples == 0.5).all()
+    assert [(f.library, f.queries) for f in folds(trials)] == [
+        ([1, 2, 4], [0, 3]), ([0, 2, 3], [1, 4]), ([0, 1, 3, 4], [2]),
+    ]
+
+
+def wilson_interval_is_the_known_one() -> None:
+    np.testing.assert_allclose(wilson(10, 10), (0.7224672, 1.0), atol=1e-6)
+    np.testing.assert_allclose(wilson(5, 10), (0.2365931, 0.7634069), atol=1e-6)
+
+
+def joining_a_chart_twice_changes_nothing() -> None:
+    ours = {"method": "joint", "setting": "", "query_seconds": None}
+    result = dict.fromkeys(
+        ("sources", "accuracy", "accuracy_low", "accuracy_high", "query_ms_p50", "query_ms_p99"), 0
+    ) | {"method": "lda", "setting": "", "query_seconds": None, "queries": 1}
+    chart = {"points": [ours], "other": 1}
+    join(chart, [result])
+    join(chart, [result])
+    assert chart["points"][0] is ours and len(chart["points"]) == 2 and chart["other"] == 1
+
+
+CHECKS = (
+    hydra_agrees_with_plain_numpy,
+    mmd_agrees_with_the_plain_sums,
+    a_recorded_library_is_read,
+    wilson_interval_is_the_known_one,
+    joining_a_chart_twice_changes_nothing,
+)
+
+if __name__ == "__main__":
+    for check in CHECKS:
+        check()
+        print(f"{check.__name__}: holds")
+    if len(sys.argv) > 1:
+        golden_values_are_reproduced(Path(sys.argv[1]))
+        print("golden_values_are_reproduced: holds")
+    else:
+        print("golden_values_are_reproduced: skipped, no folder given")
