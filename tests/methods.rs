@@ -59,8 +59,8 @@ fn joint_names_real_sounds() {
     assert!(accuracy(&Joint::new(scene), &entries, &folds, None) >= 0.95);
 }
 
-/// What a room and a session give away: the band below 80 Hz alone, and loudness alone. They are
-/// scenes, so that every chart can show them. Neither may come near the method itself.
+/// What a room and a session give away: the band below 80 Hz alone. It is a scene, so that every
+/// chart can show it, and may not come near the method itself.
 #[test]
 fn negative_controls_stay_far_below() {
     let Some((_, entries, folds)) = real(2) else { return };

@@ -94,12 +94,14 @@ impl From<Prediction> for Answer {
     }
 }
 
-struct Evaluation<'a> {
-    entries: &'a [Entry],
-    folds: &'a [Fold],
-    scene: &'a Scene,
-    query_seconds: Option<f64>,
-    cache: Option<&'a Path>,
+/// An evaluation, for whichever method it is done with.
+pub(super) struct Evaluation<'a> {
+    pub entries: &'a [Entry],
+    pub folds: &'a [Fold],
+    pub scene: &'a Scene,
+    pub query_seconds: Option<f64>,
+    /// The folder whose trials are kept prepared, if they are.
+    pub cache: Option<&'a Path>,
 }
 
 impl WithMethod for Evaluation<'_> {

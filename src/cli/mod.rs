@@ -2,6 +2,7 @@
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
+mod chart;
 mod compare;
 mod dependence;
 mod devices;
@@ -37,6 +38,7 @@ struct Cli {
 enum Command {
     Replay(replay::Args),
     Eval(eval::Args),
+    Chart(chart::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -69,6 +71,7 @@ pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Chart(args) => chart::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

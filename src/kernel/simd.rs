@@ -3,7 +3,7 @@
 //!
 //! Per evaluation 2^(−q/16), q the squared distance: adding 1.5·2²³ rounds −q to a whole number N
 //! of sixteenths; 2^(N/16) is a table of 16 and an exponent; the rest |f| ≤ ½ sixteenth is a
-//! square, [`QUICK`], with a relative error below 1.5e-6 whose mean is next to zero, or a cubic, [`FINE`],
+//! square, [`QUICK`], with a relative error below 9e-7 whose mean is next to zero, or a cubic, [`FINE`],
 //! below 3e-9 before rounding.
 
 #![cfg(target_arch = "x86_64")]

@@ -99,7 +99,8 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
     let f0 = high / 10.0;
     let (first, last) = ((low / f0).ln_1p(), (high / f0).ln_1p());
     let per_hz = points as f64 / rate_hz;
-    let end = points / 2 + 1;
+    // No band reaches beyond the source's own, however few bins that has.
+    let end = ((high * per_hz).round() as usize).clamp(1, points / 2 + 1);
     let mut edges: Vec<usize> = Vec::with_capacity(bands + 1);
     let mut previous: Option<usize> = None;
     for i in 0..=bands {
@@ -275,13 +276,15 @@ mod tests {
         );
         assert_eq!((view(0).points, view(1).points), (2048, 512));
         let slow = FrameView::new(10_000.0, 3, (0.0, 1000.0), VIEWS[1].0, VIEWS[1].1);
-        assert_eq!((slow.points, slow.edges.last()), (128, Some(&24)));
+        assert_eq!((slow.points, slow.edges.last()), (128, Some(&13)));
     }
 
     #[test]
     fn a_band_above_half_the_rate_or_of_no_width_still_has_a_bin() {
         assert_eq!(FrameView::new(100.0, 1, (300.0, 400.0), 0.1, 8).bands(), 1);
         assert!(FrameView::new(100.0, 1, (20.0, 20.01), 0.1, 8).edges.len() > 1);
+        let narrow = FrameView::new(44_100.0, 1, (0.0, 80.0), 0.0464, 40);
+        assert_eq!(narrow.edges.last(), Some(&4), "80 Hz are fewer than four bins of 21.5 Hz");
     }
 
     #[test]
