@@ -5,7 +5,8 @@
 //! ```text
 //! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
-//! duration (HSIC, T*) and evaluate (protocols, chart, stress, plan) stand on library + kernel; cli and serve on top of all.
+//! duration (HSIC, T*) and evaluate (protocols, chart, stress, plan) stand on library + kernel; station joins
+//! scan, recognise and record; cli and serve stand on top of all.
 //! ```
 //!
 //! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes
@@ -25,4 +26,5 @@ pub mod ring;
 pub mod scan;
 pub mod scene;
 pub mod seed;
+pub mod station;
 pub mod trial;

@@ -1,0 +1,10 @@
+//! A station at work: what happens in a session is recognised, told to all who listen, and steered
+//! by orders.
+//!
+//! Whoever listens (the terminal, JSON lines, the page) is a [`Listener`] and gets every
+//! [`Notice`]; whoever steers (a key, a signal, the interface for programs) sends an [`Order`].
+//! Neither knows of the other, and none of them can hold up a device.
+
+mod notice;
+
+pub use notice::{Answer, Enrolled, Guess, LibraryState, Listener, Named, Notice, Order};

@@ -1,0 +1,173 @@
+//! What a station tells, and what it can be told to do.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::device::DeviceState;
+use crate::recognise::RankedSurface;
+use crate::scan::{Totals, Trace};
+use crate::scene::{Phase, SourceId};
+
+/// A scan that has ended, and its name: one line of JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Answer {
+    /// Number of the scan in its session, counted from 1.
+    pub scan: u32,
+    /// The surface; `None` when it is none of the library's.
+    pub surface: Option<String>,
+    /// What it truly was, where a recording says so; likewise the next two.
+    pub truth: Option<String>,
+    /// Who dragged.
+    pub user: Option<String>,
+    /// Number of the trial.
+    pub trial: Option<u32>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// All surfaces of the library, the most alike first.
+    pub ranked: Vec<RankedSurface>,
+    /// ln of the ratio of the second score to the first.
+    pub margin: f64,
+    /// Probability of the first surface, by a method that gives one.
+    pub confidence: Option<f64>,
+    /// Share of left-out library trials that fit their surface no better than this one fits the
+    /// first (a conformal p-value), where the library is large enough to tell.
+    pub fit: Option<f64>,
+    /// From the end of the scan to its name, in milliseconds.
+    pub latency_ms: f64,
+    /// How long the scan lasted, in seconds.
+    pub scan_s: f64,
+    /// The scan time after which the answer was settled, in seconds; `None` if it never was, or
+    /// nobody watched.
+    pub settled_s: Option<f64>,
+    /// Frames (and pictures) lost within the scan.
+    pub lost_samples: u64,
+    /// The sources that were compared.
+    pub sources: Vec<SourceId>,
+    /// For people: why the scan should not be trusted, a line each.
+    pub spoiled: Vec<String>,
+    /// Scan duration that 400 samples T* apart need on the named surface, in seconds.
+    pub needed_s: Option<f64>,
+}
+
+/// A surface and its probability.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Named {
+    /// The label.
+    pub surface: String,
+    /// From 0 to 1.
+    pub probability: f64,
+}
+
+/// How the scan that goes on looks so far.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Guess {
+    /// Number of the scan.
+    pub scan: u32,
+    /// Seconds of drag so far.
+    pub scan_s: f64,
+    /// The most probable surfaces, at most five; empty as long as there is nothing to say.
+    pub named: Vec<Named>,
+    /// The answer will not change any more, to the stated error.
+    pub settled: bool,
+    /// Scan duration that the most probable surface asks for, in seconds.
+    pub needed_s: Option<f64>,
+}
+
+/// The library that scans are compared with.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LibraryState {
+    /// Its name, or its folder's.
+    pub name: String,
+    /// Its surfaces, sorted, with the number of trials of each.
+    pub surfaces: Vec<(String, usize)>,
+    /// Its sources.
+    pub sources: Vec<SourceId>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// For people: why scans cannot be named with it, if they cannot.
+    pub problem: Option<String>,
+}
+
+/// A scan was kept as a trial of a library, or refused.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Enrolled {
+    /// Number of the scan.
+    pub scan: u32,
+    /// The surface.
+    pub surface: String,
+    /// Number of the trial, if it was kept.
+    pub trial: Option<u32>,
+    /// Its folder, if it was kept.
+    pub folder: Option<PathBuf>,
+    /// For people: why it was refused, or what is not perfect about it, a line each.
+    pub remarks: Vec<String>,
+    /// How many trials are still wanted.
+    pub wanted: u32,
+}
+
+/// What a station tells.
+#[derive(Clone, Debug)]
+pub enum Notice {
+    /// A device has changed its state.
+    Device {
+        /// its name
+        device: String,
+        /// how it is now
+        state: DeviceState,
+        /// for people: why, and what to do
+        detail: String,
+    },
+    /// What is new in the streams.
+    Trace(Arc<Trace>),
+    /// A scan has begun, or gone on to another part.
+    Phase {
+        /// number of the scan
+        scan: u32,
+        /// the part; `None` when it is over
+        phase: Option<Phase>,
+    },
+    /// A scan goes on.
+    Guess(Guess),
+    /// A scan was named.
+    Answer(Arc<Answer>),
+    /// A scan was kept for a library, or refused.
+    Enrolled(Enrolled),
+    /// Scans are compared with this library from now on.
+    Library(LibraryState),
+    /// For people: something was lost, damaged or not understood, and work went on.
+    Warning(String),
+    /// The station has ended; the last notice.
+    Finished(Arc<Totals>),
+}
+
+/// What a station can be told to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Begin a scan now, whatever the detector says.
+    Start,
+    /// End the scan that goes on.
+    Stop,
+    /// Keep the next `trials` scans as trials of `surface`.
+    Enroll {
+        /// the label
+        surface: String,
+        /// who drags
+        user: String,
+        /// how many
+        trials: u32,
+    },
+    /// Keep no more scans.
+    EndEnroll,
+    /// Read the library and the plan anew, without dropping a sample.
+    Reload,
+    /// End the scan that goes on, and then all.
+    Quit,
+}
+
+/// Who is told what happens. Called on the station's own thread: must not wait.
+pub trait Listener: Send {
+    /// Something happened.
+    fn notice(&mut self, notice: &Notice);
+}
