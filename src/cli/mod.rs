@@ -7,15 +7,19 @@ mod compare;
 mod dependence;
 mod devices;
 mod duration;
+mod enroll;
 mod eval;
+mod lines;
+mod live;
 mod method;
-mod need;
 mod paper;
 mod replay;
+mod run;
 mod samples;
 mod show;
 mod synth;
 mod tally;
+mod terminal;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -37,6 +41,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Replay(replay::Args),
+    Run(run::Args),
+    Enroll(enroll::EnrollArgs),
+    Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
     Compare(compare::Args),
@@ -70,6 +77,9 @@ type Done = Result<(), Failure>;
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Replay(args) => replay::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Enroll(args) => enroll::enroll(&args),
+        Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
         Command::Compare(args) => compare::run(&args),
@@ -89,7 +99,7 @@ pub fn run() -> ExitCode {
 }
 
 /// Which sources a comparison uses.
-#[derive(clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// Sources to compare, with commas between them (default: all that the data have)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
