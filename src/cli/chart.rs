@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
-use super::eval::Evaluation;
+use super::eval::{Also, Evaluation};
 use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::{self, Chart, Point, Protocol, figure};
@@ -96,8 +96,9 @@ pub fn run(args: &Args) -> Done {
             scene: &plan.scene,
             query_seconds: plan.seconds,
             cache: None,
+            also: Also::default(),
         };
-        let (outcome, _) = options.method.apply(&plan.scene, evaluation)?;
+        let outcome = options.method.apply(&plan.scene, evaluation)?.outcome;
         let setting = plan.control.as_ref().unwrap_or(&plan.setting);
         let point = Point::new(&outcome, setting, plan.seconds, plan.control.is_some());
         eprintln!("      {}, {:.1} ms", show::percent(point.accuracy), point.query_ms_p50);
