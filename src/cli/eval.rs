@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
+pub use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
 use crate::recognise::Method;
-use crate::scene::{Phase, Scene};
+use crate::scene::Scene;
 use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
@@ -189,17 +190,6 @@ impl WithMethod for Evaluation<'_> {
             evaluate::run_prepared(&method, entries, folds, prepared, as_query, &progress)?;
         Ok(Evaluated { outcome, predictions, settled, unknown })
     }
-}
-
-/// The entry with its drag cut to the first seconds.
-pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
-    let Some(seconds) = seconds else { return entry.clone() };
-    let scene = scene.clone();
-    entry.clone().changed(move |trial| {
-        trial.first_seconds(seconds, |id| {
-            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
-        })
-    })
 }
 
 /// Runs the command.

@@ -11,6 +11,7 @@ mod eval;
 mod method;
 mod need;
 mod paper;
+mod plan;
 mod replay;
 mod samples;
 mod show;
@@ -39,6 +40,7 @@ enum Command {
     Replay(replay::Args),
     Eval(eval::Args),
     Chart(chart::Args),
+    Plan(plan::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -72,6 +74,7 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

@@ -5,6 +5,7 @@ mod chart_figure;
 mod fold;
 mod outcome;
 pub mod paper;
+pub mod plan;
 mod run;
 mod settled;
 mod unknown;
@@ -13,11 +14,12 @@ pub use chart::{Chart, Point, pareto};
 pub use chart_figure::{ChartError, figure};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, prepare, prepare_folds, run, run_prepared};
+pub use run::{Progress, first_seconds, prepare, prepare_folds, run, run_prepared};
 pub use settled::{SettledOutcome, follow, run_settled};
 pub use unknown::{UnknownOutcome, run_unknown};
 
 use crate::recognise::{RecogniseError, RejectionError};
+use crate::scene::SceneError;
 
 /// Why an evaluation cannot be done.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +37,9 @@ pub enum EvaluateError {
     /// a trial cannot be compared
     #[error(transparent)]
     Recognise(#[from] RecogniseError),
+    /// a source that the data do not describe
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// unknown surfaces cannot be told
     #[error(transparent)]
     Rejection(#[from] RejectionError),

@@ -125,6 +125,29 @@ pub enum RecogniseError {
     },
 }
 
+/// The methods, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MethodName {
+    /// The paper's method, exactly.
+    Reference,
+    /// The kernel two-sample test on samples that keep where they came from.
+    Joint,
+    /// Fourier features and a shrinkage discriminant.
+    Embedding,
+}
+
+impl MethodName {
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Joint => "joint",
+            Self::Embedding => "embedding",
+        }
+    }
+}
+
 /// A way of comparing trials.
 pub trait Method: Send + Sync {
     /// What a comparison needs to know of one trial.

@@ -150,6 +150,20 @@ impl EmbeddingModel {
         Ok(self.posterior_of(query, &vectors))
     }
 
+    /// Distances to the surfaces by each of the query's sources that has a discriminant,
+    /// w_s·d_s/τ_s: those of a posterior are their sums, and those of a model without some of the
+    /// sources the sums over the others.
+    ///
+    /// # Errors
+    /// As [`EmbeddingModel::posterior`].
+    pub fn source_distances(
+        &self,
+        query: &FramedTrial,
+    ) -> Result<Vec<(SourceId, Vec<f64>)>, RecogniseError> {
+        let vectors = self.embed(query)?;
+        Ok(self.terms(query, &vectors))
+    }
+
     fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
         let shared: Vec<(&SourceModel, &FramedSource)> = (query.sources.iter())
             .filter_map(|(id, source)| Some((self.sources.get(id)?, source)))
