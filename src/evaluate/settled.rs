@@ -72,10 +72,10 @@ pub fn run_settled<M: Method>(
     let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
     for fold in folds {
         let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let model = method.fit(library)?;
+        let model = Arc::new(method.fit(library)?);
         let rejection = false_rejections.map(|rate| method.rejection(&model, rate)).transpose()?;
         let mut follower = method
-            .follow(&model, FollowOptions { loss, rejection })
+            .follow(&model, &FollowOptions { loss, rejection })
             .ok_or(EvaluateError::Follow { method: method.name() })?;
         rules.push(follower.settling().clone());
         for &query in &fold.queries {

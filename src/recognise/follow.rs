@@ -56,7 +56,7 @@ pub struct GuessSoFar {
 }
 
 /// Follows one scan after the other.
-pub trait Follow {
+pub trait Follow: Send {
     /// Forgets the scan so far: another one begins.
     fn begin(&mut self);
 

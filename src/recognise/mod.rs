@@ -204,12 +204,13 @@ pub trait Method: Send + Sync {
     /// If the query has no source in common with the library, or another sample rate.
     fn rank(&self, model: &Self::Model, query: &Self::Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// Follows scans while they go on; `None` for a method that cannot.
-    fn follow<'a>(
-        &'a self,
-        _model: &'a Self::Model,
-        _options: FollowOptions,
-    ) -> Option<Box<dyn Follow + 'a>> {
+    /// Follows scans while they go on; `None` for a method that cannot. The first time, the stop
+    /// rule is calibrated, which takes a while.
+    fn follow(
+        &self,
+        _model: &Arc<Self::Model>,
+        _options: &FollowOptions,
+    ) -> Option<Box<dyn Follow>> {
         None
     }
 

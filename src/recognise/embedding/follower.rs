@@ -1,12 +1,14 @@
 //! Follows a scan with a trained model, look by look.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::{EmbeddingModel, Posterior};
 use crate::recognise::RecogniseError;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::framed::FramedStream;
 use crate::recognise::settle::{Look, Settling, Watch};
+use crate::recognise::unknown::Rejection;
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Series, Signal, TrialKey};
 
@@ -14,10 +16,10 @@ use crate::trial::{Image, Series, Signal, TrialKey};
 const NAMED: usize = 5;
 
 /// See [`Follow`].
-pub(super) struct Follower<'a> {
-    scene: &'a Scene,
-    model: &'a EmbeddingModel,
-    options: FollowOptions,
+pub(super) struct Follower {
+    scene: Scene,
+    model: Arc<EmbeddingModel>,
+    rejection: Option<Rejection>,
     settling: Settling,
     scan: ScanSoFar,
 }
@@ -43,11 +45,12 @@ struct Waiting {
     broken: bool,
 }
 
-impl<'a> Follower<'a> {
-    pub fn new(scene: &'a Scene, model: &'a EmbeddingModel, options: FollowOptions) -> Self {
-        let settling = model.settling(&options);
+impl Follower {
+    pub fn new(scene: &Scene, model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
+        let settling = model.settling(options);
         let scan = ScanSoFar::new(scene, &settling);
-        Self { scene, model, options, settling, scan }
+        let (scene, model, rejection) = (scene.clone(), model.clone(), options.rejection.clone());
+        Self { scene, model, rejection, settling, scan }
     }
 
     fn guess(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
@@ -58,7 +61,7 @@ impl<'a> Follower<'a> {
         }
         let Some(posterior) = self.model.posterior(&so_far)? else { return Ok(None) };
         let label = posterior.best();
-        let rejection = self.options.rejection.as_ref();
+        let rejection = self.rejection.as_ref();
         let rejected = posterior.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
         let probability = posterior.log_posterior[label].exp();
         let look = Look { scan_s, label, probability, fits: !rejected };
@@ -115,9 +118,9 @@ impl ScanSoFar {
     }
 }
 
-impl Follow for Follower<'_> {
+impl Follow for Follower {
     fn begin(&mut self) {
-        self.scan = ScanSoFar::new(self.scene, &self.settling);
+        self.scan = ScanSoFar::new(&self.scene, &self.settling);
     }
 
     fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {

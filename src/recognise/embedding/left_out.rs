@@ -92,9 +92,16 @@ pub(super) fn drag_s(
 }
 
 impl EmbeddingModel {
-    /// Finds the stop rule: looks at each library trial as [`crate::recognise::Follow`] would, with
-    /// models trained without it.
+    /// The stop rule, found but once.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
+        let (asked, settling) =
+            self.calibrated.get_or_init(|| (options.clone(), self.calibrate(options)));
+        if asked == options { settling.clone() } else { self.calibrate(options) }
+    }
+
+    /// Looks at each library trial as [`crate::recognise::Follow`] would, with models trained
+    /// without it.
+    fn calibrate(&self, options: &FollowOptions) -> Settling {
         let stops: Vec<Stops> = (0..self.library.len())
             .into_par_iter()
             .filter_map(|i| self.stops(i, options))

@@ -19,7 +19,7 @@ mod source;
 mod train;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
@@ -32,6 +32,7 @@ use self::train::{Labels, SourceModel, train};
 use super::follow::{Follow, FollowOptions};
 use super::framed::{FramedSource, FramedTrial, check_rates, nothing_in_common, sorted_library};
 use super::merge::{SourceScores, merge};
+use super::settle::Settling;
 use super::rank::{Candidate, Ranking, rank};
 use super::unknown::{Conformity, Rejection, RejectionError, strangeness};
 use super::{Method, RecogniseError};
@@ -88,6 +89,8 @@ pub struct EmbeddingModel {
     held_out: Vec<HeldOut>,
     /// How strange left-out library trials look.
     conformity: Conformity,
+    /// The stop rule that was asked for first: scans are followed by one again and again.
+    calibrated: OnceLock<(FollowOptions, Settling)>,
     /// For people: what the library was too small for.
     remarks: Vec<String>,
 }
@@ -317,6 +320,7 @@ impl Method for Embedding {
             temperature,
             held_out,
             conformity,
+            calibrated: OnceLock::new(),
             remarks,
         })
     }
@@ -338,11 +342,11 @@ impl Method for Embedding {
         Ok(ranking)
     }
 
-    fn follow<'a>(
-        &'a self,
-        model: &'a EmbeddingModel,
-        options: FollowOptions,
-    ) -> Option<Box<dyn Follow + 'a>> {
+    fn follow(
+        &self,
+        model: &Arc<EmbeddingModel>,
+        options: &FollowOptions,
+    ) -> Option<Box<dyn Follow>> {
         let trained = model.sources.values().any(|source| source.discriminant.is_some());
         trained.then(|| Box::new(Follower::new(&self.scene, model, options)) as Box<dyn Follow>)
     }
