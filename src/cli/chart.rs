@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
-use super::eval::Evaluation;
+use super::eval::{Also, Evaluation};
 use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::{self, Chart, Point, Protocol, figure};
 use crate::library::Entry;
 use crate::scene::{Domain, Phase, Scene};
-use crate::trial::{EXPERT, Signal};
+use crate::trial::Signal;
 
 /// Chart accuracy against latency and scan time, for every method
 ///
@@ -76,12 +76,7 @@ pub fn run(args: &Args) -> Done {
         .filter(|entry| !entry.sources.is_empty())
         .collect();
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has_users = keys.iter().any(|key| key.user != EXPERT);
-    let protocol = args.protocol.unwrap_or(if has_users {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
+    let protocol = args.protocol.unwrap_or_else(|| Protocol::natural(&keys));
     let folds = evaluate::folds(protocol, &keys)?;
     let plans = plans(&scene, &entries);
     let mut points = Vec::new();
@@ -96,8 +91,9 @@ pub fn run(args: &Args) -> Done {
             scene: &plan.scene,
             query_seconds: plan.seconds,
             cache: None,
+            also: Also::default(),
         };
-        let (outcome, _) = options.method.apply(&plan.scene, evaluation)?;
+        let outcome = options.method.apply(&plan.scene, evaluation)?.outcome;
         let setting = plan.control.as_ref().unwrap_or(&plan.setting);
         let point = Point::new(&outcome, setting, plan.seconds, plan.control.is_some());
         eprintln!("      {}, {:.1} ms", show::percent(point.accuracy), point.query_ms_p50);

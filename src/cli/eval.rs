@@ -4,11 +4,14 @@ use std::path::{Path, PathBuf};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
+pub use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
-use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
+use crate::evaluate::{
+    self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+};
 use crate::library::Entry;
 use crate::recognise::Method;
-use crate::scene::{Phase, Scene};
+use crate::scene::Scene;
 use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
@@ -47,6 +50,19 @@ pub struct Args {
     /// Use only the first seconds of each query's drag
     #[arg(long, value_name = "X", value_parser = seconds)]
     query_seconds: Option<f64>,
+    /// Also answer as soon as an answer is settled, and tell accuracy and scan time
+    #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
+    settle: bool,
+    /// Accuracy that settled answers may lose against whole scans
+    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
+    settle_loss: f64,
+    /// Also leave whole surfaces out of the library, in so many groups, and tell how many of their
+    /// queries are called unknown
+    #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
+    leave_surfaces_out: Option<usize>,
+    /// Share of known surfaces that may be called unknown
+    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
+    false_rejections: f64,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -65,6 +81,21 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Parses a fraction.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
+        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
+    }
+}
+
+fn groups(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(groups) if groups >= 2 => Ok(groups),
+        _ => Err("expected a whole number, 2 or more".into()),
+    }
+}
+
 /// The JSON document: the outcome, and what it was measured on.
 #[derive(serde::Serialize)]
 struct Report {
@@ -74,6 +105,12 @@ struct Report {
     data: String,
     synthetic: bool,
     query_seconds: Option<f64>,
+    /// With `--settle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    settled: Option<SettledOutcome>,
+    /// With `--leave-surfaces-out`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unknown: Option<UnknownOutcome>,
     predictions: Vec<Answer>,
 }
 
@@ -102,10 +139,30 @@ pub(super) struct Evaluation<'a> {
     pub query_seconds: Option<f64>,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
+    pub also: Also,
+}
+
+/// What else is measured.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Also {
+    /// Settled answers, for this loss.
+    pub settle: Option<f64>,
+    /// Unknown surfaces, left out in so many groups.
+    pub leave_out: Option<usize>,
+    /// Share of known surfaces that may be called unknown.
+    pub false_rejections: f64,
+}
+
+/// What came of it.
+pub(super) struct Evaluated {
+    pub outcome: Outcome,
+    pub predictions: Vec<Prediction>,
+    pub settled: Option<SettledOutcome>,
+    pub unknown: Option<UnknownOutcome>,
 }
 
 impl WithMethod for Evaluation<'_> {
-    type Output = Result<(Outcome, Vec<Prediction>), EvaluateError>;
+    type Output = Result<Evaluated, EvaluateError>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
@@ -116,20 +173,23 @@ impl WithMethod for Evaluation<'_> {
         for remark in &prepared.remarks {
             eprintln!("{remark}");
         }
-        let (entries, folds) = (self.entries, self.folds);
-        evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress)
+        let (entries, folds, prepared) = (self.entries, self.folds, &prepared.trials);
+        let Also { settle, leave_out, false_rejections } = self.also;
+        let settled = settle.map(|loss| {
+            let scene = self.scene;
+            let limits = (loss, None);
+            evaluate::run_settled(&method, scene, entries, folds, prepared, limits, &progress)
+        });
+        let settled = settled.transpose()?;
+        let unknown = leave_out.map(|groups| {
+            let how = (groups, false_rejections);
+            evaluate::run_unknown(&method, entries, folds, prepared, as_query, how, &progress)
+        });
+        let unknown = unknown.transpose()?;
+        let (outcome, predictions) =
+            evaluate::run_prepared(&method, entries, folds, prepared, as_query, &progress)?;
+        Ok(Evaluated { outcome, predictions, settled, unknown })
     }
-}
-
-/// The entry with its drag cut to the first seconds.
-pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
-    let Some(seconds) = seconds else { return entry.clone() };
-    let scene = scene.clone();
-    entry.clone().changed(move |trial| {
-        trial.first_seconds(seconds, |id| {
-            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
-        })
-    })
 }
 
 /// Runs the command.
@@ -165,16 +225,23 @@ pub fn run(args: &Args) -> Done {
     let folds = evaluate::folds(protocol, &keys)?;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
-    let evaluation =
-        Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
-    let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
+    let also = Also {
+        settle: args.settle.then_some(args.settle_loss),
+        leave_out: args.leave_surfaces_out,
+        false_rejections: args.false_rejections,
+    };
+    let (entries, folds) = (&entries, &folds);
+    let evaluation = Evaluation { entries, folds, scene: &scene, query_seconds, cache, also };
+    let done = args.method.apply(&scene, evaluation)?;
     let report = Report {
-        outcome,
+        outcome: done.outcome,
         protocol: protocol.name(),
         data: library.name.clone(),
         synthetic: library.synthetic,
         query_seconds,
-        predictions: predictions.into_iter().map(Answer::from).collect(),
+        settled: done.settled,
+        unknown: done.unknown,
+        predictions: done.predictions.into_iter().map(Answer::from).collect(),
     };
     if args.json {
         show::json(&report);
@@ -207,4 +274,54 @@ fn tell(report: &Report) {
     for (truth, answer, count) in o.confusion.worst(5) {
         eprintln!("           {count} × {truth} taken for {answer}");
     }
+    report.settled.iter().for_each(tell_settled);
+    report.unknown.iter().for_each(tell_unknown);
+}
+
+fn tell_settled(s: &SettledOutcome) {
+    let percent = show::percent;
+    eprintln!(
+        "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
+        percent(s.accuracy),
+        percent(s.accuracy_low),
+        percent(s.accuracy_high),
+        percent(s.accuracy_whole),
+        s.lost,
+        s.gained
+    );
+    eprintln!(
+        "           after {:.2} s in the mean, {:.2} s in the median, of {:.2} s; {} of {} scans \
+         settled before their end",
+        s.scan_s_mean, s.scan_s_p50, s.whole_s_mean, s.settled, s.queries
+    );
+    let shown = s.rules.iter().filter(|rule| rule.shown).count();
+    eprintln!(
+        "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
+        percent(s.stated_loss),
+        s.rules.len()
+    );
+    eprintln!("           following takes {} of one core", percent(s.core_share));
+}
+
+fn tell_unknown(u: &UnknownOutcome) {
+    let percent = show::percent;
+    eprintln!(
+        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
+        percent(u.unknown_caught),
+        u.unknown_queries,
+        percent(u.unknown_caught_low),
+        percent(u.unknown_caught_high)
+    );
+    eprintln!(
+        "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
+         left-out trials)",
+        percent(u.false_rejections),
+        u.known_queries,
+        percent(u.false_rejections_low),
+        percent(u.false_rejections_high),
+        percent(u.stated.rate),
+        percent(u.stated.rate_low),
+        percent(u.stated.rate_high),
+        u.stated.trials
+    );
 }

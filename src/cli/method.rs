@@ -2,22 +2,12 @@
 
 use std::path::Path;
 
+use crate::evaluate::plan::Setting;
 use crate::recognise::{
-    Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
+    Embedding, EmbeddingOptions, Joint, Method, MethodName, PositionMode, Precision, Reference,
     ReferenceOptions, STAGES,
 };
 use crate::scene::Scene;
-
-/// The methods, by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum MethodName {
-    /// The paper's method, exactly.
-    Reference,
-    /// The kernel two-sample test on samples that keep where they came from.
-    Joint,
-    /// Fourier features and a shrinkage discriminant.
-    Embedding,
-}
 
 /// How positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -94,6 +84,15 @@ impl MethodArgs {
             MethodName::Reference => {
                 work.with(Reference::new(scene.clone(), self.reference_options()))
             }
+        }
+    }
+
+    /// These settings, but for what a plan says.
+    pub fn planned(&self, setting: Setting) -> Self {
+        let planned = Self { method: setting.method(), ..self.clone() };
+        match setting {
+            Setting::Reference { n, repetitions } => Self { n, repetitions, ..planned },
+            Setting::Joint | Setting::Embedding => planned,
         }
     }
 

@@ -13,6 +13,7 @@ mod lines;
 mod live;
 mod method;
 mod paper;
+mod plan;
 mod replay;
 mod run;
 mod samples;
@@ -46,6 +47,7 @@ enum Command {
     Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
+    Plan(plan::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -82,6 +84,7 @@ pub fn run() -> ExitCode {
         Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

@@ -9,6 +9,7 @@ use super::outcome::{Outcome, Prediction};
 use super::{EvaluateError, Fold};
 use crate::library::Entry;
 use crate::recognise::{Method, Preparation, RecogniseError, prepare_library};
+use crate::scene::{Phase, Scene};
 
 /// Told after each step: what is being done, how much is done, how much there is to do.
 pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
@@ -99,6 +100,17 @@ pub fn run_prepared<M: Method>(
         Outcome::new(&predictions, &names, labels.into_iter().collect(), largest, method.name());
     // `folds` gives no fold without queries, so there is a prediction to sum up.
     Ok((outcome.expect("every fold has queries"), predictions))
+}
+
+/// The entry with its drag cut to the first seconds.
+pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
+    let Some(seconds) = seconds else { return entry.clone() };
+    let scene = scene.clone();
+    entry.clone().changed(move |trial| {
+        trial.first_seconds(seconds, |id| {
+            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
+        })
+    })
 }
 
 /// Loads and prepares those trials that are `wanted`, by index; the others stay `None`.
