@@ -3,7 +3,7 @@
 use ndarray::Array2;
 
 use crate::kernel::{
-    CarefulPoints, Lanes, LineSum, Quality, SelfMean, careful_sum, lane_scale, lane_self_sum,
+    CarefulPoints, Lanes, LineSum, Quality, SelfMean, careful_self_sum, lane_scale, lane_self_sum,
     length_scale,
 };
 
@@ -169,7 +169,7 @@ impl SampleSet {
             lane_self_sum(&scratch.lanes, Quality::Fine)
         } else {
             self.fill_careful(&mut scratch.careful, sigma, &self.centre);
-            careful_sum(&scratch.careful, &scratch.careful)
+            careful_self_sum(&scratch.careful)
         }
     }
 
