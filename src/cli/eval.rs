@@ -1,9 +1,12 @@
 //! `surfaced eval`: accuracy by protocol.
 
+mod features;
+
 use std::path::{Path, PathBuf};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
+use crate::dataset::table;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
 use crate::library::Entry;
@@ -23,7 +26,7 @@ use crate::trial::TrialKey;
 pub struct Args {
     #[command(subcommand)]
     then: Option<Then>,
-    /// Recordings: a library, or the LMT108 database in either of its forms
+    /// Recordings: a library, or the LMT108 database in either of its forms; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
     /// How queries and library are split
@@ -140,6 +143,9 @@ pub fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::Usage("name the recordings".into()));
     };
+    if let Some(tables) = table::open(data)? {
+        return features::run(args, &tables);
+    }
     let library = super::open(data)?;
     if args.paper {
         let out = args.out.as_deref();
@@ -168,15 +174,21 @@ pub fn run(args: &Args) -> Done {
     let evaluation =
         Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
     let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
-    let report = Report {
-        outcome,
-        protocol: protocol.name(),
-        data: library.name.clone(),
-        synthetic: library.synthetic,
-        query_seconds,
-        predictions: predictions.into_iter().map(Answer::from).collect(),
-    };
-    if args.json {
+    finish(
+        args.json,
+        Report {
+            outcome,
+            protocol: protocol.name(),
+            data: library.name.clone(),
+            synthetic: library.synthetic,
+            query_seconds,
+            predictions: predictions.into_iter().map(Answer::from).collect(),
+        },
+    )
+}
+
+fn finish(json: bool, report: Report) -> Done {
+    if json {
         show::json(&report);
     } else {
         tell(&report);

@@ -2,6 +2,10 @@
 
 use std::path::Path;
 
+use crate::recognise::classify::{
+    AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
+};
+use crate::recognise::features::FeatureVector;
 use crate::recognise::{
     Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
     ReferenceOptions, STAGES,
@@ -17,6 +21,18 @@ pub enum MethodName {
     Joint,
     /// Fourier features and a shrinkage discriminant.
     Embedding,
+    /// Hand-made features: Gaussian naive Bayes.
+    NaiveBayes,
+    /// Hand-made features: support vector machine with RBF kernel.
+    Svm,
+    /// Hand-made features: nearest neighbours.
+    Knn,
+    /// Hand-made features: nearest neighbours by Mahalanobis distance.
+    Mahalanobis,
+    /// Hand-made features: boosted trees.
+    Adaboost,
+    /// Hand-made features: random forest.
+    RandomForest,
 }
 
 /// How positions are drawn.
@@ -83,18 +99,64 @@ pub trait WithMethod {
     fn with(self, method: impl Method + 'static) -> Self::Output;
 }
 
+/// Work that methods on hand-made features can do.
+pub trait WithClassifier {
+    /// What comes of it.
+    type Output;
+
+    /// Does the work.
+    fn with(self, method: impl Method<Prepared = FeatureVector> + 'static) -> Self::Output;
+}
+
+/// Work for any method, done with a classifier.
+struct AnyMethod<W>(W);
+
+impl<W: WithMethod> WithClassifier for AnyMethod<W> {
+    type Output = W::Output;
+
+    fn with(self, method: impl Method<Prepared = FeatureVector> + 'static) -> W::Output {
+        self.0.with(method)
+    }
+}
+
 impl MethodArgs {
     /// Does `work` with the method that was asked for, on the sources of `scene`.
     pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
+        let work = match self.apply_to_features(scene, AnyMethod(work)) {
+            Ok(output) => return output,
+            Err(AnyMethod(work)) => work,
+        };
         match self.method {
             MethodName::Joint => work.with(Joint::new(scene.clone())),
             MethodName::Embedding => {
                 work.with(Embedding::new(scene.clone(), self.embedding_options()))
             }
-            MethodName::Reference => {
-                work.with(Reference::new(scene.clone(), self.reference_options()))
-            }
+            _ => work.with(Reference::new(scene.clone(), self.reference_options())),
         }
+    }
+
+    /// The same, if the method works on hand-made features; else gives the work back.
+    ///
+    /// # Errors
+    /// The work itself, if the method needs recordings.
+    pub fn apply_to_features<W: WithClassifier>(
+        &self,
+        scene: &Scene,
+        work: W,
+    ) -> Result<W::Output, W> {
+        let seed = self.seed;
+        let neighbours = |distance| OnFeatures::new(scene.clone(), Neighbours { distance });
+        Ok(match self.method {
+            MethodName::NaiveBayes => work.with(OnFeatures::new(scene.clone(), NaiveBayes)),
+            MethodName::Svm => work.with(OnFeatures::new(scene.clone(), Svm)),
+            MethodName::Knn => work.with(neighbours(Distance::Euclidean)),
+            MethodName::Mahalanobis => work.with(neighbours(Distance::Mahalanobis)),
+            MethodName::Adaboost => work.with(OnFeatures::new(scene.clone(), AdaBoost { seed })),
+            MethodName::RandomForest => {
+                work.with(OnFeatures::new(scene.clone(), RandomForest { seed }))
+            }
+            MethodName::Reference | MethodName::Joint | MethodName::Embedding => return Err(work),
+        })
     }
 
     /// The settings of `embedding`.

@@ -11,7 +11,7 @@ pub use chart::{Chart, Point, pareto};
 pub use chart_figure::{ChartError, figure};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, prepare, prepare_folds, run, run_prepared};
+pub use run::{Progress, prepare, prepare_folds, run, run_features, run_prepared};
 
 use crate::recognise::RecogniseError;
 

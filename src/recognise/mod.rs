@@ -4,10 +4,12 @@
 //! prepared library, and ranks the library's surfaces for a prepared query. [`Reference`] is the
 //! paper's method, exactly.
 
+pub mod classify;
 mod colour;
 mod compare;
 mod domain;
 pub mod embedding;
+pub mod features;
 pub mod framed;
 mod frames;
 mod grouped;
@@ -172,4 +174,9 @@ pub trait Method: Send + Sync {
     /// # Errors
     /// If the query has no source in common with the library, or another sample rate.
     fn rank(&self, model: &Self::Model, query: &Self::Prepared) -> Result<Ranking, RecogniseError>;
+
+    /// How probable it is that a ranking's first surface is the right one, for methods that say so.
+    fn confidence(&self, _ranking: &Ranking) -> Option<f64> {
+        None
+    }
 }

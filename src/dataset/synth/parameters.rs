@@ -143,6 +143,13 @@ pub struct Difficulty {
     pub flash: Effect,
 }
 
+impl Difficulty {
+    /// As hard as LMT108, source by source.
+    pub fn lmt108() -> Self {
+        Self::default()
+    }
+}
+
 impl Default for Difficulty {
     fn default() -> Self {
         let e = Effect::new;

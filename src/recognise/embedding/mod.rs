@@ -274,6 +274,12 @@ impl Method for Embedding {
         // There is a candidate: every surface has a trial, and some trial has a shared source.
         Ok(rank(candidates, 1, sources).expect("at least one candidate"))
     }
+
+    fn confidence(&self, ranking: &Ranking) -> Option<f64> {
+        // Where nothing could be trained, scores are distances, whose inverses sum up to anything.
+        let sum: f64 = ranking.ranked.iter().map(|r| r.score.recip()).sum();
+        ((sum - 1.0).abs() < 1e-6).then(|| ranking.ranked[0].score.recip())
+    }
 }
 
 /// Sums over sources for library trials that were left out of training.
