@@ -2,7 +2,9 @@
 
 mod features;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
@@ -10,7 +12,7 @@ use crate::dataset::table;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
 use crate::library::Entry;
-use crate::recognise::Method;
+use crate::recognise::{Method, without_flawed};
 use crate::scene::{Phase, Scene};
 use crate::trial::TrialKey;
 
@@ -112,7 +114,10 @@ impl WithMethod for Evaluation<'_> {
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
-        let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
+        let left_out = LeftOut::default();
+        let as_query = |entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, self.scene, self.query_seconds), self.scene)
+        };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
             evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
@@ -120,7 +125,45 @@ impl WithMethod for Evaluation<'_> {
             eprintln!("{remark}");
         }
         let (entries, folds) = (self.entries, self.folds);
-        evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress)
+        let done =
+            evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress);
+        drop(steps);
+        left_out.tell();
+        done
+    }
+}
+
+/// Sources that were left out of queries, with the trials.
+#[derive(Clone, Default)]
+struct LeftOut(Arc<Mutex<BTreeMap<String, BTreeSet<TrialKey>>>>);
+
+impl LeftOut {
+    /// The entry without sources whose sensor is dead or stuck.
+    fn leave_out(&self, entry: Entry, scene: &Scene) -> Entry {
+        let (noted, scene, key) = (self.clone(), scene.clone(), entry.key.clone());
+        entry.changed(move |trial| {
+            let (trial, remarks) = without_flawed(trial, &scene);
+            // A thread that panicked while it held the lock left a whole map.
+            let mut noted = noted.0.lock().unwrap_or_else(PoisonError::into_inner);
+            for remark in remarks {
+                noted.entry(remark).or_default().insert(key.clone());
+            }
+            trial
+        })
+    }
+
+    fn tell(&self) {
+        let noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for (remark, keys) in noted.iter() {
+            let more = if keys.len() > 1 {
+                format!(" and {} more", keys.len() - 1)
+            } else {
+                String::new()
+            };
+            if let Some(first) = keys.first() {
+                eprintln!("warning: {remark} ({first}{more})");
+            }
+        }
     }
 }
 

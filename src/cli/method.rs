@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use clap::ValueEnum;
+
 use crate::recognise::classify::{
     AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
 };
@@ -33,6 +35,19 @@ pub enum MethodName {
     Adaboost,
     /// Hand-made features: random forest.
     RandomForest,
+}
+
+impl MethodName {
+    /// All of them.
+    pub fn all() -> Vec<Self> {
+        Self::value_variants().to_vec()
+    }
+
+    /// Its name on the command line.
+    pub fn name(self) -> String {
+        // Hidden values alone have no name, and there are none.
+        self.to_possible_value().map(|value| value.get_name().to_string()).unwrap_or_default()
+    }
 }
 
 /// How positions are drawn.
@@ -120,6 +135,23 @@ impl<W: WithMethod> WithClassifier for AnyMethod<W> {
 }
 
 impl MethodArgs {
+    /// A method with its usual settings, but for `reference` the quick way.
+    pub fn quick(method: MethodName) -> Self {
+        Self {
+            method,
+            positions: Positions::Shared,
+            n: 400,
+            repetitions: 10,
+            neighbours: 1,
+            seed: 1,
+            exact: false,
+            no_discriminant: false,
+            halving: true,
+            no_tables: false,
+            no_cache: true,
+        }
+    }
+
     /// Does `work` with the method that was asked for, on the sources of `scene`.
     pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
         let work = match self.apply_to_features(scene, AnyMethod(work)) {

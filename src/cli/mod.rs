@@ -14,6 +14,7 @@ mod paper;
 mod replay;
 mod samples;
 mod show;
+mod stress;
 mod synth;
 mod tally;
 
@@ -39,6 +40,7 @@ enum Command {
     Replay(replay::Args),
     Eval(eval::Args),
     Chart(chart::Args),
+    Stress(stress::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -72,6 +74,7 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Stress(args) => stress::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

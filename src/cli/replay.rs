@@ -13,7 +13,7 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, Ranking, RecogniseError};
+use crate::recognise::{Method, Ranking, RecogniseError, without_flawed};
 use crate::scan::{Event, Options, Scan, Session};
 use crate::scene::Scene;
 use crate::trial::{EXPERT, TrialKey};
@@ -152,7 +152,7 @@ impl WithMethod for Player<'_> {
                     let model = &models[fold.unwrap_or(0)];
                     // A scan that waited for its turn behind others is not slow to name.
                     let from = scan.ended_at.max(free_since);
-                    match recognise(&method, model, &scan) {
+                    match recognise(&method, model, &scan, &stage.scene) {
                         Ok(ranking) => tally.answer(&scan, &ranking, from),
                         Err(error) => tally.damage(&format!("scan {}: {error}", scan.number)),
                     }
@@ -188,8 +188,9 @@ fn recognise<M: Method>(
     method: &M,
     model: &M::Model,
     scan: &Scan,
+    scene: &Scene,
 ) -> Result<Ranking, RecogniseError> {
-    let trial = Arc::new(scan.trial.clone());
+    let trial = Arc::new(without_flawed(scan.trial.clone(), scene).0);
     let query = method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
     method.rank(model, &query)
 }

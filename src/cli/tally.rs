@@ -130,8 +130,10 @@ impl Tally {
             if self.needs.is_switch(id) {
                 continue;
             }
+            let left_out =
+                if ranking.sources.contains(id) { "" } else { "; the source is left out" };
             for flaw in flaws(series) {
-                self.say(format!("{id}: {flaw}"), scan.number);
+                self.say(format!("{id}: {flaw}{left_out}"), scan.number);
             }
         }
         for reason in &scan.spoiled {

@@ -6,6 +6,7 @@ mod fold;
 mod outcome;
 pub mod paper;
 mod run;
+pub mod stress;
 
 pub use chart::{Chart, Point, pareto};
 pub use chart_figure::{ChartError, figure};
