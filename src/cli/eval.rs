@@ -1,16 +1,21 @@
 //! `surfaced eval`: accuracy by protocol.
 
+mod features;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
-pub use crate::evaluate::first_seconds;
+use crate::dataset::table;
+use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
-use crate::recognise::Method;
+use crate::recognise::{Method, without_flawed};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -26,7 +31,7 @@ use crate::trial::TrialKey;
 pub struct Args {
     #[command(subcommand)]
     then: Option<Then>,
-    /// Recordings: a library, or the LMT108 database in either of its forms
+    /// Recordings: a library, or the LMT108 database in either of its forms; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
     /// How queries and library are split
@@ -166,7 +171,10 @@ impl WithMethod for Evaluation<'_> {
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
-        let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
+        let left_out = LeftOut::default();
+        let as_query = |entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, self.scene, self.query_seconds), self.scene)
+        };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
             evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
@@ -188,7 +196,43 @@ impl WithMethod for Evaluation<'_> {
         let unknown = unknown.transpose()?;
         let (outcome, predictions) =
             evaluate::run_prepared(&method, entries, folds, prepared, as_query, &progress)?;
+        drop(steps);
+        left_out.tell();
         Ok(Evaluated { outcome, predictions, settled, unknown })
+    }
+}
+
+/// Sources that were left out of queries, with the trials.
+#[derive(Clone, Default)]
+struct LeftOut(Arc<Mutex<BTreeMap<String, BTreeSet<TrialKey>>>>);
+
+impl LeftOut {
+    /// The entry without sources whose sensor is dead or stuck.
+    fn leave_out(&self, entry: Entry, scene: &Scene) -> Entry {
+        let (noted, scene, key) = (self.clone(), scene.clone(), entry.key.clone());
+        entry.changed(move |trial| {
+            let (trial, remarks) = without_flawed(trial, &scene);
+            // A thread that panicked while it held the lock left a whole map.
+            let mut noted = noted.0.lock().unwrap_or_else(PoisonError::into_inner);
+            for remark in remarks {
+                noted.entry(remark).or_default().insert(key.clone());
+            }
+            trial
+        })
+    }
+
+    fn tell(&self) {
+        let noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for (remark, keys) in noted.iter() {
+            let more = if keys.len() > 1 {
+                format!(" and {} more", keys.len() - 1)
+            } else {
+                String::new()
+            };
+            if let Some(first) = keys.first() {
+                eprintln!("warning: {remark} ({first}{more})");
+            }
+        }
     }
 }
 
@@ -200,6 +244,9 @@ pub fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::Usage("name the recordings".into()));
     };
+    if let Some(tables) = table::open(data)? {
+        return features::run(args, &tables);
+    }
     let library = super::open(data)?;
     if args.paper {
         let out = args.out.as_deref();
@@ -243,7 +290,11 @@ pub fn run(args: &Args) -> Done {
         unknown: done.unknown,
         predictions: done.predictions.into_iter().map(Answer::from).collect(),
     };
-    if args.json {
+    finish(args.json, report)
+}
+
+fn finish(json: bool, report: Report) -> Done {
+    if json {
         show::json(&report);
     } else {
         tell(&report);

@@ -18,6 +18,7 @@ mod replay;
 mod run;
 mod samples;
 mod show;
+mod stress;
 mod synth;
 mod tally;
 mod terminal;
@@ -48,6 +49,7 @@ enum Command {
     Eval(eval::Args),
     Chart(chart::Args),
     Plan(plan::Args),
+    Stress(stress::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -85,6 +87,7 @@ pub fn run() -> ExitCode {
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
         Command::Plan(args) => plan::run(&args),
+        Command::Stress(args) => stress::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

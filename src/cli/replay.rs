@@ -10,7 +10,7 @@ use super::tally::Tally;
 use super::{Done, Failure, SourceArgs, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
 use crate::recognise::{Method, RecogniseError};
 use crate::scan::Options;
@@ -136,7 +136,7 @@ impl WithMethod for Player<'_> {
             for &query in &fold.queries {
                 fold_of.insert(stage.entries[query].key.clone(), index);
                 let entry = &stage.entries[query];
-                queries.push(super::eval::first_seconds(entry, &stage.scene, args.query_seconds));
+                queries.push(first_seconds(entry, &stage.scene, args.query_seconds));
             }
         }
         let total = queries.len();

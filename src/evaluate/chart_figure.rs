@@ -12,7 +12,7 @@ use super::chart::{Chart, Point, pareto};
 const PANEL: (u32, u32) = (640, 520);
 const GREY: RGBColor = RGBColor(120, 120, 120);
 /// Distinct also for the colour-blind (Okabe & Ito 2008).
-const COLOURS: [RGBColor; 7] = [
+pub(super) const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -20,18 +20,21 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(150, 110, 0),
     RGBColor(0, 0, 0),
+    RGBColor(230, 159, 0),
+    RGBColor(120, 94, 240),
+    RGBColor(128, 60, 40),
 ];
 
 /// Why a chart cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("the chart cannot be drawn: {0}")]
-pub struct ChartError(String);
+pub struct ChartError(pub(super) String);
 
-fn drawing(error: impl std::fmt::Display) -> ChartError {
+pub(super) fn drawing(error: impl std::fmt::Display) -> ChartError {
     ChartError(error.to_string())
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the

@@ -8,13 +8,14 @@ pub mod paper;
 pub mod plan;
 mod run;
 mod settled;
+pub mod stress;
 mod unknown;
 
 pub use chart::{Chart, Point, pareto};
 pub use chart_figure::{ChartError, figure};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, first_seconds, prepare, prepare_folds, run, run_prepared};
+pub use run::{Progress, first_seconds, prepare, prepare_folds, run, run_features, run_prepared};
 pub use settled::{SettledOutcome, follow, run_settled};
 pub use unknown::{UnknownOutcome, run_unknown};
 

@@ -8,8 +8,10 @@ use std::time::Instant;
 use super::outcome::{Outcome, Prediction};
 use super::{EvaluateError, Fold};
 use crate::library::Entry;
-use crate::recognise::{Method, Preparation, RecogniseError, prepare_library};
+use crate::recognise::features::FeatureVector;
+use crate::recognise::{Method, Preparation, Ranking, RecogniseError, prepare_library};
 use crate::scene::{Phase, Scene};
+use crate::trial::TrialKey;
 
 /// Told after each step: what is being done, how much is done, how much there is to do.
 pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
@@ -69,21 +71,55 @@ pub fn run_prepared<M: Method>(
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let in_library = in_libraries(folds);
+    let keys = |i: usize| &entries[i].key;
+    name_queries(method, &keys, folds, prepared, progress, |model, i| {
+        let entry = as_query(&entries[i]);
+        let trial = entry.load().map_err(RecogniseError::from)?;
+        let start = Instant::now();
+        let query = method.prepare(&entry, &trial)?;
+        let ranking = method.rank(model, &query)?;
+        Ok((ranking, start))
+    })
+}
+
+/// [`run`] on trials of which only features are known. Latencies are from the features to the
+/// answer.
+///
+/// # Errors
+/// If a trial cannot be compared.
+pub fn run_features<M: Method<Prepared = FeatureVector>>(
+    method: &M,
+    trials: &[Arc<FeatureVector>],
+    folds: &[Fold],
+    progress: Progress<'_>,
+) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
+    let prepared: Vec<_> = trials.iter().cloned().map(Some).collect();
+    let keys = |i: usize| &trials[i].key;
+    name_queries(method, &keys, folds, &prepared, progress, |model, i| {
+        let start = Instant::now();
+        Ok((method.rank(model, &trials[i])?, start))
+    })
+}
+
+/// Names the queries of all folds, one after the other; `answer` also says when it began.
+fn name_queries<'a, M: Method>(
+    method: &M,
+    keys: &dyn Fn(usize) -> &'a TrialKey,
+    folds: &[Fold],
+    prepared: &[Option<Arc<M::Prepared>>],
+    progress: Progress<'_>,
+    answer: impl Fn(&M::Model, usize) -> Result<(Ranking, Instant), RecogniseError>,
+) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
     let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
     let mut predictions = Vec::with_capacity(total);
     for (index, fold) in folds.iter().enumerate() {
         let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
         let model = method.fit(library)?;
         for &query in &fold.queries {
-            let entry = as_query(&entries[query]);
-            let trial = entry.load().map_err(RecogniseError::from)?;
-            let start = Instant::now();
-            let query = method.prepare(&entry, &trial)?;
-            let ranking = method.rank(&model, &query)?;
+            let (ranking, start) = answer(&model, query)?;
             let query_ms = start.elapsed().as_secs_f64() * 1e3;
             predictions.push(Prediction {
-                key: entry.key.clone(),
+                key: keys(query).clone(),
                 fold: index,
                 surface: ranking.surface().into(),
                 margin: ranking.margin,
@@ -94,7 +130,8 @@ pub fn run_prepared<M: Method>(
         }
     }
     let names: Vec<_> = folds.iter().map(|fold| fold.name.clone()).collect();
-    let labels: BTreeSet<_> = in_library.iter().map(|&i| entries[i].key.surface.clone()).collect();
+    let labels: BTreeSet<_> =
+        in_libraries(folds).iter().map(|&i| keys(i).surface.clone()).collect();
     let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
     let outcome =
         Outcome::new(&predictions, &names, labels.into_iter().collect(), largest, method.name());

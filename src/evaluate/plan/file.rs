@@ -131,6 +131,12 @@ impl Plan {
             }
             (MethodName::Joint, None, None) => Setting::Joint,
             (MethodName::Embedding, None, None) => Setting::Embedding,
+            (other, None, None) => {
+                let name = other.name();
+                return Err(format!(
+                    "method = \"{name}\"; a plan knows reference, joint and embedding"
+                ));
+            }
         };
         if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
@@ -177,7 +183,9 @@ impl Plan {
             line(format!("n = {n}\nrepetitions = {repetitions}"));
         }
         match self.scan_s {
-            Some(scan_s) => line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}")),
+            Some(scan_s) => {
+                line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"))
+            }
             None if e.scan_s > 0.0 => line("# No scan_s: the whole drag is used.".into()),
             None => line("# No scan_s: nothing of a drag is used.".into()),
         }
