@@ -3,19 +3,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
 
+use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
-use super::need::Needs;
 use super::tally::Tally;
 use super::{Done, Failure, SourceArgs, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, Ranking, RecogniseError};
-use crate::scan::{Event, Options, Scan, Session};
+use crate::recognise::{Method, RecogniseError};
+use crate::scan::Options;
 use crate::scene::Scene;
+use crate::station::{ByMethod, LibraryState, Needs, Station};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Play recordings as if they were live, and name their surfaces
@@ -142,33 +142,32 @@ impl WithMethod for Player<'_> {
         let total = queries.len();
         let device =
             Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
-        let session = Session::start(vec![Box::new(device)], Options::default())?;
-        let mut tally = Tally::new(args.json, total, Needs::of(stage));
-        let mut free_since = Instant::now();
-        for event in session.events() {
-            match event {
-                Event::Scan(scan) => {
-                    let fold = scan.truth.as_ref().and_then(|key| fold_of.get(key)).copied();
-                    let model = &models[fold.unwrap_or(0)];
-                    // A scan that waited for its turn behind others is not slow to name.
-                    let from = scan.ended_at.max(free_since);
-                    match recognise(&method, model, &scan) {
-                        Ok(ranking) => tally.answer(&scan, &ranking, from),
-                        Err(error) => tally.damage(&format!("scan {}: {error}", scan.number)),
-                    }
-                    free_since = Instant::now();
-                }
-                Event::Warning(text) => tally.damage(&text),
-                Event::Device { .. } | Event::Progress(_) | Event::Trace(_) => {}
-                Event::Finished(_) => break,
-            }
+        let compared = stage.compared();
+        let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
+        let needs = Needs::of(&stage.scene, compared, stage.synthetic);
+        let recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let mut tally = Tally::new(!args.json, total);
+        let mut station = Station::new(vec![Box::new(device)], Options::default())
+            .recogniser(Arc::new(recogniser))
+            .listener(&mut tally);
+        if args.json {
+            station = station.listener(JsonLines);
         }
-        let totals = session.wait()?;
+        let totals = station.run()?;
         tally.sum_up(stage.synthetic);
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));
         }
         tally.verdict(totals.lost())
+    }
+}
+
+impl Stage {
+    /// The trials that stand in the library of some fold.
+    fn compared(&self) -> Vec<Entry> {
+        let folds = self.folds.iter();
+        let indexes: BTreeSet<usize> = folds.flat_map(|fold| fold.library.clone()).collect();
+        indexes.into_iter().map(|index| self.entries[index].clone()).collect()
     }
 }
 
@@ -181,15 +180,4 @@ fn models<M: Method>(method: &M, stage: &Stage) -> Result<Vec<M::Model>, Recogni
         method.fit(fold.library.iter().filter_map(|&i| prepared[i].clone()).collect())
     };
     stage.folds.iter().map(fit).collect()
-}
-
-/// Names a scan: what came out of the rings, and nothing else.
-fn recognise<M: Method>(
-    method: &M,
-    model: &M::Model,
-    scan: &Scan,
-) -> Result<Ranking, RecogniseError> {
-    let trial = Arc::new(scan.trial.clone());
-    let query = method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
-    method.rank(model, &query)
 }

@@ -3,8 +3,11 @@
 //! A trial is written into a folder that readers pass over and renamed when it is whole: after a
 //! crash there are whole trials and perhaps an unfinished folder, never half a trial.
 
+mod date;
 mod folder_name;
 mod wav;
+
+pub use date::utc;
 
 use std::fs::{self, File};
 use std::io::Write;

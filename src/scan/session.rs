@@ -10,7 +10,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
-use super::live::{Detection, Live};
+use super::live::{Cue, Detection, Live};
 use super::outbox::Outbox;
 use super::stream::Stream;
 use super::{Event, Totals};
@@ -112,6 +112,7 @@ impl StreamMeter {
 #[derive(Debug)]
 pub struct Session {
     events: Receiver<Event>,
+    cues: Sender<Cue>,
     stop: Stop,
     bell: Bell,
     meters: Vec<StreamMeter>,
@@ -131,6 +132,7 @@ impl Session {
         let (bell, woken) = Bell::new();
         let (report, reports) = crossbeam_channel::bounded(REPORTS);
         let (tell, events) = crossbeam_channel::bounded(options.events.max(1));
+        let (cues, cued) = crossbeam_channel::unbounded();
         let waits = devices.iter().all(|device| device.waits());
         let outbox = Outbox::new(tell, stop.clone(), waits);
         let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
@@ -162,6 +164,7 @@ impl Session {
             scans: VecDeque::new(),
             begun: 0,
             live,
+            cues: cued,
         };
         let collector = spawn("collector", move || {
             // However it ends, no device may wait for it any more.
@@ -169,7 +172,7 @@ impl Session {
             collector.run()
         })?;
         let mut session =
-            Self { events, stop, bell, meters, devices: vec![], collector: Some(collector) };
+            Self { events, cues, stop, bell, meters, devices: vec![], collector: Some(collector) };
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
             let control = Control::new(index, session.stop.clone(), report.clone());
@@ -189,6 +192,13 @@ impl Session {
     /// What each stream carries.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
+    }
+
+    /// Begins or ends a scan by command.
+    pub fn cue(&self, cue: Cue) {
+        // Fails only when the session has ended, and with it every scan.
+        let _ = self.cues.send(cue);
+        self.bell.ring();
     }
 
     /// Asks all devices to end, without waiting for it; events go on until the last.

@@ -43,6 +43,14 @@ impl Stream {
         &self.intake
     }
 
+    /// Nominal rate in Hz; of pictures, 0.
+    pub fn rate_hz(&self) -> f64 {
+        match &self.intake {
+            Intake::Series { rate_hz, .. } => *rate_hz,
+            Intake::Images { .. } => 0.0,
+        }
+    }
+
     pub fn meter(&self) -> &Arc<Meter> {
         match &self.intake {
             Intake::Series { tap, .. } => tap.meter(),

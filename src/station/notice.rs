@@ -1,11 +1,13 @@
 //! What a station tells, and what it can be told to do.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde::Serialize;
 
 use crate::device::DeviceState;
+use crate::library::Entry;
 use crate::recognise::RankedSurface;
 use crate::scan::{Totals, Trace};
 use crate::scene::{Phase, SourceId};
@@ -49,6 +51,8 @@ pub struct Answer {
     pub spoiled: Vec<String>,
     /// Scan duration that 400 samples T* apart need on the named surface, in seconds.
     pub needed_s: Option<f64>,
+    /// For people: what is not perfect about the scan, a line each.
+    pub remarks: Vec<String>,
 }
 
 /// A surface and its probability.
@@ -76,7 +80,7 @@ pub struct Guess {
 }
 
 /// The library that scans are compared with.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LibraryState {
     /// Its name, or its folder's.
     pub name: String,
@@ -88,6 +92,24 @@ pub struct LibraryState {
     pub synthetic: bool,
     /// For people: why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
+}
+
+impl LibraryState {
+    /// The state of a library of these trials.
+    pub fn of(name: &str, entries: &[Entry], synthetic: bool) -> Self {
+        let (mut surfaces, mut sources) = (BTreeMap::new(), BTreeSet::new());
+        for entry in entries {
+            *surfaces.entry(entry.key.surface.clone()).or_insert(0) += 1;
+            sources.extend(entry.sources.iter().cloned());
+        }
+        Self {
+            name: name.to_string(),
+            surfaces: surfaces.into_iter().collect(),
+            sources: sources.into_iter().collect(),
+            synthetic,
+            problem: None,
+        }
+    }
 }
 
 /// A scan was kept as a trial of a library, or refused.
@@ -142,6 +164,13 @@ pub enum Notice {
     Finished(Arc<Totals>),
 }
 
+impl Answer {
+    /// How much longer the drag should have been, in seconds, if so.
+    pub fn more_s(&self) -> Option<f64> {
+        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
+    }
+}
+
 /// What a station can be told to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Order {
@@ -149,7 +178,7 @@ pub enum Order {
     Start,
     /// End the scan that goes on.
     Stop,
-    /// Keep the next `trials` scans as trials of `surface`.
+    /// Keep the next `trials` good scans as trials of `surface`.
     Enroll {
         /// the label
         surface: String,
@@ -157,6 +186,13 @@ pub enum Order {
         user: String,
         /// how many
         trials: u32,
+    },
+    /// Keep all scans that follow, good or not.
+    Record {
+        /// the label
+        surface: String,
+        /// who drags
+        user: String,
     },
     /// Keep no more scans.
     EndEnroll,
@@ -166,8 +202,14 @@ pub enum Order {
     Quit,
 }
 
-/// Who is told what happens. Called on the station's own thread: must not wait.
-pub trait Listener: Send {
+/// Who is told what happens. Called on the thread that runs the station: must not wait.
+pub trait Listener {
     /// Something happened.
     fn notice(&mut self, notice: &Notice);
+}
+
+impl<L: Listener + ?Sized> Listener for &mut L {
+    fn notice(&mut self, notice: &Notice) {
+        (**self).notice(notice);
+    }
 }

@@ -1,9 +1,8 @@
-//! What T* asks of a scan, for commands that name scans: how much longer to drag.
+//! What T* asks of a scan: how much longer to drag.
 
-use super::replay::Stage;
 use crate::duration::{DurationReport, Question, Settings, report};
 use crate::kernel::Threshold;
-use crate::library::Library;
+use crate::library::{Entry, Library};
 use crate::recognise::Ranking;
 use crate::scene::{Domain, Scene, SourceId};
 
@@ -19,19 +18,10 @@ const DRAWS: usize = 100;
 impl Needs {
     /// From the trials that are compared with. A library too small for T*, or without sources of
     /// domain `time`, asks for nothing.
-    pub fn of(stage: &Stage) -> Self {
-        let scene = stage.scene.clone();
-        let mut in_library: Vec<usize> =
-            stage.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
-        in_library.sort_unstable();
-        in_library.dedup();
-        let library = Library {
-            name: String::new(),
-            scene: scene.clone(),
-            entries: in_library.into_iter().map(|i| stage.entries[i].clone()).collect(),
-            synthetic: stage.synthetic,
-            remarks: Vec::new(),
-        };
+    pub fn of(scene: &Scene, entries: Vec<Entry>, synthetic: bool) -> Self {
+        let scene = scene.clone();
+        let (name, remarks) = (String::new(), Vec::new());
+        let library = Library { name, scene: scene.clone(), entries, synthetic, remarks };
         let sources = (scene.sources())
             .filter(|spec| spec.domain == Domain::Time && spec.sigma.is_none())
             .filter(|spec| library.entries.iter().any(|e| e.sources.contains(&spec.id)))
