@@ -13,6 +13,7 @@ mod method;
 mod paper;
 mod replay;
 mod samples;
+mod serve;
 mod show;
 mod synth;
 mod tally;

@@ -47,6 +47,8 @@ pub enum Problem {
     Busy,
     #[error("the station has ended")]
     Ended,
+    #[error("this station keeps no scans; start it with --library LIB, a library to keep them in")]
+    NoLibrary,
 }
 
 #[derive(Serialize)]
@@ -70,6 +72,7 @@ impl Problem {
             Self::Token => (StatusCode::UNAUTHORIZED, "token_needed"),
             Self::Busy => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
             Self::Ended => (StatusCode::CONFLICT, "ended"),
+            Self::NoLibrary => (StatusCode::CONFLICT, "no_library"),
         }
     }
 }
@@ -86,6 +89,7 @@ impl From<Undelivered> for Problem {
         match undelivered {
             Undelivered::Busy => Self::Busy,
             Undelivered::Ended => Self::Ended,
+            Undelivered::NoLibrary => Self::NoLibrary,
         }
     }
 }
@@ -108,13 +112,19 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/scans/{number}", get(scan))
         .route("/library", get(library))
         .route("/events", get(events))
-        .route("/start", post(|State(hub): Shared| async move { tell(&hub, Order::Start) }))
-        .route("/stop", post(|State(hub): Shared| async move { tell(&hub, Order::Stop) }))
-        .route("/reload", post(|State(hub): Shared| async move { tell(&hub, Order::Reload) }))
+        .route(
+            "/start",
+            post(|State(hub): Shared| async move { tell(&hub, "start", Order::Start) }),
+        )
+        .route("/stop", post(|State(hub): Shared| async move { tell(&hub, "stop", Order::Stop) }))
+        .route(
+            "/reload",
+            post(|State(hub): Shared| async move { tell(&hub, "reload", Order::Reload) }),
+        )
         .route("/enroll", post(enroll))
         .route(
             "/enroll/end",
-            post(|State(hub): Shared| async move { tell(&hub, Order::EndEnroll) }),
+            post(|State(hub): Shared| async move { tell(&hub, "enroll/end", Order::EndEnroll) }),
         );
     let mut router = Router::new()
         .nest("/api/v1", api)
@@ -199,7 +209,7 @@ async fn enroll(
     State(hub): Shared,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    tell(&hub, order::enroll(&body?).map_err(Problem::Bad)?)
+    tell(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
 }
 
 #[derive(Serialize)]
@@ -207,15 +217,7 @@ struct Accepted {
     accepted: &'static str,
 }
 
-fn tell(hub: &Hub, order: Order) -> Result<Response, Problem> {
-    let accepted = match order {
-        Order::Start => "start",
-        Order::Stop => "stop",
-        Order::Enroll { .. } => "enroll",
-        Order::EndEnroll => "enroll/end",
-        Order::Reload => "reload",
-        Order::Quit => "quit",
-    };
+fn tell(hub: &Hub, accepted: &'static str, order: Order) -> Result<Response, Problem> {
     hub.order(order)?;
     Ok((StatusCode::ACCEPTED, Json(Accepted { accepted })).into_response())
 }

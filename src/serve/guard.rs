@@ -54,7 +54,7 @@ pub struct Guard {
 impl Guard {
     /// A guard that remembers nothing yet.
     pub fn new(hub: Arc<Hub>, settings: &Settings) -> Self {
-        let Settings { address, token, limits } = settings.clone();
+        let Settings { address, token, limits, .. } = settings.clone();
         Self { hub, token, address, limits, rates: Mutex::default() }
     }
 

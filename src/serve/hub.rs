@@ -12,6 +12,7 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
+use super::Settings;
 use super::metrics::{Around, Metrics};
 use super::readers::{Kind, Readers, Reading, Wants, encode};
 use super::spectrum;
@@ -46,6 +47,7 @@ pub struct Inner {
     readers: Readers,
     tracer: Tracer,
     meters: Vec<StreamMeter>,
+    enrolls: bool,
 }
 
 /// What one stream carries.
@@ -73,6 +75,8 @@ struct PhaseEvent {
 pub struct Whole<'a> {
     #[serde(flatten)]
     state: &'a State,
+    /// Whether the station keeps scans for a library.
+    enrolls: bool,
     streams: Vec<StreamView>,
 }
 
@@ -88,7 +92,7 @@ fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
 impl Inner {
     /// All that is known now.
     pub fn whole(&self) -> Whole<'_> {
-        Whole { state: &self.state, streams: views(&self.meters) }
+        Whole { state: &self.state, enrolls: self.enrolls, streams: views(&self.meters) }
     }
 
     /// All figures.
@@ -105,10 +109,16 @@ impl Inner {
     fn tell(&mut self, kind: Kind, data: &impl Serialize) {
         if self.readers.want(kind) {
             let event = encode(kind, data);
-            let (state, meters) = (&self.state, &self.meters);
-            let mut whole = || encode(Kind::State, &Whole { state, streams: views(meters) });
+            let Self { state, meters, enrolls, .. } = &*self;
+            let whole = || Whole { state, enrolls: *enrolls, streams: views(meters) };
+            let mut whole = || encode(Kind::State, &whole());
             self.readers.tell(kind, &event, &mut whole);
         }
+    }
+
+    fn tell_streams(&mut self) {
+        let streams = views(&self.meters);
+        self.tell(Kind::Streams, &StreamsEvent { streams });
     }
 
     /// Changes the state, and tells what follows from it.
@@ -128,6 +138,10 @@ impl Inner {
     fn take(&mut self, notice: &Notice) {
         self.state.take(notice);
         match notice {
+            Notice::Streams(meters) => {
+                self.meters.clone_from(meters);
+                self.tell_streams();
+            }
             Notice::Device { device, .. } => {
                 let view = self.state.devices.iter().find(|view| view.device == *device).cloned();
                 self.tell(Kind::Device, &view);
@@ -167,6 +181,8 @@ impl Inner {
 /// Why an order does not reach the station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Undelivered {
+    /// The station keeps no scans.
+    NoLibrary,
     /// The station has ended.
     Ended,
     /// It has not taken the orders before this one yet.
@@ -175,26 +191,28 @@ pub enum Undelivered {
 
 impl Hub {
     /// Nothing is known yet; `missed` counts the notices that found no room.
-    pub fn new(orders: Sender<Order>, missed: Arc<AtomicU64>, most_readers: usize) -> Self {
+    pub fn new(settings: &Settings, orders: Sender<Order>, missed: Arc<AtomicU64>) -> Self {
         let inner = Inner {
             state: State::new(),
             metrics: Metrics::default(),
             readers: Readers::default(),
             tracer: Tracer::default(),
             meters: Vec::new(),
+            enrolls: settings.enrolls,
         };
-        Self { inner: Mutex::new(inner), orders, missed, most_readers }
+        Self {
+            inner: Mutex::new(inner),
+            orders,
+            missed,
+            most_readers: limits.readers,
+            enrolls: *enrolls,
+        }
     }
 
     /// What is behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, Inner> {
         // Whoever panicked while holding it left plain figures, usable by themselves.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Shows what these streams carry.
-    pub fn watch(&self, meters: Vec<StreamMeter>) {
-        self.lock().meters = meters;
     }
 
     /// All figures.
@@ -215,7 +233,7 @@ impl Hub {
     /// Sends an order, never waiting for the station.
     ///
     /// # Errors
-    /// If it has ended, or is busy with the orders before.
+    /// If it has ended, is busy with the orders before, or cannot do that.
     pub fn order(&self, order: Order) -> Result<(), Undelivered> {
         let enrolling = match &order {
             Order::Enroll { surface, user, trials } => {
@@ -228,6 +246,9 @@ impl Hub {
         let inner = &mut *self.lock();
         if inner.state.finished {
             return Err(Undelivered::Ended);
+        }
+        if enrolling.is_some() && !inner.enrolls {
+            return Err(Undelivered::NoLibrary);
         }
         self.orders.try_send(order).map_err(|error| match error {
             TrySendError::Full(_) => Undelivered::Busy,
@@ -256,11 +277,7 @@ pub async fn run(
                 Some(notice) => hub.lock().change(|inner| inner.take(&notice)),
                 None => listening = false,
             },
-            _ = streams.tick() => {
-                let inner = &mut *hub.lock();
-                let streams = views(&inner.meters);
-                inner.tell(Kind::Streams, &StreamsEvent { streams });
-            }
+            _ = streams.tick() => hub.lock().tell_streams(),
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
                 if inner.readers.want(Kind::Spectrum) {

@@ -38,7 +38,6 @@ pub use accept::Limits;
 pub use reporter::Reporter;
 pub use token::Token;
 
-use crate::scan::StreamMeter;
 use crate::station::Order;
 use hub::Hub;
 
@@ -54,12 +53,14 @@ pub struct Settings {
     pub token: Option<Token>,
     /// What a client may take.
     pub limits: Limits,
+    /// Whether the station keeps scans for a library.
+    pub enrolls: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT);
-        Self { address, token: None, limits: Limits::default() }
+        Self { address, token: None, limits: Limits::default(), enrolls: true }
     }
 }
 
@@ -92,7 +93,6 @@ pub enum ServeError {
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    hub: Arc<Hub>,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -118,18 +118,18 @@ impl Server {
         listener.set_nonblocking(true).map_err(ServeError::System)?;
         let address = listener.local_addr().map_err(ServeError::System)?;
         let (reporter, notices) = reporter::pair();
-        let hub = Arc::new(Hub::new(orders, reporter.missed(), settings.limits.readers));
+        let hub = Arc::new(Hub::new(settings, orders, reporter.missed()));
         let (stop, stopped) = watch::channel(false);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
             .build()
             .map_err(ServeError::System)?;
-        let (of_thread, settings) = (hub.clone(), settings.clone());
+        let settings = settings.clone();
         let work = move || {
             runtime.block_on(async move {
-                let told = tokio::spawn(hub::run(of_thread.clone(), notices, stopped.clone()));
-                accept::serve(listener, of_thread, &settings, stopped).await;
+                let told = tokio::spawn(hub::run(hub.clone(), notices, stopped.clone()));
+                accept::serve(listener, hub, &settings, stopped).await;
                 // Whatever was entered before the end is still told, to those who read at once.
                 let _ = tokio::time::timeout(LAST_WORDS, told).await;
             });
@@ -138,17 +138,12 @@ impl Server {
             .name("serve".into())
             .spawn(work)
             .map_err(ServeError::System)?;
-        Ok((Self { address, hub, stop, thread: Some(thread) }, reporter))
+        Ok((Self { address, stop, thread: Some(thread) }, reporter))
     }
 
     /// Where it serves, with the port that was picked.
     pub fn address(&self) -> SocketAddr {
         self.address
-    }
-
-    /// Shows what these streams carry.
-    pub fn watch(&self, meters: Vec<StreamMeter>) {
-        self.hub.watch(meters);
     }
 
     /// Ends all connections; answers under way have half a second.

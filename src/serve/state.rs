@@ -211,7 +211,8 @@ impl State {
         state
     }
 
-    /// Takes in what the station tells. Traces are none of its business.
+    /// Takes in what the station tells. Traces and figures are none of its
+    /// business.
     pub fn take(&mut self, notice: &Notice) {
         match notice {
             Notice::Device { device, state, detail } => self.device(device, *state, detail),
@@ -230,7 +231,7 @@ impl State {
                 self.finished = true;
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            Notice::Trace(_) => {}
+            Notice::Trace(_) | Notice::Streams(_) => {}
         }
         self.advice = self.advise();
     }

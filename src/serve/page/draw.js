@@ -158,7 +158,7 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  s.note.textContent = `${short(low)} to ${short(high)}`;
+  s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
 }
 
 function drawSpectrum(s, pen, w, h, ratio) {
@@ -170,8 +170,8 @@ function drawSpectrum(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     pen.fillRect(x(hz), 0, ratio, h);
   }
-  // Sixty decibels below the strongest band of late.
-  const strongest = Math.max(...db, -100);
+  // Sixty decibels below the strongest band of late; silence stays empty.
+  const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
   const y = (value) => h * (1 - Math.max(0, value - (s.top - 60)) / 64);
   pen.fillStyle = colours.traces[0];

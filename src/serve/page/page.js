@@ -19,6 +19,7 @@ function make(tag, text, className) {
 }
 
 const percent = (share) => `${(share * 100).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
+const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
 // What is shown in one place: a list of elements, replaced only if it reads otherwise.
@@ -50,7 +51,7 @@ function sureText(answer) {
   if (answer.surface === null) parts.push(`most alike: ${answer.ranked[0]?.surface ?? "nothing"}`);
   else if (answer.confidence !== null) parts.push(`${percent(answer.confidence)} sure`);
   else parts.push(`${sureness(answer)} more alike than the next`);
-  if (answer.latency_ms !== null) parts.push(`answered in ${answer.latency_ms.toFixed(0)} ms`);
+  parts.push(`answered in ${answer.latency_ms.toFixed(0)} ms`);
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");
 }
@@ -88,22 +89,22 @@ function showNow() {
     $("name").dataset.kind = kind;
     say("sure", sure);
   };
-  const spoiled = phase === null && answer ? answer.spoiled : [];
+  const guessing = phase !== null && guess?.named.length > 0;
+  const spoiled = answer && !guessing ? answer.spoiled : [];
   hide("spoiled", spoiled.length === 0);
   say("spoiled", spoiled.join(" · "));
-  if (phase !== null && guess?.named.length) {
+  if (guessing) {
     const [first] = guess.named;
     label(`scan ${guess.scan}, so far`, first.surface, "guess", `${percent(first.probability)}${guess.settled ? " · settled" : ""}`);
     fill("runners", guess.named.slice(0, 4).map((n) => runner(n.surface, n.probability, percent(n.probability))));
-  } else if (phase !== null) {
-    label(`scan ${state.scan}`, "…", "guess", "listening");
-    fill("runners", []);
   } else if (answer) {
     const kind = answer.surface === null ? "unknown" : "answer";
-    label(`scan ${answer.scan}${answer.synthetic ? " · synthetic" : ""}`, answer.surface ?? "unknown", kind, sureText(answer));
+    const made = answer.synthetic ? " · synthetic" : "";
+    const next = phase === null ? "" : ` · scan ${state.scan} goes on`;
+    label(`scan ${answer.scan}${made}${next}`, answer.surface ?? "unknown", kind, sureText(answer));
     fill("runners", answerRunners(answer));
   } else {
-    label("no scan yet", "—", "none", "");
+    label(phase === null ? "no scan yet" : `scan ${state.scan} goes on`, "—", "none", "");
     fill("runners", []);
   }
 }
@@ -148,13 +149,13 @@ function showHistory() {
   fill("scans", shown.map(row));
   hide("no-scans", shown.length > 0);
   const { scans: count, unknown } = state.counts;
-  say("counts", count ? `${count} scans · ${unknown} unknown` : "");
+  say("counts", count ? `${many(count, "scan")} · ${unknown} unknown` : "");
 }
 
 function showLibrary() {
   const { library, enrolling } = state;
   const surfaces = library?.surfaces ?? [];
-  say("library-name", library ? `${library.name} · ${surfaces.length} surfaces` : "");
+  say("library-name", library ? `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}` : "");
   hide("library-problem", !library?.problem);
   say("library-problem", library?.problem ?? "");
   fill("surfaces", surfaces.map(({ surface, trials }) => {
@@ -167,6 +168,8 @@ function showLibrary() {
     option.value = surface;
     return option;
   }));
+  hide("enroll-form", !state.enrolls);
+  hide("no-enroll", state.enrolls);
   hide("enrolling", !enrolling);
   if (enrolling) {
     say("enrolling-what", enrolling.surface);
