@@ -109,10 +109,9 @@ impl Inner {
     fn tell(&mut self, kind: Kind, data: &impl Serialize) {
         if self.readers.want(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, .. } = &*self;
+            let Self { state, meters, enrolls, readers, .. } = self;
             let whole = || Whole { state, enrolls: *enrolls, streams: views(meters) };
-            let mut whole = || encode(Kind::State, &whole());
-            self.readers.tell(kind, &event, &mut whole);
+            readers.tell(kind, &event, &mut || encode(Kind::State, &whole()));
         }
     }
 
@@ -200,13 +199,7 @@ impl Hub {
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };
-        Self {
-            inner: Mutex::new(inner),
-            orders,
-            missed,
-            most_readers: limits.readers,
-            enrolls: *enrolls,
-        }
+        Self { inner: Mutex::new(inner), orders, missed, most_readers: settings.limits.readers }
     }
 
     /// What is behind the lock.
