@@ -26,5 +26,6 @@ pub mod ring;
 pub mod scan;
 pub mod scene;
 pub mod seed;
+pub mod serve;
 pub mod station;
 pub mod trial;

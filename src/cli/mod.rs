@@ -17,6 +17,7 @@ mod plan;
 mod replay;
 mod run;
 mod samples;
+mod serve;
 mod show;
 mod stress;
 mod synth;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
+use super::serve::ServeArgs;
 use super::tally::Tally;
 use super::{Done, Failure, SourceArgs, show};
 use crate::dataset::synth;
@@ -26,7 +27,8 @@ use crate::trial::{EXPERT, TrialKey};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
-                        surfaced replay new-scans --library my-library --json")]
+                        surfaced replay new-scans --library my-library --json\n  \
+                        surfaced replay --speed 1.0 --serve")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -49,6 +51,8 @@ pub struct Args {
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    serve: ServeArgs,
 }
 
 /// What is played, and what it is compared with.
@@ -147,14 +151,23 @@ impl WithMethod for Player<'_> {
         let needs = Needs::of(&stage.scene, compared, stage.synthetic);
         let recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
         let mut tally = Tally::new(!args.json, total);
-        let mut station = Station::new(vec![Box::new(device)], Options::default())
+        let options = args.serve.options(Options::default());
+        let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
+        let serving = args.serve.start(station.orders(), false)?;
+        let (serving, reporter) = serving.unzip();
+        if let Some(reporter) = reporter {
+            station = station.listener(reporter);
+        }
         if args.json {
             station = station.listener(JsonLines);
         }
         let totals = station.run()?;
         tally.sum_up(stage.synthetic);
+        if let Some(serving) = serving {
+            serving.until_stopped();
+        }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));
         }

@@ -151,7 +151,7 @@ impl Listener for Terminal {
             Notice::Enrolled(enrolled) => self.enrolled(enrolled),
             Notice::Library(library) => self.library(library),
             Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Trace(_) => return,
+            Notice::Trace(_) | Notice::Streams(_) => return,
             Notice::Finished(_) => {
                 let clear = if self.draws { "\r\x1b[2K" } else { "" };
                 eprint!("{clear}");

@@ -100,6 +100,7 @@ impl<'a> Station<'a> {
             enrolling: None,
             listeners: self.listeners,
         };
+        run.tell(Notice::Streams(run.session.meters().to_vec()));
         match self.recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),
             None if run.load.is_some() => run.reload(),
