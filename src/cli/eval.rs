@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
 use crate::evaluate::paper::Shard;
@@ -99,17 +100,20 @@ pub(super) struct Evaluation<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scene: &'a Scene,
-    pub query_seconds: Option<f64>,
+    /// How much of each query's drag is used, one or more.
+    pub seconds: &'a [Option<f64>],
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
 }
 
 impl WithMethod for Evaluation<'_> {
-    type Output = Result<(Outcome, Vec<Prediction>), EvaluateError>;
+    /// As many as there are `seconds`.
+    type Output = Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
-        let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
+        let (scene, seconds) = (self.scene, self.seconds);
+        let as_query = |of: usize, entry: &Entry| first_seconds(entry, scene, seconds[of]);
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
             evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
@@ -117,7 +121,8 @@ impl WithMethod for Evaluation<'_> {
             eprintln!("{remark}");
         }
         let (entries, folds) = (self.entries, self.folds);
-        evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress)
+        let (trials, variants) = (&prepared.trials, seconds.len());
+        evaluate::run_variants(&method, entries, folds, trials, variants, as_query, &progress)
     }
 }
 
@@ -148,26 +153,12 @@ pub fn run(args: &Args) -> Done {
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
     };
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    if entries.is_empty() {
-        let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
-        return Err(Failure::Failed(format!(
-            "{}: no trial holds any of the sources {}; see above for what was found",
-            super::shown(data),
-            asked.join(", ")
-        )));
-    }
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = evaluate::folds(protocol, &keys)?;
+    let choice = choose(&library, data, &args.sources, Some(protocol))?;
+    let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
-    let evaluation =
-        Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
-    let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
+    let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache };
+    let (outcome, predictions) = args.method.apply(scene, evaluation)?.swap_remove(0);
     let report = Report {
         outcome,
         protocol: protocol.name(),

@@ -3,15 +3,17 @@
 mod chart;
 mod chart_figure;
 mod fold;
+mod loudness;
 mod outcome;
 pub mod paper;
 mod run;
 
 pub use chart::{Chart, Point, pareto};
-pub use chart_figure::{ChartError, figure};
+pub use chart_figure::figure;
 pub use fold::{Fold, Protocol, folds};
+pub use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, prepare, prepare_folds, run, run_prepared};
+pub use run::{Progress, prepare, prepare_folds, run, run_prepared, run_variants};
 
 use crate::recognise::RecogniseError;
 
