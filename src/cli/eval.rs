@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
@@ -141,7 +142,8 @@ pub(super) struct Evaluation<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scene: &'a Scene,
-    pub query_seconds: Option<f64>,
+    /// How much of each query's drag is used, one or more.
+    pub seconds: &'a [Option<f64>],
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
     pub also: Also,
@@ -160,8 +162,8 @@ pub(super) struct Also {
 
 /// What came of it.
 pub(super) struct Evaluated {
-    pub outcome: Outcome,
-    pub predictions: Vec<Prediction>,
+    /// As many as there are [`Evaluation::seconds`].
+    pub each: Vec<(Outcome, Vec<Prediction>)>,
     pub settled: Option<SettledOutcome>,
     pub unknown: Option<UnknownOutcome>,
 }
@@ -172,8 +174,9 @@ impl WithMethod for Evaluation<'_> {
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
         let left_out = LeftOut::default();
-        let as_query = |entry: &Entry| {
-            left_out.leave_out(first_seconds(entry, self.scene, self.query_seconds), self.scene)
+        let (scene, seconds) = (self.scene, self.seconds);
+        let as_query = |of: usize, entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
         };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
@@ -184,21 +187,30 @@ impl WithMethod for Evaluation<'_> {
         let (entries, folds, prepared) = (self.entries, self.folds, &prepared.trials);
         let Also { settle, leave_out, false_rejections } = self.also;
         let settled = settle.map(|loss| {
-            let scene = self.scene;
             let limits = (loss, None);
             evaluate::run_settled(&method, scene, entries, folds, prepared, limits, &progress)
         });
         let settled = settled.transpose()?;
         let unknown = leave_out.map(|groups| {
             let how = (groups, false_rejections);
-            evaluate::run_unknown(&method, entries, folds, prepared, as_query, how, &progress)
+            evaluate::run_unknown(
+                &method,
+                entries,
+                folds,
+                prepared,
+                |entry: &Entry| as_query(0, entry),
+                how,
+                &progress,
+            )
         });
         let unknown = unknown.transpose()?;
-        let (outcome, predictions) =
-            evaluate::run_prepared(&method, entries, folds, prepared, as_query, &progress)?;
+        let variants = seconds.len();
+        let each = evaluate::run_variants(
+            &method, entries, folds, prepared, variants, as_query, &progress,
+        )?;
         drop(steps);
         left_out.tell();
-        Ok(Evaluated { outcome, predictions, settled, unknown })
+        Ok(Evaluated { each, settled, unknown })
     }
 }
 
@@ -255,21 +267,8 @@ pub fn run(args: &Args) -> Done {
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
     };
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    if entries.is_empty() {
-        let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
-        return Err(Failure::Failed(format!(
-            "{}: no trial holds any of the sources {}; see above for what was found",
-            super::shown(data),
-            asked.join(", ")
-        )));
-    }
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = evaluate::folds(protocol, &keys)?;
+    let choice = choose(&library, data, &args.sources, Some(protocol))?;
+    let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
     let also = Also {
@@ -277,18 +276,19 @@ pub fn run(args: &Args) -> Done {
         leave_out: args.leave_surfaces_out,
         false_rejections: args.false_rejections,
     };
-    let (entries, folds) = (&entries, &folds);
-    let evaluation = Evaluation { entries, folds, scene: &scene, query_seconds, cache, also };
-    let done = args.method.apply(&scene, evaluation)?;
+    let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
+    let mut done = args.method.apply(scene, evaluation)?;
+    // There is one length, so one outcome.
+    let (outcome, predictions) = done.each.swap_remove(0);
     let report = Report {
-        outcome: done.outcome,
+        outcome,
         protocol: protocol.name(),
         data: library.name.clone(),
         synthetic: library.synthetic,
         query_seconds,
         settled: done.settled,
         unknown: done.unknown,
-        predictions: done.predictions.into_iter().map(Answer::from).collect(),
+        predictions: predictions.into_iter().map(Answer::from).collect(),
     };
     finish(args.json, report)
 }

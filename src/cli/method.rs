@@ -49,6 +49,9 @@ pub struct MethodArgs {
     /// With `embedding`: let the nearest trial win, instead of training a discriminant
     #[arg(long)]
     no_discriminant: bool,
+    /// With `embedding`: harmonics of each band, 1 to 4 (default: 4, or 2 for several channels)
+    #[arg(long, value_name = "H", value_parser = clap::value_parser!(u8).range(1..=4))]
+    harmonics: Option<u8>,
     /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
@@ -108,6 +111,7 @@ impl MethodArgs {
             neighbours: 1,
             seed: 1,
             exact: false,
+            harmonics: None,
             no_discriminant: false,
             halving: true,
             no_tables: false,
@@ -165,7 +169,11 @@ impl MethodArgs {
 
     /// The settings of `embedding`.
     pub fn embedding_options(&self) -> EmbeddingOptions {
-        EmbeddingOptions { discriminant: !self.no_discriminant, ..EmbeddingOptions::default() }
+        EmbeddingOptions {
+            discriminant: !self.no_discriminant,
+            harmonics: self.harmonics.map(usize::from),
+            ..EmbeddingOptions::default()
+        }
     }
 
     /// Where prepared trials of a library in a folder are kept, if they are.
