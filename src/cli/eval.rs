@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::answers::AnswerArgs;
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
-pub use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
@@ -53,16 +53,12 @@ pub struct Args {
     /// Also answer as soon as an answer is settled, and tell accuracy and scan time
     #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
     settle: bool,
-    /// Accuracy that settled answers may lose against whole scans
-    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
-    settle_loss: f64,
     /// Also leave whole surfaces out of the library, in so many groups, and tell how many of their
     /// queries are called unknown
     #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
     leave_surfaces_out: Option<usize>,
-    /// Share of known surfaces that may be called unknown
-    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
-    false_rejections: f64,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -166,7 +162,8 @@ impl WithMethod for Evaluation<'_> {
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
-        let as_query = |entry: &Entry| first_seconds(entry, self.scene, self.query_seconds);
+        let as_query =
+            |entry: &Entry| evaluate::first_seconds(entry, self.scene, self.query_seconds);
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
             evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
@@ -226,9 +223,9 @@ pub fn run(args: &Args) -> Done {
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
     let also = Also {
-        settle: args.settle.then_some(args.settle_loss),
+        settle: args.settle.then_some(args.answers.settle_loss),
         leave_out: args.leave_surfaces_out,
-        false_rejections: args.false_rejections,
+        false_rejections: args.answers.false_rejections(),
     };
     let (entries, folds) = (&entries, &folds);
     let evaluation = Evaluation { entries, folds, scene: &scene, query_seconds, cache, also };

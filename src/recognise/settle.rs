@@ -63,8 +63,10 @@ impl Watch {
     /// Sees the next look; gives label and scan time of the look at which the answer was settled.
     /// Later looks change nothing.
     pub fn see(&mut self, look: Look) -> Option<(usize, f64)> {
-        let (label, since_s) =
-            self.since.filter(|(label, _)| *label == look.label).unwrap_or((look.label, look.scan_s));
+        let (label, since_s) = self
+            .since
+            .filter(|(label, _)| *label == look.label)
+            .unwrap_or((look.label, look.scan_s));
         self.since = Some((label, since_s));
         let held = look.scan_s - since_s >= self.rule.hold_s - 1e-9;
         if held && look.fits && look.probability >= self.rule.probability {

@@ -101,7 +101,8 @@ impl Followed {
         }
         if let Some(follower) = &mut self.follower {
             // A scan that cannot be compared is not followed any more; its naming will say why.
-            let looked = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut **follower, progress)));
+            let looked =
+                std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut **follower, progress)));
             match looked {
                 Ok(Ok(guess)) => self.last = guess.or(self.last.take()),
                 Ok(Err(_)) | Err(_) => self.follower = None,

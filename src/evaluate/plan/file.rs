@@ -177,7 +177,9 @@ impl Plan {
             line(format!("n = {n}\nrepetitions = {repetitions}"));
         }
         match self.scan_s {
-            Some(scan_s) => line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}")),
+            Some(scan_s) => {
+                line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"))
+            }
             None if e.scan_s > 0.0 => line("# No scan_s: the whole drag is used.".into()),
             None => line("# No scan_s: nothing of a drag is used.".into()),
         }

@@ -95,8 +95,7 @@ pub fn search(
     let study = Study::new(&library.scene, &entries, &folds, progress)?;
     let mut search = Search::new(&study, options.target);
     let choice = search.choose();
-    let ids: Vec<SourceId> =
-        choice.sources.iter().map(|&s| study.sources[s].id.clone()).collect();
+    let ids: Vec<SourceId> = choice.sources.iter().map(|&s| study.sources[s].id.clone()).collect();
     let scene = library.scene.clone().only(&ids)?;
     let dragged = choice.sources.iter().any(|&s| search.is_dragged(s));
     let on = Trying {
