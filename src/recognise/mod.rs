@@ -34,7 +34,7 @@ mod unknown;
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 pub use framed::{FramedStream, FramedTrial};
 pub use halving::{STAGES, Stage};
