@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::answers::AnswerArgs;
 use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
@@ -59,16 +60,12 @@ pub struct Args {
     /// Also answer as soon as an answer is settled, and tell accuracy and scan time
     #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
     settle: bool,
-    /// Accuracy that settled answers may lose against whole scans
-    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
-    settle_loss: f64,
     /// Also leave whole surfaces out of the library, in so many groups, and tell how many of their
     /// queries are called unknown
     #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
     leave_surfaces_out: Option<usize>,
-    /// Share of known surfaces that may be called unknown
-    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
-    false_rejections: f64,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -272,9 +269,9 @@ pub fn run(args: &Args) -> Done {
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
     let also = Also {
-        settle: args.settle.then_some(args.settle_loss),
+        settle: args.settle.then_some(args.answers.settle_loss),
         leave_out: args.leave_surfaces_out,
-        false_rejections: args.false_rejections,
+        false_rejections: args.answers.false_rejections(),
     };
     let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
     let mut done = args.method.apply(scene, evaluation)?;

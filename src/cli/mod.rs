@@ -2,6 +2,7 @@
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
+mod answers;
 mod chart;
 mod choose;
 mod compare;

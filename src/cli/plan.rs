@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::eval::share;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
-use crate::evaluate::plan::{PlanOptions, Planned, search};
+use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
 
 /// Find the cheapest setting that names this library's surfaces well enough
@@ -31,6 +31,37 @@ pub struct Args {
     /// Print the plan, and what it was found by, as one JSON document on stdout
     #[arg(long)]
     json: bool,
+}
+
+/// A plan to compare by, for commands that name scans.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlanArgs {
+    /// Compare as this plan says, which `surfaced plan` has written
+    #[arg(long, value_name = "FILE", conflicts_with_all = [
+        "sources", "query_seconds", "method", "n", "repetitions", "positions", "neighbours",
+        "halving", "no_discriminant"
+    ])]
+    plan: Option<PathBuf>,
+}
+
+impl PlanArgs {
+    /// The plan, if there is one; tells people what it says.
+    ///
+    /// # Errors
+    /// Wrong usage, if it cannot be read.
+    pub fn read(&self) -> Result<Option<Plan>, Failure> {
+        let Some(path) = &self.plan else { return Ok(None) };
+        let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
+        let sources: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
+        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        eprintln!(
+            "plan for {}: {} by {}{used}",
+            plan.library,
+            sources.join(" + "),
+            plan.setting.method().name()
+        );
+        Ok(Some(plan))
+    }
 }
 
 /// Runs the command.

@@ -37,7 +37,7 @@ mod unknown;
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
 pub use flawed::without_flawed;
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 pub use framed::{FramedStream, FramedTrial};

@@ -108,18 +108,17 @@ impl Followed {
                 Ok(Err(_)) | Err(_) => self.follower = None,
             }
         }
-        let named = self.last.as_ref().map_or(&[][..], |guess| &guess.named);
-        let name = |(surface, probability): &(String, f64)| super::notice::Named {
-            surface: surface.clone(),
-            probability: *probability,
-        };
-        Guess {
-            scan: progress.number,
-            scan_s: progress.scan_s,
-            named: named.iter().map(name).collect(),
-            settled: self.last.as_ref().is_some_and(|guess| guess.settled.is_some()),
-            needed_s: named.first().and_then(|(surface, _)| by.needed_s(surface)),
+        let mut told = Guess::nothing(progress.number, progress.scan_s);
+        if let Some(guess) = &self.last {
+            let name = |(surface, probability): &(String, f64)| super::notice::Named {
+                surface: surface.clone(),
+                probability: *probability,
+            };
+            told.named = guess.named.iter().map(name).collect();
+            told.settled = guess.settled.is_some();
+            told.needed_s = guess.named.first().and_then(|(surface, _)| by.needed_s(surface));
         }
+        told
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.

@@ -207,7 +207,8 @@ impl<'a> Search<'a> {
                 }
             }
             match best {
-                Some(better) if better.right > chosen.right => {
+                // One there must be, even where none names anything.
+                Some(better) if better.right > chosen.right || chosen.sources.is_empty() => {
                     self.note(&better, "added the source that helps most:");
                     chosen = better;
                 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::evaluate::run::{Progress, first_seconds, prepare_folds};
 use crate::evaluate::{EvaluateError, Fold};
 use crate::library::Entry;
-use crate::recognise::{Embedding, EmbeddingOptions, Method, RecogniseError};
+use crate::recognise::{Embedding, EmbeddingOptions, Method, RecogniseError, SourceDistances};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
@@ -53,8 +53,8 @@ struct Query {
     /// Place of its surface among those of its fold's library.
     truth: usize,
     surfaces: usize,
-    /// For each time, for each source that told something, its distances to the surfaces.
-    distances: Vec<Vec<Option<Vec<f32>>>>,
+    /// For each time, what each source told, if it told anything.
+    told: Vec<Vec<Option<SourceDistances>>>,
 }
 
 /// See the module.
@@ -89,18 +89,17 @@ impl Study {
                 let entry = &entries[i];
                 let trial = entry.load().map_err(RecogniseError::from)?;
                 let kept = Entry::in_memory(trial.clone());
-                let mut distances = Vec::with_capacity(times.len());
+                let mut told = Vec::with_capacity(times.len());
                 for &time in &times {
                     let query = first_seconds(&kept, scene, time);
                     let query = query.load().map_err(RecogniseError::from)?;
                     let query = method.prepare(&kept, &query)?;
-                    let mut told = model.source_distances(&query)?;
+                    let mut by_source = model.by_source(&query)?;
                     let of_source = |source: &StudiedSource| {
-                        let at = told.iter().position(|(id, _)| *id == source.id)?;
-                        let (_, distances) = told.swap_remove(at);
-                        Some(distances.into_iter().map(|d| d as f32).collect())
+                        let at = by_source.iter().position(|told| told.source == source.id)?;
+                        Some(by_source.swap_remove(at))
                     };
-                    distances.push(sources.iter().map(of_source).collect());
+                    told.push(sources.iter().map(of_source).collect());
                 }
                 if queries.len() < TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
@@ -110,7 +109,7 @@ impl Study {
                 let surfaces = model.surfaces();
                 // Every query's surface is in its fold's library.
                 let truth = surfaces.iter().position(|s| *s == entry.key.surface).unwrap_or(0);
-                queries.push(Query { truth, surfaces: surfaces.len(), distances });
+                queries.push(Query { truth, surfaces: surfaces.len(), told });
                 progress("trying sources", queries.len(), total);
             }
         }
@@ -127,11 +126,16 @@ impl Study {
     }
 
     /// How many queries some sources, by their places, name right at a scan time, by its place.
+    /// Exactly as `embedding` does with these sources, but for several of which none is trained:
+    /// there it takes the nearest trial by all, and this the nearest by each.
     pub fn right(&self, sources: &[usize], time: usize) -> usize {
         let is_right = |query: &&Query| {
-            let told: Vec<&Vec<f32>> =
-                sources.iter().filter_map(|&s| query.distances[time][s].as_ref()).collect();
-            let sum = |surface: usize| told.iter().map(|d| f64::from(d[surface])).sum::<f64>();
+            let mut told: Vec<&SourceDistances> =
+                sources.iter().filter_map(|&s| query.told[time][s].as_ref()).collect();
+            if told.iter().any(|told| told.trained) {
+                told.retain(|told| told.trained);
+            }
+            let sum = |surface: usize| told.iter().map(|t| t.distances[surface]).sum::<f64>();
             let mut best = (f64::INFINITY, None);
             for surface in 0..query.surfaces {
                 let sum = sum(surface);

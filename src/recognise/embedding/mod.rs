@@ -110,6 +110,17 @@ pub struct Posterior {
     pub fit: Option<f64>,
 }
 
+/// How far a query is from each surface by one source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceDistances {
+    /// The source.
+    pub source: SourceId,
+    /// Whether it has a discriminant.
+    pub trained: bool,
+    /// w·d/τ for each surface; of an untrained source w·ln d² to the surface's nearest trial.
+    pub distances: Vec<f64>,
+}
+
 impl Posterior {
     /// Index of the most probable surface; the first of equal ones.
     pub fn best(&self) -> usize {
@@ -153,18 +164,27 @@ impl EmbeddingModel {
         Ok(self.posterior_of(query, &vectors))
     }
 
-    /// Distances to the surfaces by each of the query's sources that has a discriminant,
-    /// w_s·d_s/τ_s: those of a posterior are their sums, and those of a model without some of the
-    /// sources the sums over the others.
+    /// What each of the query's sources says alone. Where some of a set of sources are trained,
+    /// the distances of a model with that set alone are the sums over those.
     ///
     /// # Errors
     /// As [`EmbeddingModel::posterior`].
-    pub fn source_distances(
-        &self,
-        query: &FramedTrial,
-    ) -> Result<Vec<(SourceId, Vec<f64>)>, RecogniseError> {
+    pub fn by_source(&self, query: &FramedTrial) -> Result<Vec<SourceDistances>, RecogniseError> {
         let vectors = self.embed(query)?;
-        Ok(self.terms(query, &vectors))
+        let trained = self.terms(query, &vectors).into_iter();
+        let trained =
+            trained.map(|(source, distances)| SourceDistances { source, trained: true, distances });
+        let untrained = vectors.iter().filter(|v| v.model.discriminant.is_none()).map(|v| {
+            let mut distances = vec![f64::INFINITY; self.surfaces.len()];
+            for (of_trial, &class) in v.model.vectors.iter().zip(&self.labels.class) {
+                let Some(of_trial) = of_trial else { continue };
+                let d2 = squared_distance(&v.vector, of_trial).max(DISTANCE_FLOOR);
+                distances[class] = distances[class].min(v.model.spec.weight * d2.ln());
+            }
+            let source = v.model.spec.id.clone();
+            SourceDistances { source, trained: false, distances }
+        });
+        Ok(trained.chain(untrained).collect())
     }
 
     fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
