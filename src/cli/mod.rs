@@ -8,16 +8,20 @@ mod compare;
 mod dependence;
 mod devices;
 mod duration;
+mod enroll;
 mod eval;
 mod lines;
+mod live;
 mod method;
 mod paper;
 mod plan;
 mod replay;
+mod run;
 mod samples;
 mod show;
 mod synth;
 mod tally;
+mod terminal;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -39,6 +43,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Replay(replay::Args),
+    Run(run::Args),
+    Enroll(enroll::EnrollArgs),
+    Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
     Plan(plan::Args),
@@ -73,6 +80,9 @@ type Done = Result<(), Failure>;
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Replay(args) => replay::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Enroll(args) => enroll::enroll(&args),
+        Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
         Command::Plan(args) => plan::run(&args),
@@ -93,7 +103,7 @@ pub fn run() -> ExitCode {
 }
 
 /// Which sources a comparison uses.
-#[derive(clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// Sources to compare, with commas between them (default: all that the data have)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]

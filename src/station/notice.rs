@@ -220,3 +220,9 @@ impl<L: Listener + ?Sized> Listener for &mut L {
         (**self).notice(notice);
     }
 }
+
+impl<L: Listener + ?Sized> Listener for Box<L> {
+    fn notice(&mut self, notice: &Notice) {
+        (**self).notice(notice);
+    }
+}

@@ -2,6 +2,9 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
+pub mod scripted;
+pub mod stylus;
+
 use std::path::{Path, PathBuf};
 
 use surfaced::dataset;
