@@ -3,6 +3,8 @@
 #![allow(dead_code)] // Not every test binary uses all of it.
 
 pub mod scripted;
+#[cfg(feature = "microphone")]
+pub mod sound;
 pub mod stylus;
 
 use std::path::{Path, PathBuf};
