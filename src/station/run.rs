@@ -321,7 +321,7 @@ impl Run<'_> {
 
 fn notice(told: Told) -> Notice {
     match told {
-        Told::Named(Ok(answer)) => Notice::Answer(Arc::new(answer)),
+        Told::Named(Ok(answer)) => Notice::Answer(answer),
         Told::Named(Err(problem)) => Notice::Warning(problem),
         Told::Guess(guess) => Notice::Guess(guess),
     }
