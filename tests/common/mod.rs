@@ -2,6 +2,8 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
+pub mod http;
+
 use std::path::{Path, PathBuf};
 
 use surfaced::scene::SourceId;
