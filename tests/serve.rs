@@ -75,13 +75,16 @@ fn curl(served: &Served, command: &str) -> String {
 fn every_answer_that_the_readme_shows_is_what_a_server_says() {
     let samples = documented();
     assert!(samples.len() >= 8, "the README shows an answer of each kind: {samples:#?}");
+    let mut wrong = String::new();
     for (command, shown) in samples {
         // Each is answered as if it were the first.
         let served = told();
         let said = curl(&served, &command);
         if command.ends_with("/metrics") {
             for line in shown.lines().filter(|line| *line != "…") {
-                assert!(said.lines().any(|l| l == line), "{command}: no {line:?} in\n{said}");
+                if !said.lines().any(|l| l == line) {
+                    wrong += &format!("{command}: no {line:?} in\n{said}\n");
+                }
             }
             continue;
         }
@@ -89,8 +92,11 @@ fn every_answer_that_the_readme_shows_is_what_a_server_says() {
             .unwrap_or_else(|error| panic!("{command}: {error} in\n{shown}"));
         let said: Value = serde_json::from_str(&said).unwrap();
         let (shown, said) = (timeless(shown), timeless(said));
-        assert_eq!(shown, said, "{command}:\n{}", serde_json::to_string_pretty(&said).unwrap());
+        if shown != said {
+            wrong += &format!("{command}: shown\n{shown}\nsaid\n{said}\n");
+        }
     }
+    assert!(wrong.is_empty(), "{wrong}");
 }
 
 #[test]
@@ -172,9 +178,9 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
             wanted,
         })]);
         assert_eq!(events.next("enrolled")["wanted"], wanted);
+        let left = events.next("enrolling");
+        assert_eq!(left["wanted"], if wanted == 0 { Value::Null } else { json!(wanted) });
     }
-    assert_eq!(events.next("enrolling")["wanted"], 1);
-    assert_eq!(events.next("enrolling"), Value::Null);
 }
 
 #[test]
