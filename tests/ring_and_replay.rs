@@ -75,7 +75,7 @@ fn listen(device: impl Device + 'static, options: Options) -> Heard {
             Event::Warning(text) => warnings.push(text),
             Event::Device { state: DeviceState::Lost, detail, .. } => lost.push(detail),
             Event::Finished(_) => finished = true,
-            Event::Device { .. } | Event::Trace(_) => {}
+            Event::Device { .. } | Event::Phase { .. } | Event::Trace(_) => {}
         }
     }
     assert!(finished);

@@ -62,7 +62,7 @@ fn documented() -> Vec<(String, String)> {
 /// Does what a documented `curl` does.
 fn curl(served: &Served, command: &str) -> String {
     let (options, address) = command.rsplit_once(' ').unwrap_or(("", command));
-    let path = address.trim_matches('\'').strip_prefix("http://127.0.0.1:8108").unwrap();
+    let path = address.trim_matches('\'').strip_prefix("http://127.0.0.1:8080").unwrap();
     let body = options.split_once("-d ").map_or("", |(_, body)| body.trim_matches('\''));
     let posts = options.contains("-X POST") || !body.is_empty();
     match posts {

@@ -203,6 +203,7 @@ impl Live {
                         marks.push(Mark::Close { source: cut.source, end });
                     }
                 }
+                self.pictures(streams, marks);
                 let ended_s = self.time_s(at, end).unwrap_or(now_s).clamp(0.0, now_s);
                 marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(ended_s) });
             }
@@ -222,7 +223,31 @@ impl Live {
             let Some(at) = streams.iter().position(|s| s.id() == &cut.stream) else { continue };
             marks.push(Mark::Close { source: cut.source, end: self.index_now(at, streams, now_s) });
         }
+        self.pictures(streams, marks);
         marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(now_s) });
+    }
+
+    /// Takes the latest pictures, however long ago they were taken: when a scan begins, and once
+    /// more when it ends, since one with flash is taken during the drag.
+    fn pictures(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
+        for cut in &self.plan.cuts {
+            let Some(stream) = streams.iter().find(|stream| stream.id() == &cut.stream) else {
+                continue;
+            };
+            if let Intake::Images { history, .. } = stream.intake()
+                && let Some((latest, _)) = history.latest()
+            {
+                marks.push(Mark::Open(Open {
+                    source: cut.source.clone(),
+                    stream: cut.stream.clone(),
+                    start: *latest,
+                    phase: cut.phase,
+                    rate_hz: 1.0,
+                    channels: cut.channels,
+                }));
+                marks.push(Mark::Close { source: cut.source.clone(), end: latest + 1 });
+            }
+        }
     }
 
     /// Index in stream number `at` of the frame that is taken now.
@@ -275,6 +300,7 @@ impl Live {
         now_s: f64,
         marks: &mut Vec<Mark>,
     ) -> Vec<CutFrom> {
+        self.pictures(streams, marks);
         let mut opened = Vec::new();
         for cut in &self.plan.cuts {
             let Some(at) = streams.iter().position(|stream| stream.id() == &cut.stream) else {
@@ -293,13 +319,6 @@ impl Live {
                 })
             };
             let close = |end| Mark::Close { source: cut.source.clone(), end };
-            if let Intake::Images { history, .. } = stream.intake() {
-                // The latest picture, however long ago it was taken.
-                if let Some((latest, _)) = history.latest() {
-                    marks.extend([open(*latest, 1.0), close(latest + 1)]);
-                }
-                continue;
-            }
             if !self.alive(at, now_s) {
                 continue;
             }

@@ -3,7 +3,7 @@
 //! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
 //! works with.
 
-mod config;
+pub(crate) mod config;
 
 pub use config::SceneError;
 

@@ -231,7 +231,7 @@ impl State {
                 self.finished = true;
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            Notice::Trace(_) | Notice::Streams(_) => {}
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => {}
         }
         self.advice = self.advise();
     }

@@ -3,6 +3,8 @@
 #![allow(dead_code)] // Not every test binary uses all of it.
 
 pub mod http;
+pub mod scripted;
+pub mod stylus;
 
 use std::path::{Path, PathBuf};
 
