@@ -10,7 +10,8 @@ use super::method::{MethodArgs, WithMethod};
 use super::plan::{Comparing, PlanArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::{Done, Failure, SourceArgs, show};
+use super::terminal::watch_signals;
+use super::{Done, Failure, SourceArgs, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{self, Fold, Protocol, first_seconds};
@@ -18,7 +19,8 @@ use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::station::{ByMethod, LibraryState, Needs, Station};
+use crate::serve::Settings;
+use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
 use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
@@ -166,18 +168,26 @@ impl WithMethod for Player<'_> {
         let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
-        let serving = args.serve.start(station.orders(), false)?;
-        let (serving, reporter) = serving.unzip();
-        if let Some(reporter) = reporter {
-            station = station.listener(reporter);
-        }
         if args.json {
             station = station.listener(JsonLines);
         }
+        let library = args.library.as_ref().filter(|_| args.serve.asked());
+        if let Some(folder) = library {
+            let load = live::load(folder, &stage.scene, how, &args.answers);
+            station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        }
+        let address = Settings::default().address;
+        let (station, server) = args.serve.start(station, address, library.is_some())?;
+        let signals = match &server {
+            Some(_) => Some(watch_signals(station.orders())?),
+            None => None,
+        };
         let totals = station.run()?;
         tally.sum_up(stage.synthetic);
-        if let Some(serving) = serving {
-            serving.until_stopped();
+        if let (Some(server), Some(signals)) = (server, signals) {
+            // What is known is shown until somebody says that it is enough.
+            signals.wait();
+            server.stop();
         }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));

@@ -313,6 +313,7 @@ impl Run<'_> {
                 self.enroll(Enrolling::new(Wish { surface, user, good_only: false }, u32::MAX));
             }
             Order::EndEnroll => self.enrolling = None,
+            Order::Ping => self.tell(Notice::Alive),
             Order::Reload => self.reload(),
             Order::Quit => self.session.request_stop(),
         }
