@@ -2,6 +2,7 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
+pub mod replayed;
 pub mod scripted;
 #[cfg(feature = "microphone")]
 pub mod sound;
