@@ -107,6 +107,7 @@ fn keep(
             listeners: vec![count],
             hint,
             json: args.json,
+            serve: args.serve.clone(),
         },
     )?;
     let kept = kept.get();

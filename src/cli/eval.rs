@@ -1,16 +1,23 @@
 //! `surfaced eval`: accuracy by protocol.
 
+mod features;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::answers::AnswerArgs;
+use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
+use crate::dataset::table;
+use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
-use crate::recognise::Method;
+use crate::recognise::{Method, without_flawed};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -26,7 +33,7 @@ use crate::trial::TrialKey;
 pub struct Args {
     #[command(subcommand)]
     then: Option<Then>,
-    /// Recordings: a library, or the LMT108 database in either of its forms
+    /// Recordings: a library, or the LMT108 database in either of its forms; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
     /// How queries and library are split
@@ -132,7 +139,8 @@ pub(super) struct Evaluation<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scene: &'a Scene,
-    pub query_seconds: Option<f64>,
+    /// How much of each query's drag is used, one or more.
+    pub seconds: &'a [Option<f64>],
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
     pub also: Also,
@@ -151,8 +159,8 @@ pub(super) struct Also {
 
 /// What came of it.
 pub(super) struct Evaluated {
-    pub outcome: Outcome,
-    pub predictions: Vec<Prediction>,
+    /// As many as there are [`Evaluation::seconds`].
+    pub each: Vec<(Outcome, Vec<Prediction>)>,
     pub settled: Option<SettledOutcome>,
     pub unknown: Option<UnknownOutcome>,
 }
@@ -162,8 +170,11 @@ impl WithMethod for Evaluation<'_> {
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
-        let as_query =
-            |entry: &Entry| evaluate::first_seconds(entry, self.scene, self.query_seconds);
+        let left_out = LeftOut::default();
+        let (scene, seconds) = (self.scene, self.seconds);
+        let as_query = |of: usize, entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
+        };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
             evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
@@ -173,19 +184,64 @@ impl WithMethod for Evaluation<'_> {
         let (entries, folds, prepared) = (self.entries, self.folds, &prepared.trials);
         let Also { settle, leave_out, false_rejections } = self.also;
         let settled = settle.map(|loss| {
-            let scene = self.scene;
             let limits = (loss, None);
             evaluate::run_settled(&method, scene, entries, folds, prepared, limits, &progress)
         });
         let settled = settled.transpose()?;
         let unknown = leave_out.map(|groups| {
             let how = (groups, false_rejections);
-            evaluate::run_unknown(&method, entries, folds, prepared, as_query, how, &progress)
+            evaluate::run_unknown(
+                &method,
+                entries,
+                folds,
+                prepared,
+                |entry: &Entry| as_query(0, entry),
+                how,
+                &progress,
+            )
         });
         let unknown = unknown.transpose()?;
-        let (outcome, predictions) =
-            evaluate::run_prepared(&method, entries, folds, prepared, as_query, &progress)?;
-        Ok(Evaluated { outcome, predictions, settled, unknown })
+        let variants = seconds.len();
+        let each = evaluate::run_variants(
+            &method, entries, folds, prepared, variants, as_query, &progress,
+        )?;
+        drop(steps);
+        left_out.tell();
+        Ok(Evaluated { each, settled, unknown })
+    }
+}
+
+/// Sources that were left out of queries, with the trials.
+#[derive(Clone, Default)]
+struct LeftOut(Arc<Mutex<BTreeMap<String, BTreeSet<TrialKey>>>>);
+
+impl LeftOut {
+    /// The entry without sources whose sensor is dead or stuck.
+    fn leave_out(&self, entry: Entry, scene: &Scene) -> Entry {
+        let (noted, scene, key) = (self.clone(), scene.clone(), entry.key.clone());
+        entry.changed(move |trial| {
+            let (trial, remarks) = without_flawed(trial, &scene);
+            // A thread that panicked while it held the lock left a whole map.
+            let mut noted = noted.0.lock().unwrap_or_else(PoisonError::into_inner);
+            for remark in remarks {
+                noted.entry(remark).or_default().insert(key.clone());
+            }
+            trial
+        })
+    }
+
+    fn tell(&self) {
+        let noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for (remark, keys) in noted.iter() {
+            let more = if keys.len() > 1 {
+                format!(" and {} more", keys.len() - 1)
+            } else {
+                String::new()
+            };
+            if let Some(first) = keys.first() {
+                eprintln!("warning: {remark} ({first}{more})");
+            }
+        }
     }
 }
 
@@ -197,6 +253,9 @@ pub fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::Usage("name the recordings".into()));
     };
+    if let Some(tables) = table::open(data)? {
+        return features::run(args, &tables);
+    }
     let library = super::open(data)?;
     if args.paper {
         let out = args.out.as_deref();
@@ -205,21 +264,8 @@ pub fn run(args: &Args) -> Done {
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
     };
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    if entries.is_empty() {
-        let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
-        return Err(Failure::Failed(format!(
-            "{}: no trial holds any of the sources {}; see above for what was found",
-            super::shown(data),
-            asked.join(", ")
-        )));
-    }
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = evaluate::folds(protocol, &keys)?;
+    let choice = choose(&library, data, &args.sources, Some(protocol))?;
+    let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
     let also = Also {
@@ -227,20 +273,25 @@ pub fn run(args: &Args) -> Done {
         leave_out: args.leave_surfaces_out,
         false_rejections: args.answers.false_rejections(),
     };
-    let (entries, folds) = (&entries, &folds);
-    let evaluation = Evaluation { entries, folds, scene: &scene, query_seconds, cache, also };
-    let done = args.method.apply(&scene, evaluation)?;
+    let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
+    let mut done = args.method.apply(scene, evaluation)?;
+    // There is one length, so one outcome.
+    let (outcome, predictions) = done.each.swap_remove(0);
     let report = Report {
-        outcome: done.outcome,
+        outcome,
         protocol: protocol.name(),
         data: library.name.clone(),
         synthetic: library.synthetic,
         query_seconds,
         settled: done.settled,
         unknown: done.unknown,
-        predictions: done.predictions.into_iter().map(Answer::from).collect(),
+        predictions: predictions.into_iter().map(Answer::from).collect(),
     };
-    if args.json {
+    finish(args.json, report)
+}
+
+fn finish(json: bool, report: Report) -> Done {
+    if json {
         show::json(&report);
     } else {
         tell(&report);

@@ -9,6 +9,8 @@ use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::WithMethod;
 use super::plan::Comparing;
+use super::serve::ServeArgs;
+use super::supervisor::Supervisor;
 use super::terminal::{Keys, Terminal, watch_signals};
 use super::{Done, Failure};
 use crate::dataset;
@@ -37,6 +39,8 @@ pub struct StationArgs {
     /// Print lines of JSON on stdout
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub serve: ServeArgs,
 }
 
 impl StationArgs {
@@ -132,6 +136,8 @@ pub struct Work<'a> {
     pub hint: String,
     /// Prints lines of JSON.
     pub json: bool,
+    /// Whether it is shown on a page.
+    pub serve: ServeArgs,
 }
 
 /// Runs a station until it is told to quit, by a key, a signal or a listener.
@@ -148,6 +154,7 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         progress_every_s: Some(LOOK_S),
         ..Options::default()
     };
+    let options = work.serve.options(options);
     let keep = Keep {
         folder: work.keep,
         scene: config.scene.clone(),
@@ -168,9 +175,11 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     for listen in work.listeners {
         station = station.listener(listen(orders.clone()));
     }
+    let supervisor = Supervisor::new(orders.clone())?;
+    let (station, _server) = work.serve.start(station.listener(supervisor), config.serve, true)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(orders.clone(), terminal.scanning());
-    watch_signals(orders.clone())?;
+    let _signals = watch_signals(orders.clone())?;
     for order in work.orders {
         // The station holds the other end.
         let _ = orders.send(order);

@@ -8,16 +8,19 @@ use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
 use super::plan::{Comparing, PlanArgs};
+use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::{Done, Failure, SourceArgs, show};
+use super::terminal::watch_signals;
+use super::{Done, Failure, SourceArgs, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::station::{ByMethod, LibraryState, Needs, Station};
+use crate::serve::Settings;
+use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
 use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
@@ -28,7 +31,8 @@ use crate::trial::TrialKey;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
-                        surfaced replay new-scans --library my-library --json")]
+                        surfaced replay new-scans --library my-library --json\n  \
+                        surfaced replay --speed 1.0 --serve")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -55,6 +59,8 @@ pub struct Args {
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    serve: ServeArgs,
 }
 
 /// What is played, and what it is compared with.
@@ -143,7 +149,7 @@ impl WithMethod for Player<'_> {
             for &query in &fold.queries {
                 fold_of.insert(stage.entries[query].key.clone(), index);
                 let entry = &stage.entries[query];
-                queries.push(evaluate::first_seconds(entry, &stage.scene, how.query_seconds));
+                queries.push(first_seconds(entry, &stage.scene, how.query_seconds));
             }
         }
         let total = queries.len();
@@ -158,14 +164,31 @@ impl WithMethod for Player<'_> {
         let progress_every_s = applied.follows.then_some(LOOK_S);
         let options = Options { progress_every_s, ..Options::default() };
         let mut tally = Tally::new(!args.json, total);
+        let options = args.serve.options(options);
         let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
         if args.json {
             station = station.listener(JsonLines);
         }
+        let library = args.library.as_ref().filter(|_| args.serve.asked());
+        if let Some(folder) = library {
+            let load = live::load(folder, &stage.scene, how, &args.answers);
+            station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        }
+        let address = Settings::default().address;
+        let (station, server) = args.serve.start(station, address, library.is_some())?;
+        let signals = match &server {
+            Some(_) => Some(watch_signals(station.orders())?),
+            None => None,
+        };
         let totals = station.run()?;
         tally.sum_up(stage.synthetic);
+        if let (Some(server), Some(signals)) = (server, signals) {
+            // What is known is shown until somebody says that it is enough.
+            signals.wait();
+            server.stop();
+        }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));
         }

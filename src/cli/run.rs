@@ -12,7 +12,7 @@ use super::{Done, Failure, SourceArgs, shown};
 /// begins and ends a scan by hand; without it, scans are found by their tap and drag.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
-                        surfaced run --config station.toml --json\n  \
+                        surfaced run --config station.toml --json --serve\n  \
                         surfaced run --library my-library --stylus /dev/ttyUSB0")]
 pub struct Args {
     #[command(flatten)]
@@ -55,6 +55,7 @@ pub fn run(args: &Args) -> Done {
                 "tap a surface, then drag over it{long}; space begins and ends by hand, q ends"
             ),
             json: args.station.json,
+            serve: args.station.serve.clone(),
         },
     )?;
     verdict(&totals)

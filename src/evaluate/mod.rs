@@ -3,18 +3,23 @@
 mod chart;
 mod chart_figure;
 mod fold;
+mod loudness;
 mod outcome;
 pub mod paper;
 pub mod plan;
 mod run;
 mod settled;
+pub mod stress;
 mod unknown;
 
 pub use chart::{Chart, Point, pareto};
-pub use chart_figure::{ChartError, figure};
+pub use chart_figure::figure;
 pub use fold::{Fold, Protocol, folds};
+pub use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{Progress, first_seconds, prepare, prepare_folds, run, run_prepared};
+pub use run::{
+    Progress, first_seconds, prepare, prepare_folds, run, run_features, run_prepared, run_variants,
+};
 pub use settled::{SettledOutcome, follow, run_settled};
 pub use unknown::{UnknownOutcome, run_unknown};
 

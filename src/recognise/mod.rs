@@ -4,10 +4,13 @@
 //! prepared library, and ranks the library's surfaces for a prepared query. [`Reference`] is the
 //! paper's method, exactly.
 
+pub mod classify;
 mod colour;
 mod compare;
 mod domain;
 pub mod embedding;
+pub mod features;
+mod flawed;
 mod follow;
 pub mod framed;
 mod frames;
@@ -35,6 +38,7 @@ pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
 pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
+pub use flawed::without_flawed;
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 pub use framed::{FramedStream, FramedTrial};
 pub use halving::{STAGES, Stage};
@@ -127,7 +131,7 @@ pub enum RecogniseError {
 
 /// The methods, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum MethodName {
     /// The paper's method, exactly.
     Reference,
@@ -135,15 +139,38 @@ pub enum MethodName {
     Joint,
     /// Fourier features and a shrinkage discriminant.
     Embedding,
+    /// Hand-made features: Gaussian naive Bayes.
+    NaiveBayes,
+    /// Hand-made features: support vector machine with RBF kernel.
+    Svm,
+    /// Hand-made features: nearest neighbours.
+    Knn,
+    /// Hand-made features: nearest neighbours by Mahalanobis distance.
+    Mahalanobis,
+    /// Hand-made features: boosted trees.
+    Adaboost,
+    /// Hand-made features: random forest.
+    RandomForest,
 }
 
 impl MethodName {
+    /// All of them.
+    pub fn all() -> &'static [Self] {
+        clap::ValueEnum::value_variants()
+    }
+
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reference => "reference",
             Self::Joint => "joint",
             Self::Embedding => "embedding",
+            Self::NaiveBayes => "naive-bayes",
+            Self::Svm => "svm",
+            Self::Knn => "knn",
+            Self::Mahalanobis => "mahalanobis",
+            Self::Adaboost => "adaboost",
+            Self::RandomForest => "random-forest",
         }
     }
 }

@@ -36,6 +36,11 @@ impl Needs {
         Self { scene, report: report(&library, &question, |_, _| {}).ok() }
     }
 
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
     /// Whether a source is a switch, which rests at one value most of the time.
     pub fn is_switch(&self, id: &SourceId) -> bool {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())

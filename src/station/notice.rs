@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::device::DeviceState;
 use crate::library::Entry;
 use crate::recognise::RankedSurface;
-use crate::scan::{Totals, Trace};
+use crate::scan::{StreamMeter, Totals, Trace};
 use crate::scene::{Phase, SourceId};
 
 /// A scan that has ended, and its name: one line of JSON.
@@ -139,6 +139,9 @@ pub struct Enrolled {
 /// What a station tells.
 #[derive(Clone, Debug)]
 pub enum Notice {
+    /// The session has begun, and this is what its streams carry, now and at any time; the first
+    /// notice.
+    Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
         /// its name
@@ -167,6 +170,8 @@ pub enum Notice {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work went on.
     Warning(String),
+    /// The station's loop turns; the answer to [`Order::Ping`].
+    Alive,
     /// The station has ended; the last notice.
     Finished(Arc<Totals>),
 }
@@ -203,6 +208,8 @@ pub enum Order {
     },
     /// Keep no more scans.
     EndEnroll,
+    /// Give a sign of life.
+    Ping,
     /// Read the library and the plan anew, without dropping a sample.
     Reload,
     /// End the scan that goes on, and then all.

@@ -8,6 +8,7 @@ use super::notice::LibraryState;
 use crate::library::Entry;
 use crate::recognise::{
     Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
+    without_flawed,
 };
 use crate::scan::Scan;
 use crate::trial::{Signal, TrialKey, flaws};
@@ -117,7 +118,9 @@ impl<M: Method> ByMethod<M> {
             if let Signal::Series(series) = signal
                 && !self.needs.is_switch(id)
             {
-                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}")));
+                let left_out =
+                    if ranking.sources.contains(id) { "" } else { "; the source is left out" };
+                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
             }
         }
         remarks.extend(self.needs.warnings(ranking, scan.scan_s));
@@ -128,8 +131,8 @@ impl<M: Method> ByMethod<M> {
 impl<M: Method> Recogniser for ByMethod<M> {
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
-        // What came out of the rings, and nothing else.
-        let trial = Arc::new(scan.trial.clone());
+        // What came out of the rings, and nothing else; less what no comparison should see.
+        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
         let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
         let ranking = self.method.rank(&self.models[at], &query)?;
         let rejection = self.following[at].rejection.as_ref();

@@ -100,6 +100,7 @@ impl<'a> Station<'a> {
             enrolling: None,
             listeners: self.listeners,
         };
+        run.tell(Notice::Streams(run.session.meters().to_vec()));
         match self.recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),
             None if run.load.is_some() => run.reload(),
@@ -312,6 +313,7 @@ impl Run<'_> {
                 self.enroll(Enrolling::new(Wish { surface, user, good_only: false }, u32::MAX));
             }
             Order::EndEnroll => self.enrolling = None,
+            Order::Ping => self.tell(Notice::Alive),
             Order::Reload => self.reload(),
             Order::Quit => self.session.request_stop(),
         }

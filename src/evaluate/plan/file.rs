@@ -131,6 +131,12 @@ impl Plan {
             }
             (MethodName::Joint, None, None) => Setting::Joint,
             (MethodName::Embedding, None, None) => Setting::Embedding,
+            (other, None, None) => {
+                let name = other.name();
+                return Err(format!(
+                    "method = \"{name}\"; a plan knows reference, joint and embedding"
+                ));
+            }
         };
         if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
