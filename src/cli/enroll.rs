@@ -105,6 +105,7 @@ fn keep(
             keep: library.clone(),
             orders: vec![order],
             listeners: vec![count],
+            serve: None,
             hint,
             json: args.json,
         },

@@ -5,23 +5,23 @@ use std::sync::Arc;
 
 use crossbeam_channel::Sender;
 
+use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
+use super::plan::PlanArgs;
+use super::serve::ServeArgs;
 use super::terminal::{Keys, Terminal, watch_signals};
 use super::{Done, Failure, SourceArgs};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::library::Entry;
-use crate::recognise::{Method, prepare_library};
+use crate::recognise::{LOOK_S, Method, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
     ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
 };
-
-/// What people are told while a scan goes on, so often, in seconds of drag.
-const PROGRESS_S: f64 = 0.1;
 
 /// Which station.
 #[derive(Clone, Debug, clap::Args)]
@@ -68,27 +68,42 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     })
 }
 
-/// Reads a library and makes it ready to name scans, whenever it is asked to.
-pub fn load(path: &Path, scene: &Scene, sources: &SourceArgs, method: &MethodArgs) -> Load {
-    let (path, scene) = (path.to_path_buf(), scene.clone());
-    let (sources, method) = (sources.clone(), method.clone());
-    Arc::new(move || {
-        let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
-        let scene = match sources.narrow(library.scene.clone()) {
-            Ok(scene) => scene,
-            Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
-                return Err(text);
-            }
+/// How scans are compared with a library.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CompareArgs {
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
+}
+
+impl CompareArgs {
+    /// Reads a library and makes it ready to name scans, whenever it is asked to; the plan too.
+    pub fn load(&self, path: &Path, scene: &Scene) -> Load {
+        let (path, scene, args) = (path.to_path_buf(), scene.clone(), self.clone());
+        Arc::new(move || args.read(&path, &scene).map_err(Failure::text))
+    }
+
+    fn read(&self, path: &Path, scene: &Scene) -> Result<Arc<dyn Recogniser>, Failure> {
+        let plan = self.plan.read()?;
+        let library = dataset::open(path, scene)?;
+        let (scene, method) = match &plan {
+            None => (self.sources.narrow(library.scene)?, self.method.clone()),
+            Some(plan) => (plan.narrow(library.scene)?, self.method.planned(plan.setting)),
         };
-        let entries: Vec<Entry> = (library.entries.iter())
-            .map(|entry| entry.clone().within(&scene))
+        let entries: Vec<Entry> = (library.entries.into_iter())
+            .map(|entry| entry.within(&scene))
             .filter(|entry| !entry.sources.is_empty())
             .collect();
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let beside = method.cache_beside(&path);
-        let fit = Fit { scene: &scene, entries, state, beside };
-        method.apply(&scene, fit)
-    })
+        let beside = method.cache_beside(path);
+        let answers = &self.answers;
+        method.apply(&scene, Fit { scene: &scene, entries, state, beside, answers })
+    }
 }
 
 struct Fit<'a> {
@@ -96,20 +111,21 @@ struct Fit<'a> {
     entries: Vec<Entry>,
     state: LibraryState,
     beside: Option<&'a Path>,
+    answers: &'a AnswerArgs,
 }
 
 impl WithMethod for Fit<'_> {
-    type Output = Result<Arc<dyn Recogniser>, String>;
+    type Output = Result<Arc<dyn Recogniser>, Failure>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
-        let Self { scene, entries, state, beside } = self;
+        let Self { scene, entries, state, beside, answers } = self;
         let all = (0..entries.len()).collect();
-        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
-            .map_err(|error| error.to_string())?;
-        let trials = prepared.trials.into_iter().flatten().collect();
-        let model = method.fit(trials).map_err(|error| error.to_string())?;
+        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})?;
+        let model = method.fit(prepared.trials.into_iter().flatten().collect())?;
         let needs = Needs::of(scene, entries, state.synthetic);
-        Ok(Arc::new(ByMethod::new(method, model, needs, state)))
+        let mut by = ByMethod::new(method, model, needs, state);
+        answers.apply(&mut by)?;
+        Ok(Arc::new(by))
     }
 }
 
@@ -126,6 +142,8 @@ pub struct Work<'a> {
     pub orders: Vec<Order>,
     /// Whoever else listens, and may give orders.
     pub listeners: Vec<Listen<'a>>,
+    /// The page, if it is to be served.
+    pub serve: Option<&'a ServeArgs>,
     /// What a person is to do, while nothing else is to be said.
     pub hint: String,
     /// Prints lines of JSON.
@@ -143,8 +161,12 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     }
     let options = Options {
         detection: Some(config.detection.clone()),
-        progress_every_s: Some(PROGRESS_S),
+        progress_every_s: Some(LOOK_S),
         ..Options::default()
+    };
+    let options = match work.serve {
+        Some(serve) => serve.options(options),
+        None => options,
     };
     let keep = Keep {
         folder: work.keep,
@@ -166,6 +188,14 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     for listen in work.listeners {
         station = station.listener(listen(orders.clone()));
     }
+    let serving = match work.serve {
+        Some(serve) => serve.start(orders.clone(), true, Some(config.serve))?,
+        None => None,
+    };
+    let (serving, reporter) = serving.unzip();
+    if let Some(reporter) = reporter {
+        station = station.listener(reporter);
+    }
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(orders.clone(), terminal.scanning());
     watch_signals(orders.clone())?;
@@ -173,7 +203,11 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         // The station holds the other end.
         let _ = orders.send(order);
     }
-    Ok(station.listener(terminal).run()?)
+    let totals = station.listener(terminal).run();
+    if let Some(serving) = serving {
+        serving.stop();
+    }
+    Ok(totals?)
 }
 
 /// How a command with live devices ends.

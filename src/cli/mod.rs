@@ -2,7 +2,9 @@
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
+mod answers;
 mod chart;
+mod choose;
 mod compare;
 mod dependence;
 mod devices;
@@ -13,10 +15,13 @@ mod lines;
 mod live;
 mod method;
 mod paper;
+mod plan;
 mod replay;
 mod run;
 mod samples;
+mod serve;
 mod show;
+mod stress;
 mod synth;
 mod tally;
 mod terminal;
@@ -46,6 +51,8 @@ enum Command {
     Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
+    Plan(plan::Args),
+    Stress(stress::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -62,6 +69,15 @@ pub(crate) enum Failure {
     Usage(String),
     /// Exit code 3: done, but something in use was lost or damaged.
     Damaged(String),
+}
+
+impl Failure {
+    /// What went wrong.
+    pub(crate) fn text(self) -> String {
+        match self {
+            Self::Failed(text) | Self::Usage(text) | Self::Damaged(text) => text,
+        }
+    }
 }
 
 /// Anything that went wrong while working is a failure; wrong usage says so itself.
@@ -82,6 +98,8 @@ pub fn run() -> ExitCode {
         Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Stress(args) => stress::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

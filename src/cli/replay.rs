@@ -4,19 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
+use super::plan::PlanArgs;
+use super::serve::ServeArgs;
 use super::tally::Tally;
 use super::{Done, Failure, SourceArgs, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::plan::Plan;
+use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, RecogniseError};
+use crate::recognise::{LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::station::{ByMethod, LibraryState, Needs, Station};
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -26,7 +30,8 @@ use crate::trial::{EXPERT, TrialKey};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
-                        surfaced replay new-scans --library my-library --json")]
+                        surfaced replay new-scans --library my-library --json\n  \
+                        surfaced replay --speed 1.0 --serve")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -43,12 +48,18 @@ pub struct Args {
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Use only the first seconds of each drag
     #[arg(long, value_name = "X", value_parser = super::eval::seconds)]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    serve: ServeArgs,
 }
 
 /// What is played, and what it is compared with.
@@ -60,22 +71,49 @@ pub(super) struct Stage {
     pub synthetic: bool,
 }
 
+/// What the arguments, or the plan that they name, say of the comparison.
+struct Comparing {
+    plan: Option<Plan>,
+    method: MethodArgs,
+    query_seconds: Option<f64>,
+}
+
+impl Comparing {
+    fn new(args: &Args) -> Result<Self, Failure> {
+        let plan = args.plan.read()?;
+        let method = match &plan {
+            Some(plan) => args.method.planned(plan.setting),
+            None => args.method.clone(),
+        };
+        let query_seconds = plan.as_ref().map_or(args.query_seconds, |plan| plan.scan_s);
+        Ok(Self { plan, method, query_seconds })
+    }
+
+    fn narrow(&self, args: &Args, scene: Scene) -> Result<Scene, Failure> {
+        match &self.plan {
+            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
+            None => args.sources.narrow(scene),
+        }
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
+    let how = Comparing::new(args)?;
     let stage = match (&args.data, &args.library) {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(args, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(args, &how, scene, Some(Protocol::ExpertVsUsers))?
         }
-        (Some(data), None) => by_protocol(args, super::open(data)?, args.protocol)?,
-        (Some(data), Some(library)) => against(args, data, library)?,
+        (Some(data), None) => by_protocol(args, &how, super::open(data)?, args.protocol)?,
+        (Some(data), Some(library)) => against(args, &how, data, library)?,
     };
-    args.method.apply(&stage.scene, Player { args, stage: &stage })
+    how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
 }
 
-fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
-    let scene = args.sources.narrow(library.scene.clone())?;
+fn usable(args: &Args, how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
+    let scene = how.narrow(args, library.scene.clone())?;
     let entries = (library.entries.iter())
         .map(|entry| entry.clone().within(&scene))
         .filter(|entry| !entry.sources.is_empty())
@@ -83,21 +121,26 @@ fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure
     Ok((scene, entries))
 }
 
-fn by_protocol(args: &Args, data: Library, protocol: Option<Protocol>) -> Result<Stage, Failure> {
-    let (scene, entries) = usable(args, &data)?;
+fn by_protocol(
+    args: &Args,
+    how: &Comparing,
+    data: Library,
+    protocol: Option<Protocol>,
+) -> Result<Stage, Failure> {
+    let (scene, entries) = usable(args, how, &data)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has = |of_expert: bool| keys.iter().any(|key| (key.user == EXPERT) == of_expert);
-    let protocol = protocol.unwrap_or(if has(true) && has(false) {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
+    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
     let folds = evaluate::folds(protocol, &keys)?;
     eprintln!("each trial is named by {}", protocol.name());
     Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
 }
 
-fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
+fn against(
+    args: &Args,
+    how: &Comparing,
+    data: &PathBuf,
+    library: &PathBuf,
+) -> Result<Stage, Failure> {
     let same = |path: &PathBuf| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
@@ -108,8 +151,8 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
     }
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
-    let (scene, mut entries) = usable(args, &library)?;
-    let (of_data, queries) = usable(args, &data)?;
+    let (scene, mut entries) = usable(args, how, &library)?;
+    let (of_data, queries) = usable(args, how, &data)?;
     let fold = Fold {
         name: "library".into(),
         library: (0..entries.len()).collect(),
@@ -121,6 +164,7 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
 
 struct Player<'a> {
     args: &'a Args,
+    how: &'a Comparing,
     stage: &'a Stage,
 }
 
@@ -128,7 +172,7 @@ impl WithMethod for Player<'_> {
     type Output = Done;
 
     fn with(self, method: impl Method + 'static) -> Done {
-        let Self { args, stage } = self;
+        let Self { args, how, stage } = self;
         let models = models(&method, stage)?;
         let mut fold_of = BTreeMap::new();
         let mut queries = Vec::new();
@@ -136,7 +180,7 @@ impl WithMethod for Player<'_> {
             for &query in &fold.queries {
                 fold_of.insert(stage.entries[query].key.clone(), index);
                 let entry = &stage.entries[query];
-                queries.push(super::eval::first_seconds(entry, &stage.scene, args.query_seconds));
+                queries.push(first_seconds(entry, &stage.scene, how.query_seconds));
             }
         }
         let total = queries.len();
@@ -145,16 +189,27 @@ impl WithMethod for Player<'_> {
         let compared = stage.compared();
         let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
         let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-        let recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let follows = args.answers.apply(&mut recogniser)?;
+        let options = Options { progress_every_s: follows.then_some(LOOK_S), ..Options::default() };
         let mut tally = Tally::new(!args.json, total);
-        let mut station = Station::new(vec![Box::new(device)], Options::default())
+        let options = args.serve.options(options);
+        let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
+        let serving = args.serve.start(station.orders(), false, None)?;
+        let (serving, reporter) = serving.unzip();
+        if let Some(reporter) = reporter {
+            station = station.listener(reporter);
+        }
         if args.json {
             station = station.listener(JsonLines);
         }
         let totals = station.run()?;
         tally.sum_up(stage.synthetic);
+        if let Some(serving) = serving {
+            serving.until_stopped();
+        }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));
         }

@@ -1,8 +1,8 @@
 //! `surfaced run`: the station at work, with whatever devices are there.
 
-use super::live::{StationArgs, Work, library_of, load, verdict, work};
-use super::method::MethodArgs;
-use super::{Done, Failure, SourceArgs, shown};
+use super::live::{CompareArgs, StationArgs, Work, library_of, verdict, work};
+use super::serve::ServeArgs;
+use super::{Done, Failure, shown};
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
@@ -11,14 +11,14 @@ use super::{Done, Failure, SourceArgs, shown};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json\n  \
-                        surfaced run --library my-library --stylus /dev/ttyUSB0")]
+                        surfaced run --library my-library --plan plan.toml --serve")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,
     #[command(flatten)]
-    sources: SourceArgs,
+    compare: CompareArgs,
     #[command(flatten)]
-    method: MethodArgs,
+    serve: ServeArgs,
 }
 
 /// Runs the command.
@@ -32,7 +32,7 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
-    let load = load(&library, &config.scene, &args.sources, &args.method);
+    let load = args.compare.load(&library, &config.scene);
     let totals = work(
         &config,
         Work {
@@ -40,6 +40,7 @@ pub fn run(args: &Args) -> Done {
             keep: library,
             orders: Vec::new(),
             listeners: Vec::new(),
+            serve: Some(&args.serve),
             hint: "tap a surface, then drag over it; space begins and ends by hand, q ends".into(),
             json: args.station.json,
         },

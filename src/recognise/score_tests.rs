@@ -143,6 +143,33 @@ fn a_few_distinct_samples_are_summed_exactly() {
 }
 
 #[test]
+fn tight_clusters_agree_with_the_oracle_whatever_they_meet() {
+    let clusters = |dims: usize, width: f64| {
+        Array2::from_shape_fn((400, dims), |(i, c)| {
+            let centre = ((i % 3) as f64 - 1.0) * (1.0 + c as f64);
+            centre + width * ((i * dims + c) as f64).sin()
+        })
+    };
+    for dims in 1..=4 {
+        let spread =
+            samples(400, dims, &(0..1601).map(|i| 2.0 * f64::from(i).sin()).collect::<Vec<_>>());
+        for width in [1e-2, 1e-4, 1e-7] {
+            let tight = clusters(dims, width);
+            assert!(
+                SampleSet::new(&tight, None).clustered && !SampleSet::new(&spread, None).clustered
+            );
+            for (z, y) in
+                [(&tight, &spread), (&spread, &tight), (&tight, &clusters(dims, 2.0 * width))]
+            {
+                for align in [false, true] {
+                    assert_within_1e_4(z, y, align, &format!("{dims} × {width}"));
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn sets_of_unequal_sizes_agree_with_the_oracle() {
     let z = samples(90, 3, &(0..271).map(|i| f64::from(i).sin()).collect::<Vec<_>>());
     let y = samples(61, 3, &(0..277).map(|i| f64::from(i).cos() + 0.1).collect::<Vec<_>>());

@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::device::DeviceState;
 use crate::library::Entry;
 use crate::recognise::RankedSurface;
-use crate::scan::{Totals, Trace};
+use crate::scan::{StreamMeter, Totals, Trace};
 use crate::scene::{Phase, SourceId};
 
 /// A scan that has ended, and its name: one line of JSON.
@@ -79,6 +79,13 @@ pub struct Guess {
     pub needed_s: Option<f64>,
 }
 
+impl Guess {
+    /// A scan of which nothing can be said yet.
+    pub fn nothing(scan: u32, scan_s: f64) -> Self {
+        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None }
+    }
+}
+
 /// The library that scans are compared with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LibraryState {
@@ -132,6 +139,9 @@ pub struct Enrolled {
 /// What a station tells.
 #[derive(Clone, Debug)]
 pub enum Notice {
+    /// The session has begun, and this is what its streams carry, now and at any time; the first
+    /// notice.
+    Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
         /// its name

@@ -10,7 +10,8 @@ pub mod stylus;
 
 use std::path::{Path, PathBuf};
 
-use surfaced::scene::SourceId;
+use surfaced::library::{Library, LibraryError};
+use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// A file or folder of the shared material, such as `data/lmt108_surfaces.txt`, or `None` where it
@@ -99,4 +100,28 @@ pub fn write_wav(path: &Path, rate_hz: u32, channels: u16, samples: &[i16]) {
 pub fn write_file(path: &Path, bytes: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(path, bytes).unwrap();
+}
+
+/// An empty folder for a library; it is removed with the first of the two.
+pub fn temp() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("library");
+    std::fs::create_dir(&path).unwrap();
+    (dir, path)
+}
+
+/// Opens recordings of any form with the default scene.
+pub fn open(path: &Path) -> Result<Library, LibraryError> {
+    surfaced::dataset::open(path, &Scene::lmt108())
+}
+
+/// Asserts that a message holds all `parts`.
+///
+/// # Panics
+/// If it does not.
+#[track_caller]
+pub fn says(message: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(message.contains(part), "`{part}` is not in: {message}");
+    }
 }

@@ -63,6 +63,7 @@ impl Fake {
             deaf: 0,
             commands,
             scales: [1.0; 7],
+            speed: 1.0,
             values,
         }
     }

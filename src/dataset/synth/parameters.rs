@@ -141,6 +141,15 @@ pub struct Difficulty {
     pub warmth: Effect,
     /// ln of the light with flash
     pub flash: Effect,
+    /// warmth of that light, as the camera balances it
+    pub flash_warmth: Effect,
+}
+
+impl Difficulty {
+    /// As hard as LMT108, source by source.
+    pub fn lmt108() -> Self {
+        Self::default()
+    }
 }
 
 impl Default for Difficulty {
@@ -196,6 +205,7 @@ impl Default for Difficulty {
             light: e(0.0, 0.0, 0.12, 0.03),
             warmth: e(0.0, 0.0, 0.05, 0.01),
             flash: e(0.25, 0.0, 0.15, 0.06),
+            flash_warmth: e(0.0, 0.0, 0.0, 0.0),
         }
     }
 }
