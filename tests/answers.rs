@@ -7,10 +7,10 @@ use std::process::Output;
 use std::sync::Arc;
 
 use assert_cmd::Command;
-use common::{id, shared_lmt108};
+use common::{id, real_sounds};
 use serde_json::Value;
-use surfaced::dataset::{self, synth};
-use surfaced::evaluate::{self, Fold, Protocol};
+use surfaced::dataset::synth;
+use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FramedTrial, FreshFrames,
@@ -25,20 +25,6 @@ fn embedding(scene: &Scene) -> Embedding {
 
 fn prepared(method: &Embedding, trial: &Trial) -> FramedTrial {
     method.prepare(&Entry::in_memory(trial.clone()), trial).unwrap()
-}
-
-/// Entries of the real sounds, and the first folds of leave-one-trial-out.
-fn real(folds: usize) -> Option<(Scene, Vec<Entry>, Vec<Fold>)> {
-    let library = dataset::open(&shared_lmt108()?, &Scene::lmt108()).unwrap();
-    let scene = library.scene.clone().only(&[id("mi2")]).unwrap();
-    let entries: Vec<Entry> = (library.entries.into_iter())
-        .map(|entry| entry.within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let mut all = evaluate::folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
-    all.truncate(folds);
-    Some((scene, entries, all))
 }
 
 /// A small synthetic library, its model, and a scan by somebody else.
@@ -144,7 +130,7 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 
 #[test]
 fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
-    let Some((scene, entries, folds)) = real(2) else { return };
+    let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let quiet = &|_: &'static str, _: usize, _: usize| ();
     let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;
@@ -166,7 +152,7 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
 
 #[test]
 fn unknown_surfaces_are_caught_and_known_ones_are_not() {
-    let Some((scene, entries, folds)) = real(2) else { return };
+    let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let quiet = &|_: &'static str, _: usize, _: usize| ();
     let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;

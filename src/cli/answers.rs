@@ -1,8 +1,8 @@
 //! How answers are given while scans go on, and when a scan is called unknown.
 
 use super::eval::share;
-use super::{Failure, show};
-use crate::recognise::{Method, Rejection, Settling};
+use super::show;
+use crate::recognise::{Method, Rejection, RejectionError, Settling};
 use crate::station::ByMethod;
 
 /// When answers are settled, and which scans are called unknown.
@@ -30,44 +30,50 @@ impl AnswerArgs {
         self.false_rejections.unwrap_or(FALSE_REJECTIONS)
     }
 
-    /// Sets a recogniser up and tells people what its answers rest on. Says whether it follows
-    /// scans while they go on.
+    /// Sets a recogniser up, and says what its answers rest on.
     ///
     /// # Errors
     /// If unknown surfaces were asked for that cannot be told.
-    pub fn apply<M: Method>(&self, by: &mut ByMethod<M>) -> Result<bool, Failure> {
+    pub fn apply<M: Method>(&self, by: &mut ByMethod<M>) -> Result<Applied, RejectionError> {
+        let mut remarks = Vec::new();
         if self.false_rejections() > 0.0 {
             match by.tell_unknown(self.false_rejections()) {
-                Ok(rejections) => tell_unknown(&rejections),
-                Err(error) if self.false_rejections.is_some() => {
-                    return Err(Failure::Failed(error.to_string()));
-                }
-                Err(error) => eprintln!("no scan will be called unknown: {error}"),
+                Ok(rejections) => remarks.extend(on_unknown(&rejections)),
+                Err(error) if self.false_rejections.is_some() => return Err(error),
+                Err(error) => remarks.push(format!("no scan will be called unknown: {error}")),
             }
         }
         let found = by.calibrate(self.settle_loss);
-        tell_settling(&found);
-        Ok(!found.is_empty())
+        remarks.extend(on_settling(&found));
+        Ok(Applied { follows: !found.is_empty(), remarks })
     }
 }
 
-fn tell_unknown(rejections: &[Rejection]) {
-    let Some(least) = rejections.iter().min_by_key(|rejection| rejection.trials) else { return };
-    eprintln!(
+/// What a recogniser was set up to do.
+pub struct Applied {
+    /// Whether it follows scans while they go on.
+    pub follows: bool,
+    /// For people: what its answers rest on, a line each.
+    pub remarks: Vec<String>,
+}
+
+fn on_unknown(rejections: &[Rejection]) -> Option<String> {
+    let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
+    Some(format!(
         "scans that fit no surface are called unknown: {} of known ones at most (95 % interval {} \
          to {}, by {} left-out trials)",
         show::percent(least.rate),
         show::percent(least.rate_low),
         show::percent(least.rate_high),
         least.trials
-    );
+    ))
 }
 
-fn tell_settling(found: &[Settling]) {
+fn on_settling(found: &[Settling]) -> Option<String> {
+    let first = found.first()?;
     let ruled: Vec<&Settling> = found.iter().filter(|settling| settling.rule.is_some()).collect();
-    let Some(first) = found.first() else { return };
     if ruled.is_empty() {
-        return eprintln!("answers settle when scans end: the library allows no earlier rule");
+        return Some("answers settle when scans end: the library allows no earlier rule".into());
     }
     let mean_s = ruled.iter().map(|settling| settling.scan_s).sum::<f64>() / ruled.len() as f64;
     let shown = if found.iter().all(|settling| settling.shown) {
@@ -75,9 +81,9 @@ fn tell_settling(found: &[Settling]) {
     } else {
         format!(", which {} left-out trials are too few to show", first.trials)
     };
-    eprintln!(
+    Some(format!(
         "answers settle after {mean_s:.2} s of scan (mean of left-out trials), for {} of accuracy \
          at most{shown}",
         show::percent(first.stated_loss)
-    );
+    ))
 }

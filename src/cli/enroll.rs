@@ -105,9 +105,9 @@ fn keep(
             keep: library.clone(),
             orders: vec![order],
             listeners: vec![count],
-            serve: None,
             hint,
             json: args.json,
+            serve: args.serve.clone(),
         },
     )?;
     let kept = kept.get();

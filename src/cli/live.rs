@@ -7,11 +7,12 @@ use crossbeam_channel::Sender;
 
 use super::answers::AnswerArgs;
 use super::lines::JsonLines;
-use super::method::{MethodArgs, WithMethod};
-use super::plan::PlanArgs;
+use super::method::WithMethod;
+use super::plan::Comparing;
 use super::serve::ServeArgs;
+use super::supervisor::Supervisor;
 use super::terminal::{Keys, Terminal, watch_signals};
-use super::{Done, Failure, SourceArgs};
+use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::library::Entry;
@@ -38,6 +39,8 @@ pub struct StationArgs {
     /// Print lines of JSON on stdout
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub serve: ServeArgs,
 }
 
 impl StationArgs {
@@ -68,42 +71,27 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     })
 }
 
-/// How scans are compared with a library.
-#[derive(Clone, Debug, clap::Args)]
-pub struct CompareArgs {
-    #[command(flatten)]
-    sources: SourceArgs,
-    #[command(flatten)]
-    method: MethodArgs,
-    #[command(flatten)]
-    plan: PlanArgs,
-    #[command(flatten)]
-    answers: AnswerArgs,
-}
-
-impl CompareArgs {
-    /// Reads a library and makes it ready to name scans, whenever it is asked to; the plan too.
-    pub fn load(&self, path: &Path, scene: &Scene) -> Load {
-        let (path, scene, args) = (path.to_path_buf(), scene.clone(), self.clone());
-        Arc::new(move || args.read(&path, &scene).map_err(Failure::text))
-    }
-
-    fn read(&self, path: &Path, scene: &Scene) -> Result<Arc<dyn Recogniser>, Failure> {
-        let plan = self.plan.read()?;
-        let library = dataset::open(path, scene)?;
-        let (scene, method) = match &plan {
-            None => (self.sources.narrow(library.scene)?, self.method.clone()),
-            Some(plan) => (plan.narrow(library.scene)?, self.method.planned(plan.setting)),
+/// Reads a library and makes it ready to name scans, whenever it is asked to.
+pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -> Load {
+    let (path, scene) = (path.to_path_buf(), scene.clone());
+    let (how, answers) = (how.clone(), answers.clone());
+    Arc::new(move || {
+        let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
+        let scene = match how.narrow(library.scene.clone()) {
+            Ok(scene) => scene,
+            Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
+                return Err(text);
+            }
         };
-        let entries: Vec<Entry> = (library.entries.into_iter())
-            .map(|entry| entry.within(&scene))
+        let entries: Vec<Entry> = (library.entries.iter())
+            .map(|entry| entry.clone().within(&scene))
             .filter(|entry| !entry.sources.is_empty())
             .collect();
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let beside = method.cache_beside(path);
-        let answers = &self.answers;
-        method.apply(&scene, Fit { scene: &scene, entries, state, beside, answers })
-    }
+        let beside = how.method.cache_beside(&path);
+        let fit = Fit { scene: &scene, entries, state, beside, answers: &answers };
+        how.method.apply(&scene, fit)
+    })
 }
 
 struct Fit<'a> {
@@ -115,16 +103,18 @@ struct Fit<'a> {
 }
 
 impl WithMethod for Fit<'_> {
-    type Output = Result<Arc<dyn Recogniser>, Failure>;
+    type Output = Result<Arc<dyn Recogniser>, String>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let Self { scene, entries, state, beside, answers } = self;
         let all = (0..entries.len()).collect();
-        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})?;
-        let model = method.fit(prepared.trials.into_iter().flatten().collect())?;
+        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
+            .map_err(|error| error.to_string())?;
+        let trials = prepared.trials.into_iter().flatten().collect();
+        let model = method.fit(trials).map_err(|error| error.to_string())?;
         let needs = Needs::of(scene, entries, state.synthetic);
         let mut by = ByMethod::new(method, model, needs, state);
-        answers.apply(&mut by)?;
+        answers.apply(&mut by).map_err(|error| error.to_string())?;
         Ok(Arc::new(by))
     }
 }
@@ -142,12 +132,12 @@ pub struct Work<'a> {
     pub orders: Vec<Order>,
     /// Whoever else listens, and may give orders.
     pub listeners: Vec<Listen<'a>>,
-    /// The page, if it is to be served.
-    pub serve: Option<&'a ServeArgs>,
     /// What a person is to do, while nothing else is to be said.
     pub hint: String,
     /// Prints lines of JSON.
     pub json: bool,
+    /// Whether it is shown on a page.
+    pub serve: ServeArgs,
 }
 
 /// Runs a station until it is told to quit, by a key, a signal or a listener.
@@ -164,10 +154,7 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         progress_every_s: Some(LOOK_S),
         ..Options::default()
     };
-    let options = match work.serve {
-        Some(serve) => serve.options(options),
-        None => options,
-    };
+    let options = work.serve.options(options);
     let keep = Keep {
         folder: work.keep,
         scene: config.scene.clone(),
@@ -188,26 +175,16 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     for listen in work.listeners {
         station = station.listener(listen(orders.clone()));
     }
-    let serving = match work.serve {
-        Some(serve) => serve.start(orders.clone(), true, Some(config.serve))?,
-        None => None,
-    };
-    let (serving, reporter) = serving.unzip();
-    if let Some(reporter) = reporter {
-        station = station.listener(reporter);
-    }
+    let supervisor = Supervisor::new(orders.clone())?;
+    let (station, _server) = work.serve.start(station.listener(supervisor), config.serve, true)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(orders.clone(), terminal.scanning());
-    watch_signals(orders.clone())?;
+    let _signals = watch_signals(orders.clone())?;
     for order in work.orders {
         // The station holds the other end.
         let _ = orders.send(order);
     }
-    let totals = station.listener(terminal).run();
-    if let Some(serving) = serving {
-        serving.stop();
-    }
-    Ok(totals?)
+    Ok(station.listener(terminal).run()?)
 }
 
 /// How a command with live devices ends.

@@ -6,6 +6,7 @@ mod answers;
 mod chart;
 mod choose;
 mod compare;
+mod completion;
 mod dependence;
 mod devices;
 mod duration;
@@ -22,6 +23,7 @@ mod samples;
 mod serve;
 mod show;
 mod stress;
+mod supervisor;
 mod synth;
 mod tally;
 mod terminal;
@@ -37,7 +39,13 @@ use crate::scene::{Scene, SourceId};
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
 #[derive(Parser)]
-#[command(name = "surfaced", version, max_term_width = 100)]
+#[command(
+    name = "surfaced",
+    version,
+    max_term_width = 100,
+    after_help = "Examples:\n  surfaced replay\n  surfaced replay --speed 1.0 --serve\n  \
+                  surfaced run --library my-library --serve"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -58,6 +66,7 @@ enum Command {
     Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
+    Completion(completion::Args),
 }
 
 /// How a command ended, short of doing all that it was asked to.
@@ -69,15 +78,6 @@ pub(crate) enum Failure {
     Usage(String),
     /// Exit code 3: done, but something in use was lost or damaged.
     Damaged(String),
-}
-
-impl Failure {
-    /// What went wrong.
-    pub(crate) fn text(self) -> String {
-        match self {
-            Self::Failed(text) | Self::Usage(text) | Self::Damaged(text) => text,
-        }
-    }
 }
 
 /// Anything that went wrong while working is a failure; wrong usage says so itself.
@@ -105,6 +105,7 @@ pub fn run() -> ExitCode {
         Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Devices(args) => devices::run(&args),
+        Command::Completion(args) => completion::run(&args),
     };
     let (code, kind, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -112,7 +113,7 @@ pub fn run() -> ExitCode {
         Err(Failure::Usage(message)) => (2, "error", message),
         Err(Failure::Damaged(message)) => (3, "warning", message),
     };
-    eprintln!("{kind}: {message}");
+    eprintln!("{}{kind}: {message}", show::priority(kind));
     ExitCode::from(code)
 }
 
@@ -144,4 +145,33 @@ pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
 /// A file that a person named, for messages.
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn every_help_has_an_example_that_can_be_typed() {
+        let mut cli = Cli::command();
+        cli.build();
+        for command in cli.get_subcommands().filter(|command| command.get_name() != "help") {
+            let name = command.get_name();
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let examples: Vec<&str> =
+                after.lines().filter_map(|line| line.trim().strip_prefix("surfaced ")).collect();
+            assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
+            for example in examples {
+                // What a shell would take away.
+                let plain = example.split(" > ").next().unwrap_or_default();
+                let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
+                let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));
+                assert!(parsed.is_ok(), "surfaced {example}: {}", parsed.err().unwrap());
+                assert!(example.starts_with(name), "surfaced {example} stands under {name}");
+            }
+        }
+        assert!(cli.get_after_help().is_some(), "`surfaced --help` has no example");
+    }
 }

@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 
 use super::eval::share;
+use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
+use crate::scene::Scene;
 
 /// Find the cheapest setting that names this library's surfaces well enough
 ///
@@ -38,29 +40,64 @@ pub struct Args {
 pub struct PlanArgs {
     /// Compare as this plan says, which `surfaced plan` has written
     #[arg(long, value_name = "FILE", conflicts_with_all = [
-        "sources", "query_seconds", "method", "n", "repetitions", "positions", "neighbours",
+        "sources", "method", "n", "repetitions", "positions", "neighbours",
         "halving", "no_discriminant"
     ])]
     plan: Option<PathBuf>,
 }
 
 impl PlanArgs {
-    /// The plan, if there is one; tells people what it says.
+    /// What the plan says, if there is one, or else the other arguments; tells people so.
     ///
     /// # Errors
-    /// Wrong usage, if it cannot be read.
-    pub fn read(&self) -> Result<Option<Plan>, Failure> {
-        let Some(path) = &self.plan else { return Ok(None) };
+    /// Wrong usage, if the plan cannot be read.
+    pub fn resolve(
+        &self,
+        sources: &SourceArgs,
+        method: &MethodArgs,
+        query_seconds: Option<f64>,
+    ) -> Result<Comparing, Failure> {
+        let sources = sources.clone();
+        let Some(path) = &self.plan else {
+            let method = method.clone();
+            return Ok(Comparing { plan: None, sources, method, query_seconds });
+        };
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
-        let sources: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
+        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
         eprintln!(
             "plan for {}: {} by {}{used}",
             plan.library,
-            sources.join(" + "),
+            names.join(" + "),
             plan.setting.method().name()
         );
-        Ok(Some(plan))
+        let (method, query_seconds) = (method.planned(plan.setting), plan.scan_s);
+        Ok(Comparing { plan: Some(plan), sources, method, query_seconds })
+    }
+}
+
+/// How scans are compared.
+#[derive(Clone)]
+pub struct Comparing {
+    /// The plan that says so, if one does.
+    pub plan: Option<Plan>,
+    sources: SourceArgs,
+    /// The method.
+    pub method: MethodArgs,
+    /// How much of each drag is used, in seconds, if not all of it.
+    pub query_seconds: Option<f64>,
+}
+
+impl Comparing {
+    /// The scene with the sources that are compared.
+    ///
+    /// # Errors
+    /// Wrong usage, if the scene lacks one.
+    pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        match &self.plan {
+            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
+            None => self.sources.narrow(scene),
+        }
     }
 }
 

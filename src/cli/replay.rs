@@ -7,19 +7,20 @@ use std::sync::Arc;
 use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
-use super::plan::PlanArgs;
+use super::plan::{Comparing, PlanArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::{Done, Failure, SourceArgs, show};
+use super::terminal::watch_signals;
+use super::{Done, Failure, SourceArgs, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::plan::Plan;
 use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::station::{ByMethod, LibraryState, Needs, Station};
+use crate::serve::Settings;
+use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
 use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
@@ -53,7 +54,7 @@ pub struct Args {
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds)]
+    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -71,49 +72,23 @@ pub(super) struct Stage {
     pub synthetic: bool,
 }
 
-/// What the arguments, or the plan that they name, say of the comparison.
-struct Comparing {
-    plan: Option<Plan>,
-    method: MethodArgs,
-    query_seconds: Option<f64>,
-}
-
-impl Comparing {
-    fn new(args: &Args) -> Result<Self, Failure> {
-        let plan = args.plan.read()?;
-        let method = match &plan {
-            Some(plan) => args.method.planned(plan.setting),
-            None => args.method.clone(),
-        };
-        let query_seconds = plan.as_ref().map_or(args.query_seconds, |plan| plan.scan_s);
-        Ok(Self { plan, method, query_seconds })
-    }
-
-    fn narrow(&self, args: &Args, scene: Scene) -> Result<Scene, Failure> {
-        match &self.plan {
-            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
-            None => args.sources.narrow(scene),
-        }
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let how = Comparing::new(args)?;
+    let how = args.plan.resolve(&args.sources, &args.method, args.query_seconds)?;
     let stage = match (&args.data, &args.library) {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(args, &how, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(&how, scene, Some(Protocol::ExpertVsUsers))?
         }
-        (Some(data), None) => by_protocol(args, &how, super::open(data)?, args.protocol)?,
-        (Some(data), Some(library)) => against(args, &how, data, library)?,
+        (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
+        (Some(data), Some(library)) => against(&how, data, library)?,
     };
     how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
 }
 
-fn usable(args: &Args, how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
-    let scene = how.narrow(args, library.scene.clone())?;
+fn usable(how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
+    let scene = how.narrow(library.scene.clone())?;
     let entries = (library.entries.iter())
         .map(|entry| entry.clone().within(&scene))
         .filter(|entry| !entry.sources.is_empty())
@@ -122,12 +97,11 @@ fn usable(args: &Args, how: &Comparing, library: &Library) -> Result<(Scene, Vec
 }
 
 fn by_protocol(
-    args: &Args,
     how: &Comparing,
     data: Library,
     protocol: Option<Protocol>,
 ) -> Result<Stage, Failure> {
-    let (scene, entries) = usable(args, how, &data)?;
+    let (scene, entries) = usable(how, &data)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
     let folds = evaluate::folds(protocol, &keys)?;
@@ -135,12 +109,7 @@ fn by_protocol(
     Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
 }
 
-fn against(
-    args: &Args,
-    how: &Comparing,
-    data: &PathBuf,
-    library: &PathBuf,
-) -> Result<Stage, Failure> {
+fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
     let same = |path: &PathBuf| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
@@ -151,8 +120,8 @@ fn against(
     }
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
-    let (scene, mut entries) = usable(args, how, &library)?;
-    let (of_data, queries) = usable(args, how, &data)?;
+    let (scene, mut entries) = usable(how, &library)?;
+    let (of_data, queries) = usable(how, &data)?;
     let fold = Fold {
         name: "library".into(),
         library: (0..entries.len()).collect(),
@@ -190,25 +159,35 @@ impl WithMethod for Player<'_> {
         let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
         let needs = Needs::of(&stage.scene, compared, stage.synthetic);
         let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
-        let follows = args.answers.apply(&mut recogniser)?;
-        let options = Options { progress_every_s: follows.then_some(LOOK_S), ..Options::default() };
+        let applied = args.answers.apply(&mut recogniser)?;
+        applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+        let progress_every_s = applied.follows.then_some(LOOK_S);
+        let options = Options { progress_every_s, ..Options::default() };
         let mut tally = Tally::new(!args.json, total);
         let options = args.serve.options(options);
         let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
-        let serving = args.serve.start(station.orders(), false, None)?;
-        let (serving, reporter) = serving.unzip();
-        if let Some(reporter) = reporter {
-            station = station.listener(reporter);
-        }
         if args.json {
             station = station.listener(JsonLines);
         }
+        let library = args.library.as_ref().filter(|_| args.serve.asked());
+        if let Some(folder) = library {
+            let load = live::load(folder, &stage.scene, how, &args.answers);
+            station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        }
+        let address = Settings::default().address;
+        let (station, server) = args.serve.start(station, address, library.is_some())?;
+        let signals = match &server {
+            Some(_) => Some(watch_signals(station.orders())?),
+            None => None,
+        };
         let totals = station.run()?;
         tally.sum_up(stage.synthetic);
-        if let Some(serving) = serving {
-            serving.until_stopped();
+        if let (Some(server), Some(signals)) = (server, signals) {
+            // What is known is shown until somebody says that it is enough.
+            signals.wait();
+            server.stop();
         }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));

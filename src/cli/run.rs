@@ -1,8 +1,10 @@
 //! `surfaced run`: the station at work, with whatever devices are there.
 
-use super::live::{CompareArgs, StationArgs, Work, library_of, verdict, work};
-use super::serve::ServeArgs;
-use super::{Done, Failure, shown};
+use super::answers::AnswerArgs;
+use super::live::{StationArgs, Work, library_of, load, verdict, work};
+use super::method::MethodArgs;
+use super::plan::PlanArgs;
+use super::{Done, Failure, SourceArgs, shown};
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
@@ -10,20 +12,28 @@ use super::{Done, Failure, shown};
 /// begins and ends a scan by hand; without it, scans are found by their tap and drag.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
-                        surfaced run --config station.toml --json\n  \
-                        surfaced run --library my-library --plan plan.toml --serve")]
+                        surfaced run --config station.toml --json --serve\n  \
+                        surfaced run --library my-library --stylus /dev/ttyUSB0")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,
     #[command(flatten)]
-    compare: CompareArgs,
+    sources: SourceArgs,
     #[command(flatten)]
-    serve: ServeArgs,
+    method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let config = args.station.config()?;
+    let how = args.plan.resolve(&args.sources, &args.method, None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
     let library = library_of(&config)?;
     if !library.is_dir() {
         return Err(Failure::Failed(format!(
@@ -32,7 +42,8 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
-    let load = args.compare.load(&library, &config.scene);
+    let load = load(&library, &config.scene, &how, &args.answers);
+    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let totals = work(
         &config,
         Work {
@@ -40,9 +51,11 @@ pub fn run(args: &Args) -> Done {
             keep: library,
             orders: Vec::new(),
             listeners: Vec::new(),
-            serve: Some(&args.serve),
-            hint: "tap a surface, then drag over it; space begins and ends by hand, q ends".into(),
+            hint: format!(
+                "tap a surface, then drag over it{long}; space begins and ends by hand, q ends"
+            ),
             json: args.station.json,
+            serve: args.station.serve.clone(),
         },
     )?;
     verdict(&totals)

@@ -1,16 +1,11 @@
-//! Serving the page while a station works: `--serve`, the token, and the end by a signal.
+//! Serving the page while a station works: `--serve` and its token.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::sync::mpsc;
-
-use crossbeam_channel::Sender;
-use signal_hook::consts::TERM_SIGNALS;
-use signal_hook::iterator::{Handle, Signals};
 
 use super::Failure;
 use crate::scan::Options;
 use crate::serve::{PORT, Reporter, ServeError, Server, Settings, Token};
-use crate::station::Order;
+use crate::station::Station;
 
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
@@ -20,49 +15,39 @@ const TRACE_EVERY_S: f64 = 0.05;
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
-#[derive(clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct ServeArgs {
-    /// Serve the page and the interface for programs until SIGTERM: on 127.0.0.1:8108 (or where the
-    /// configuration says), or where ADDR says (`9000`, `127.0.0.1:0` for a free port, …)
+    /// Serve the page and the interface for programs, until SIGTERM
     ///
-    /// An address that other machines reach needs a token, in the environment variable
-    /// SURFACED_TOKEN.
-    #[arg(
-        long,
-        value_name = "ADDR",
-        num_args = 0..=1,
-        value_parser = address
-    )]
+    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. Other machines
+    /// reach only an address that is theirs to reach, such as 0.0.0.0, which needs a token of at
+    /// least 16 characters in the environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDR", value_parser = address)]
     serve: Option<Option<SocketAddr>>,
 }
 
 /// An address with its port, or one of the two.
 fn address(text: &str) -> Result<SocketAddr, String> {
+    let local = Ipv4Addr::LOCALHOST.to_string();
+    let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);
     let port = || text.parse().ok().map(|port| SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port));
     let ip = || text.parse::<IpAddr>().ok().map(|ip| SocketAddr::new(ip, PORT));
-    let known = text.strip_prefix("localhost").and_then(|rest| match rest.strip_prefix(':') {
-        Some(port) => port.parse().ok(),
-        None => rest.is_empty().then_some(PORT),
-    });
-    let localhost = known.map(|port| SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port));
-    text.parse().ok().or_else(ip).or_else(port).or(localhost).ok_or_else(|| {
-        "expected an address such as 127.0.0.1:8108, or a port; where --serve stands before DATA, \
+    text.parse().ok().or_else(ip).or_else(port).ok_or_else(|| {
+        "expected an address such as 127.0.0.1:8080, or a port; where --serve stands before DATA, \
          write --serve=ADDR, or put it last"
             .into()
     })
 }
 
-/// A server, and what ends it.
-pub struct Serving {
-    server: Server,
-    stopped: mpsc::Receiver<()>,
-    signals: Handle,
-}
-
 impl ServeArgs {
+    /// Whether to serve at all.
+    pub fn asked(&self) -> bool {
+        self.serve.is_some()
+    }
+
     /// Options of a session that is shown, if it is.
     pub fn options(&self, options: Options) -> Options {
-        if self.serve.is_none() {
+        if !self.asked() {
             return options;
         }
         Options {
@@ -72,55 +57,29 @@ impl ServeArgs {
         }
     }
 
-    /// Serves, if that was asked for, and says where on stderr; SIGTERM and its like end the
-    /// station that takes `orders` from now on. `enrolls` tells whether it keeps scans;
-    /// `configured` is the address where none was named.
-    pub fn start(
+    /// Serves `station`, if that was asked for, and says where on stderr. `default` is where, if
+    /// nothing is said; `enrolls` tells whether the station keeps scans.
+    pub fn start<'a>(
         &self,
-        orders: Sender<Order>,
+        station: Station<'a>,
+        default: SocketAddr,
         enrolls: bool,
-        configured: Option<SocketAddr>,
-    ) -> Result<Option<(Serving, Reporter)>, Failure> {
-        let Some(named) = self.serve else { return Ok(None) };
-        let local = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
-        let address = named.or(configured).unwrap_or(local);
+    ) -> Result<(Station<'a>, Option<Server>), Failure> {
+        let Some(address) = self.serve else { return Ok((station, None)) };
         let usage = |error: ServeError| Failure::Usage(error.to_string());
         let token = match std::env::var(TOKEN) {
             Ok(text) => Some(Token::new(&text).map_err(usage)?),
             Err(_) => None,
         };
+        let address = address.unwrap_or(default);
         let settings = Settings { address, token, enrolls, ..Settings::default() };
-        let (server, reporter) =
-            Server::start(&settings, orders.clone()).map_err(|error| match error {
-                ServeError::Open(_) => usage(error),
-                _ => error.into(),
-            })?;
-        let mut signals = Signals::new(TERM_SIGNALS)?;
-        let (tell, stopped) = mpsc::channel();
-        let handle = signals.handle();
-        std::thread::Builder::new().name("signals".into()).spawn(move || {
-            for _ in signals.forever() {
-                // Whoever has ended already needs no order.
-                let _ = orders.send(Order::Quit);
-                let _ = tell.send(());
-            }
+        let started: Result<(Server, Reporter), _> = Server::start(&settings, station.orders());
+        let (server, reporter) = started.map_err(|error| match error {
+            ServeError::Open(_) => usage(error),
+            _ => error.into(),
         })?;
         eprintln!("http://{}", server.address());
-        Ok(Some((Serving { server, stopped, signals: handle }, reporter)))
-    }
-}
-
-impl Serving {
-    /// Serves on what is known, until a signal says that it is enough.
-    pub fn until_stopped(self) {
-        let _ = self.stopped.recv();
-        self.stop();
-    }
-
-    /// Serves no more.
-    pub fn stop(self) {
-        self.signals.close();
-        self.server.stop();
+        Ok((station.listener(reporter), Some(server)))
     }
 }
 
@@ -133,12 +92,12 @@ mod tests {
         for (text, full) in [
             ("0", "127.0.0.1:0"),
             ("9000", "127.0.0.1:9000"),
-            ("127.0.0.1", "127.0.0.1:8108"),
-            ("localhost", "127.0.0.1:8108"),
+            ("127.0.0.1", "127.0.0.1:8080"),
+            ("localhost", "127.0.0.1:8080"),
             ("localhost:1", "127.0.0.1:1"),
             ("0.0.0.0:80", "0.0.0.0:80"),
             ("[::1]:80", "[::1]:80"),
-            ("::1", "[::1]:8108"),
+            ("::1", "[::1]:8080"),
         ] {
             assert_eq!(address(text), Ok(full.parse().unwrap()), "{text}");
         }

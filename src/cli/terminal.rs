@@ -5,14 +5,14 @@
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, OnceLock, mpsc};
 
 use crossbeam_channel::Sender;
 use rustix::termios::{self, LocalModes, OptionalActions, Termios};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-use super::{Failure, shown};
+use super::{Failure, show, shown};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
@@ -58,7 +58,8 @@ impl Terminal {
     /// Prints a line that stays.
     fn say(&self, text: &str) {
         let clear = if self.draws { "\r\x1b[2K" } else { "" };
-        eprintln!("{clear}{text}");
+        let priority = show::priority(text);
+        eprintln!("{clear}{priority}{text}");
     }
 
     /// Draws the line that changes.
@@ -152,7 +153,7 @@ impl Listener for Terminal {
             Notice::Enrolled(enrolled) => self.enrolled(enrolled),
             Notice::Library(library) => self.library(library),
             Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Trace(_) | Notice::Streams(_) => return,
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => return,
             Notice::Finished(totals) => {
                 let stream = |(id, counts): (&SourceId, &Counts)| {
                     format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)
@@ -236,17 +237,30 @@ fn restore() {
     }
 }
 
-/// Makes the first signal to end an order to quit; the second ends the process on the spot.
-pub fn watch_signals(orders: Sender<Order>) -> Result<(), Failure> {
+/// Tells when a signal has come.
+pub struct Signalled(mpsc::Receiver<()>);
+
+impl Signalled {
+    /// Waits for the first signal, if it has not come yet.
+    pub fn wait(self) {
+        let _ = self.0.recv();
+    }
+}
+
+/// Makes the first signal to end an order to quit; the second ends the process on the spot, as does
+/// the first when nobody waits for either.
+pub fn watch_signals(orders: Sender<Order>) -> Result<Signalled, Failure> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let (tell, told) = mpsc::channel();
     let watch = move || {
         for (count, signal) in signals.forever().enumerate() {
-            if count > 0 || orders.send(Order::Quit).is_err() {
+            let heard = [orders.send(Order::Quit).is_ok(), tell.send(()).is_ok()];
+            if count > 0 || heard == [false; 2] {
                 restore();
                 std::process::exit(128 + signal);
             }
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(watch)?;
-    Ok(())
+    Ok(Signalled(told))
 }

@@ -6,8 +6,9 @@
 //! Lanes add up one row at a time and rows in f64.
 //!
 //! Relative error of a sum, beside that of the coordinates: below 9e-7 for every single kernel value
-//! 2^(−q/16) of note ([`Quality::Fine`]: 3e-7), with 4e-9·q more far out, and of changing sign, so
-//! that sums over spread-out samples are good to 2e-7 (tested). Sums never are NaN.
+//! 2^(−q/16) of note ([`Quality::Fine`]: 3e-7), with 4e-9·q more far out, and in several channels
+//! 5e-9·(‖a‖² + ‖b‖²) more; of changing sign, so that sums over spread-out samples are good to 2e-7
+//! (tested). Sums never are NaN.
 
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;
@@ -108,7 +109,7 @@ pub fn lane_scale(sigma: f64) -> f64 {
 /// How well each kernel value is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
-    /// To 9e-7, and 4e-9·q more for values 2^(−q/16) far out.
+    /// To 9e-7, and more for values 2^(−q/16) far out: see the module.
     Quick,
     /// To 3e-7, and as much more far out; for sums that are not compared with others of their kind.
     Fine,

@@ -23,8 +23,8 @@ pub(super) const FINE: u8 = 2;
 /// Largest squared distance, in the units of this module, that needs no care: 2^(−2016/16) still is
 /// a normal number.
 const REACH: f32 = 2016.0;
-/// Two points that are no farther than this, squared, from the origin are within [`REACH`]; and
-/// rounding ‖x‖² to f32 changes a kernel value by less than 7e-7.
+/// Two points that are no farther than this, squared, from the origin are within [`REACH`], no
+/// 2^(±‖x‖²/16) is too large or too small for f32, and rounding ‖x‖² changes a value by below 7e-7.
 pub(super) const NEAREST: f32 = REACH / 4.0;
 
 const ROUND: f32 = 12_582_912.0;

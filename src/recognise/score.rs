@@ -87,7 +87,11 @@ enum Way {
     /// One channel and many comparisons: expanded once.
     Line(LineSum),
     /// Up to four channels, in f32, unless both sides are clustered.
-    Lanes(Lanes),
+    Lanes {
+        lanes: Lanes,
+        /// Whether f32 will do for the other side, too, whatever that is.
+        compact: bool,
+    },
     /// In f64, where f32 does not hold the samples well enough.
     Careful,
     /// By definition.
@@ -110,7 +114,7 @@ impl<'a> QuerySet<'a> {
             if set.fits_lanes(sigma) {
                 let mut lanes = Lanes::default();
                 set.fill_lanes(&mut lanes, sigma, &set.centre);
-                (Way::Lanes(lanes), zz)
+                (Way::Lanes { lanes, compact: set.is_compact(sigma) }, zz)
             } else {
                 (Way::Careful, zz)
             }
@@ -162,7 +166,9 @@ impl<'a> QuerySet<'a> {
         let clusters = [self.set, y].map(|set| set.is_clustered_at(sigma));
         let yz = match &self.way {
             Way::Line(line) => y.sum_on_line(line, shift(0)),
-            Way::Lanes(z_lanes) if y.fits_lanes(sigma) && clusters != [true, true] => {
+            Way::Lanes { lanes: z_lanes, compact }
+                if (*compact || y.fits_lanes(sigma)) && clusters != [true, true] =>
+            {
                 y.fill_lanes(&mut scratch.lanes, sigma, &self.origin(shift));
                 let quality =
                     if clusters == [false, false] { Quality::Quick } else { Quality::Fine };

@@ -6,6 +6,19 @@
 //! counts as lost if it is named right by its whole length and wrong where the rule stops. Gains
 //! are not set off against losses. Repetitions of one recording are no new evidence (method §6),
 //! which is why the rule is on scan time alone.
+//!
+//! # On real sounds
+//! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
+//! trial out; whole scans last 4.80 s and are all named right. `surfaced eval
+//! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
+//! --settle`, and the same with `--settle-loss 0.05`, print
+//!
+//! | stated loss | named right when settled (95 % interval) | lost | scan time, mean | median |
+//! |---|---|---|---|---|
+//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.71 s | 0.60 s |
+//! | 5 % | 97.5 % (94.3 to 98.9) | 5 of 200 | 0.50 s | 0.40 s |
+//!
+//! Following a scan, ten looks a second, takes 0.1 % of one core (processor time over scan time).
 
 use super::share::jeffreys_quantile;
 

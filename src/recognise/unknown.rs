@@ -7,6 +7,25 @@
 //! α (Vovk, Gammerman & Shafer 2005, "Algorithmic learning in a random world", §2.2). Left-out
 //! trials meet a model trained with a tenth fewer trials, which errs to the same side.
 //! A scan is compared with beginnings of trials that are no longer than it is.
+//!
+//! Only a method that can leave its library's trials out cheaply has such a measure: `embedding`.
+//! For `reference` and `joint` it would take comparing every trial of the library with all others
+//! whenever a library is read.
+//!
+//! # On real sounds
+//! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; each surface is left out of the
+//! library in turn, at a stated 1 % of false rejections. `surfaced eval
+//! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
+//! --leave-surfaces-out 20`, and the same with 5 groups (four surfaces are missing at a time), print
+//!
+//! | groups | unknown ones caught (95 % interval) | known ones rejected (95 % interval) |
+//! |---|---|---|
+//! | 20 | 82.5 % of 200 (76.6 to 87.1) | 0.1 % of 3800 (0.1 to 0.3) |
+//! | 5 | 80.5 % of 200 (74.5 to 85.4) | 0.2 % of 800 (0.1 to 0.9) |
+//!
+//! Known ones are rejected less often than stated, since the query's model knows one trial more of
+//! each surface than those of the left-out trials. Unknown surfaces are somebody's near twins here:
+//! two versions of one stone tile, or of one foam.
 
 use super::share::beta_quantile;
 

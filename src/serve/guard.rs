@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn only_names_of_this_machine_pass_without_a_token() {
-        for host in ["localhost", "LOCALHOST:1", "127.0.0.1:8108", "127.1.2.3", "[::1]:8108"] {
+        for host in ["localhost", "LOCALHOST:1", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080"] {
             assert!(is_loopback(host), "{host}");
         }
         for host in
@@ -267,11 +267,11 @@ mod tests {
         let said = |name: &'static str, value: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(name, HeaderValue::from_static(value));
-            check_origin(&headers, "localhost:8108").is_ok()
+            check_origin(&headers, "localhost:8080").is_ok()
         };
-        assert!(check_origin(&HeaderMap::new(), "localhost:8108").is_ok(), "programs send none");
-        assert!(said("origin", "http://localhost:8108") && said("sec-fetch-site", "same-origin"));
-        for origin in ["null", "", "http://localhost:9", "http://evil.example", "localhost:8108"] {
+        assert!(check_origin(&HeaderMap::new(), "localhost:8080").is_ok(), "programs send none");
+        assert!(said("origin", "http://localhost:8080") && said("sec-fetch-site", "same-origin"));
+        for origin in ["null", "", "http://localhost:9", "http://evil.example", "localhost:8080"] {
             assert!(!said("origin", origin), "{origin}");
         }
         assert!(!said("sec-fetch-site", "cross-site") && !said("sec-fetch-site", "same-site"));

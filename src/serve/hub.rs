@@ -161,6 +161,7 @@ impl Inner {
                 self.tell(Kind::Answer, &told);
             }
             Notice::Enrolled(enrolled) => self.tell(Kind::Enrolled, enrolled),
+            Notice::Alive => {}
             Notice::Library(_) => {
                 let library = self.state.library.clone();
                 self.tell(Kind::Library, &library);
@@ -211,6 +212,19 @@ impl Hub {
     /// All figures.
     pub fn metrics(&self) -> String {
         self.lock().metrics(self.missed.load(Ordering::Relaxed))
+    }
+
+    /// Takes in what the station tells. A surface that was enrolled is to be used at once.
+    fn take(&self, notice: &Notice) {
+        let inner = &mut *self.lock();
+        inner.change(|inner| inner.take(notice));
+        if let Notice::Enrolled(enrolled) = notice
+            && enrolled.wanted == 0
+            && inner.state.library.is_some()
+        {
+            // A station that is too busy for it leaves it to the operator.
+            let _ = self.orders.try_send(Order::Reload);
+        }
     }
 
     /// One reader more, unless there are too many.
@@ -267,7 +281,7 @@ pub async fn run(
     loop {
         tokio::select! {
             notice = notices.recv(), if listening => match notice {
-                Some(notice) => hub.lock().change(|inner| inner.take(&notice)),
+                Some(notice) => hub.take(&notice),
                 None => listening = false,
             },
             _ = streams.tick() => hub.lock().tell_streams(),
@@ -283,7 +297,7 @@ pub async fn run(
         }
     }
     while let Ok(notice) = notices.try_recv() {
-        hub.lock().change(|inner| inner.take(&notice));
+        hub.take(&notice);
     }
     hub.lock().readers.close();
 }

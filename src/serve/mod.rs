@@ -42,7 +42,7 @@ use crate::station::Order;
 use hub::Hub;
 
 /// The port where nothing else is said.
-pub const PORT: u16 = 8108;
+pub const PORT: u16 = 8080;
 
 /// Where and how to serve.
 #[derive(Clone, Debug)]

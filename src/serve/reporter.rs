@@ -34,6 +34,9 @@ impl Reporter {
 
 impl Listener for Reporter {
     fn notice(&mut self, notice: &Notice) {
+        if matches!(notice, Notice::Alive) {
+            return;
+        }
         let room = self.queue.capacity();
         let fits = !matches!(notice, Notice::Trace(_)) || room > KEPT_FREE;
         if !fits || self.queue.try_send(notice.clone()).is_err() {

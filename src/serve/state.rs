@@ -231,7 +231,7 @@ impl State {
                 self.finished = true;
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            Notice::Trace(_) | Notice::Streams(_) => {}
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => {}
         }
         self.advice = self.advise();
     }
@@ -312,8 +312,9 @@ impl State {
             // An answer that will not change any more needs no more.
             _ if settled => Advice { what: What::Lift, more_s: None, text: "lift".into() },
             Some(more_s) if more_s > 0.0 => {
-                // In tenths, rounded up: what is asked for is enough.
-                let more_s = (more_s * 10.0).ceil() / 10.0;
+                // In tenths, rounded up: what is asked for is enough. But 1.2 s are not 1.3 s for
+                // the last bit of a difference.
+                let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
                 let text = format!("{more_s:.1} s more");
                 Advice { what: What::Drag, more_s: Some(more_s), text }
             }

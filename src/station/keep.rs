@@ -28,6 +28,13 @@ pub struct Keep {
     pub by_t_star: Vec<SourceId>,
 }
 
+impl Keep {
+    /// Keeps scans in a library, with nothing noted beside them.
+    pub fn new(folder: PathBuf, scene: Scene) -> Self {
+        Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
+    }
+}
+
 /// The thread, and its two ends.
 pub(super) struct Keeper {
     scans: Sender<(Box<Scan>, Wish)>,

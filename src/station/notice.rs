@@ -170,6 +170,8 @@ pub enum Notice {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work went on.
     Warning(String),
+    /// The station's loop turns; the answer to [`Order::Ping`].
+    Alive,
     /// The station has ended; the last notice.
     Finished(Arc<Totals>),
 }
@@ -206,6 +208,8 @@ pub enum Order {
     },
     /// Keep no more scans.
     EndEnroll,
+    /// Give a sign of life.
+    Ping,
     /// Read the library and the plan anew, without dropping a sample.
     Reload,
     /// End the scan that goes on, and then all.

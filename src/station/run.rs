@@ -313,6 +313,7 @@ impl Run<'_> {
                 self.enroll(Enrolling::new(Wish { surface, user, good_only: false }, u32::MAX));
             }
             Order::EndEnroll => self.enrolling = None,
+            Order::Ping => self.tell(Notice::Alive),
             Order::Reload => self.reload(),
             Order::Quit => self.session.request_stop(),
         }
@@ -321,7 +322,7 @@ impl Run<'_> {
 
 fn notice(told: Told) -> Notice {
     match told {
-        Told::Named(Ok(answer)) => Notice::Answer(Arc::new(answer)),
+        Told::Named(Ok(answer)) => Notice::Answer(answer),
         Told::Named(Err(problem)) => Notice::Warning(problem),
         Told::Guess(guess) => Notice::Guess(guess),
     }

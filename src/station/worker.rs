@@ -35,7 +35,7 @@ pub(super) enum Told {
 }
 
 /// An answer, or why there is none.
-pub(super) type Named = Result<Answer, String>;
+pub(super) type Named = Result<Arc<Answer>, String>;
 
 /// The thread, and its two ends; it ends when the first is dropped.
 pub(super) struct Worker {
@@ -151,7 +151,7 @@ fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>)
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
     let Verdict { ranking, unknown, needed_s, remarks } = verdict;
     let truth = scan.truth.as_ref();
-    Ok(Answer {
+    Ok(Arc::new(Answer {
         scan: scan.number,
         surface: (!unknown).then(|| ranking.surface().to_string()),
         truth: truth.map(|key| key.surface.clone()),
@@ -170,5 +170,5 @@ fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>)
         needed_s,
         remarks,
         ranked: ranking.ranked,
-    })
+    }))
 }

@@ -10,7 +10,7 @@ const OURS: RGBColor = RGBColor(0, 90, 160);
 const PAPER: RGBColor = RGBColor(200, 70, 0);
 const ROW: i32 = 22;
 const WIDTH: u32 = 960;
-const LEFT: i32 = 360;
+const LEFT: i32 = 390;
 const RIGHT: i32 = 60;
 
 /// Materials of LMT108 by the digit after G.
@@ -97,17 +97,19 @@ fn material(surface: &str) -> usize {
 pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
-    let cell = 8;
-    let (left, top) = (300, 190);
+    // All of LMT108 in about 860 pixels; few surfaces larger, but no larger than they need.
+    let cell = (864 / order.len().max(1) as i32).clamp(8, 22);
+    let (left, top) = (340, 190);
     let side = cell * order.len() as i32;
-    let size = ((left + side + 30) as u32, (top + side + 40) as u32);
+    let size = ((left + side + 30).max(640) as u32, (top + side + 40) as u32);
     svg(size, |area| {
         put(area, "Truth (rows) against answer (columns), by material", (20, 14), 18)?;
+        put(area, "blue: right; orange: wrong; the darker, the more often", (20, 40), 12)?;
         let frame = Rectangle::new([(left, top), (left + side, top + side)], BLACK.mix(0.5));
         area.draw(&frame).map_err(drawing)?;
         for (row, &truth) in order.iter().enumerate() {
             let y = top + cell * row as i32;
-            put(area, confusion.labels[truth].as_str(), (130, y), 8)?;
+            put(area, confusion.labels[truth].as_str(), (150, y), cell.min(12))?;
             let total: u32 = confusion.counts[truth].iter().sum();
             for (column, &answer) in order.iter().enumerate() {
                 let count = confusion.counts[truth][answer];

@@ -178,8 +178,8 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
             .min(room(j, signs[j] < 0.0));
         alpha[i] = (alpha[i] + signs[i] * step).clamp(0.0, cost);
         alpha[j] = (alpha[j] - signs[j] * step).clamp(0.0, cost);
-        for t in 0..n {
-            gradient[t] += signs[t] * step * (kernel[[t, i]] - kernel[[t, j]]);
+        for (t, slope) in gradient.iter_mut().enumerate() {
+            *slope += signs[t] * step * (kernel[[t, i]] - kernel[[t, j]]);
         }
     }
     (alpha.clone(), bias(&alpha, &gradient, signs, cost))
@@ -226,12 +226,12 @@ mod tests {
             let (alpha, bias) = solve(&kernel, &signs, cost);
             let balance: f64 = alpha.iter().zip(&signs).map(|(a, y)| a * y).sum();
             assert!(balance.abs() < 1e-9);
-            for i in 0..24 {
+            for (i, &a) in alpha.iter().enumerate() {
                 let f: f64 =
                     bias + (0..24).map(|j| alpha[j] * signs[j] * kernel[[i, j]]).sum::<f64>();
                 let margin = signs[i] * f;
-                assert!(alpha[i] > 0.0 || margin > 1.0 - 3e-3, "{i}: {margin}");
-                assert!(alpha[i] < cost || margin < 1.0 + 3e-3, "{i}: {margin}");
+                assert!(a > 0.0 || margin > 1.0 - 3e-3, "{i}: {margin}");
+                assert!(a < cost || margin < 1.0 + 3e-3, "{i}: {margin}");
             }
         }
     }
