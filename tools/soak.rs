@@ -77,7 +77,9 @@ fn main() -> Result<(), Failure> {
     let (count, saying) = (answers.clone(), said.clone());
     let (out, err) = (run.stdout.take().ok_or("no stdout")?, run.stderr.take().ok_or("no stderr")?);
     let counting = std::thread::spawn(move || {
-        BufReader::new(out).lines().for_each(|_| drop(count.fetch_add(1, Ordering::Relaxed)));
+        for _ in BufReader::new(out).lines() {
+            count.fetch_add(1, Ordering::Relaxed);
+        }
     });
     let reading = std::thread::spawn(move || {
         for line in BufReader::new(err).lines().map_while(Result::ok) {

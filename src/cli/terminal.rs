@@ -16,7 +16,7 @@ use super::{Failure, show, shown};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolled, LibraryState, Listener, Notice, Order};
+use crate::station::{Answer, Enrolled, Guess, LibraryState, Listener, Notice, Order};
 
 /// Who is told on stderr.
 pub struct Terminal {
@@ -27,8 +27,8 @@ pub struct Terminal {
     hint: String,
     scanning: Arc<AtomicBool>,
     devices: BTreeMap<String, DeviceState>,
-    /// The scan that goes on: its part, and its drag so far in seconds.
-    scan: Option<(Phase, f64)>,
+    /// The scan that goes on: its part, and how it looks so far.
+    scan: Option<(Phase, Option<Guess>)>,
     last: Option<String>,
 }
 
@@ -68,7 +68,7 @@ impl Terminal {
             return;
         }
         let now = match (&self.scan, &self.last) {
-            (Some((Phase::Drag, scan_s)), _) => format!("dragging {scan_s:.1} s"),
+            (Some((Phase::Drag, Some(guess))), _) => so_far(guess),
             (Some(_), _) => "a scan begins".into(),
             (None, Some(last)) => format!("last: {last}"),
             (None, None) => self.hint.clone(),
@@ -141,12 +141,12 @@ impl Listener for Terminal {
                 self.devices.insert(device.clone(), *state);
             }
             Notice::Phase { phase, .. } => {
-                self.scan = phase.map(|phase| (phase, 0.0));
+                self.scan = phase.map(|phase| (phase, None));
                 self.scanning.store(phase.is_some(), Ordering::Release);
             }
             Notice::Guess(guess) => {
-                if let Some((_, scan_s)) = &mut self.scan {
-                    *scan_s = guess.scan_s;
+                if let Some((_, so_far)) = &mut self.scan {
+                    *so_far = Some(guess.clone());
                 }
             }
             Notice::Answer(answer) => self.answer(answer),
@@ -164,6 +164,22 @@ impl Listener for Terminal {
         }
         self.draw();
     }
+}
+
+/// How a scan that goes on looks.
+fn so_far(guess: &Guess) -> String {
+    let best = guess.named.first().map(|best| {
+        let sure = if guess.settled { ", settled" } else { "" };
+        format!(": {} {:.0} %{sure}", best.surface, best.probability * 100.0)
+    });
+    let more_s = guess.needed_s.map(|needed_s| needed_s - guess.scan_s).filter(|s| *s > 0.0);
+    let more = more_s.map(|s| format!(" (T*: {s:.1} s more)"));
+    format!(
+        "dragging {:.1} s{}{}",
+        guess.scan_s,
+        best.unwrap_or_default(),
+        more.unwrap_or_default()
+    )
 }
 
 /// How the terminal was before keys were read one by one.

@@ -62,7 +62,7 @@ pub enum ConfigError {
 pub struct StationConfig {
     /// The library, if one is named.
     pub library: Option<PathBuf>,
-    /// Where the page is served, if it is.
+    /// Where the page is served, unless the command line names another address.
     pub serve: SocketAddr,
     /// What the sources are.
     pub scene: Scene,

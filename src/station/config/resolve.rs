@@ -57,7 +57,7 @@ pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigEr
     let serve = or(&file.serve, &defaults.serve);
     let Ok(address) = serve.get_ref().parse::<SocketAddr>() else {
         let problem =
-            format!("serve = \"{}\"; expected for example \"127.0.0.1:8080\"", serve.get_ref());
+            format!("serve = \"{}\"; expected for example \"127.0.0.1:8108\"", serve.get_ref());
         return source.fail(&serve, problem);
     };
     let stylus = source.stylus(&file.stylus, &defaults.stylus)?;

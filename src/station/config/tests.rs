@@ -56,7 +56,7 @@ fn mistakes_are_told_with_their_line() {
     refused("[microphone]\nsources = [\"mi9\"]", &["line 3", "`mi9`", "mi1, mi2"]);
     refused("[detection]\nlisten = { xy = \"force\" }", &["line 3", "`xy`"]);
     refused("[detection]\nonset = 2.0\nquiet = 3.0", &["line 4", "at most onset = 2"]);
-    refused("serve = \"here\"", &["line 2", "127.0.0.1:8080"]);
+    refused("serve = \"here\"", &["line 2", "127.0.0.1:8108"]);
     refused("[sources.pac]\ndomain = \"spectrum\"", &["line 2", "band_hz"]);
     let future = parse("format = 2").unwrap_err();
     assert!(future.contains("line 1") && future.contains("format = 1"), "{future}");
