@@ -2,24 +2,10 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use common::{picture, write_file, write_wav};
-use surfaced::library::{Library, LibraryError};
-use surfaced::scene::Scene;
+use common::{open, picture, says, temp, write_file, write_wav};
 use surfaced::trial::Signal;
-use tempfile::TempDir;
-
-fn temp() -> (TempDir, PathBuf) {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("library");
-    std::fs::create_dir(&path).unwrap();
-    (dir, path)
-}
-
-fn open(path: &Path) -> Result<Library, LibraryError> {
-    surfaced::dataset::open(path, &Scene::lmt108())
-}
 
 /// What is said when a library is opened and its first trial is read.
 #[track_caller]
@@ -27,13 +13,6 @@ fn refusal(path: &Path) -> String {
     match open(path).and_then(|library| library.entries[0].load()) {
         Err(error) => error.to_string(),
         Ok(trial) => panic!("must be refused, but was read: {}", trial.key),
-    }
-}
-
-#[track_caller]
-fn says(message: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(message.contains(part), "`{part}` is not in: {message}");
     }
 }
 

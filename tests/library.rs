@@ -2,33 +2,12 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
-
-use common::{id, picture, series, trial, write_file, write_wav};
+use common::{id, open, picture, says, series, temp, trial, write_file, write_wav};
 use proptest::prelude::*;
-use surfaced::library::{About, Library, LibraryError, ScanMarks, recording};
+use surfaced::library::{About, ScanMarks, recording};
 use surfaced::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
-use tempfile::TempDir;
-
-fn temp() -> (TempDir, PathBuf) {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("library");
-    std::fs::create_dir(&path).unwrap();
-    (dir, path)
-}
-
-fn open(path: &Path) -> Result<Library, LibraryError> {
-    surfaced::dataset::open(path, &Scene::lmt108())
-}
-
-#[track_caller]
-fn says(message: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(message.contains(part), "`{part}` is not in: {message}");
-    }
-}
 
 fn quick() -> TrialOptions {
     TrialOptions { durable: false, ..TrialOptions::default() }

@@ -184,3 +184,45 @@ fn data_that_lack_a_source_say_so_row_by_row() {
     assert!(all["difference_points"].is_null(), "it is another setting than the paper's");
     assert_eq!(row(&report, "expert-vs-users", "visual")["not_run"], "the data lack ca1, ca2");
 }
+
+/// Runs a shard again and again, each time killed after a while that is drawn anew, and longer each
+/// time; at last it is left alone.
+fn shard_that_is_killed(args: &[&str], seed: u64) {
+    let draws =
+        [seed.wrapping_mul(0x9e37_79b9_7f4a_7c15), seed.wrapping_mul(0xd1b5_4a32_d192_ed03)];
+    for round in 0..8u32 {
+        let draw =
+            (draws[round as usize % 2].rotate_left(7 * round) >> 40) as f64 / (1 << 24) as f64;
+        let after = std::time::Duration::from_secs_f64(draw * 0.004 * f64::from(1 << round));
+        let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("surfaced"))
+            .arg("eval")
+            .args(args)
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(after);
+        // One that is done already has left its result, which the next run finds.
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    done(args);
+}
+
+#[test]
+fn shards_that_are_killed_at_random_end_in_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (data, whole, shards, merged) =
+        (processed(), text("whole"), text("shards"), text("merged"));
+    let slower = ["--n", "200", "--repetitions", "3"];
+    done(&[&[&data, "--paper", "--out", &whole], &slower[..]].concat());
+    for (seed, number) in ["1/3", "2/3", "3/3"].into_iter().enumerate() {
+        let args = [&data, "--paper", "--out", &shards, "--shard", number];
+        shard_that_is_killed(&[&args[..], &slower[..]].concat(), seed as u64 + 1);
+    }
+    done(&["merge", &shards, "--out", &merged]);
+    for file in ["report.json", "bars.svg", "confusion.svg"] {
+        let read = |folder: &str| std::fs::read(Path::new(folder).join(file)).unwrap();
+        assert_eq!(read(&whole), read(&merged), "{file}");
+    }
+}

@@ -16,7 +16,7 @@ use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::{Library, recording};
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scene::Scene;
-use surfaced::trial::{EXPERT, Trial};
+use surfaced::trial::{EXPERT, Trial, TrialKey};
 
 const CHANNELS: [&str; 4] = ["ac", "fr", "ir", "me"];
 
@@ -30,23 +30,23 @@ struct Bench {
     noise: Noise,
 }
 
-/// Synthetic surfaces, each with trials of the expert for the library and one of a user for a scan.
+/// The trial of each surface that is scanned, and in no library.
+const SCANNED: u32 = 4;
+
+/// Synthetic surfaces, each with trials for the library and one for a scan.
 fn synthetic(drag_seconds: f64) -> Library {
     synth::library(&Parameters {
         surfaces: 3,
-        trials: 2,
-        users: 1,
+        trials: SCANNED,
+        users: 0,
         drag_seconds,
         ..Parameters::default()
     })
 }
 
-fn trial(library: &Library, surface: usize, user: &str, number: u32) -> Trial {
-    let name = library.surfaces()[surface].to_string();
-    let fits = |key: &surfaced::trial::TrialKey| {
-        key.surface == name && key.user == user && key.number == number
-    };
-    library.entries.iter().find(|entry| fits(&entry.key)).unwrap().load().unwrap()
+fn trial(library: &Library, surface: usize, number: u32) -> Trial {
+    let key = TrialKey::new(library.surfaces()[surface], EXPERT, number);
+    library.entries.iter().find(|entry| entry.key == key).unwrap().load().unwrap()
 }
 
 impl Bench {
@@ -62,11 +62,11 @@ impl Bench {
         self.dir.path().join(name)
     }
 
-    /// The expert's trials as a library.
+    /// All trials but those that are scanned, as a library.
     fn library(&self, library: &Library) -> PathBuf {
         let path = self.path("library");
         let options = TrialOptions { durable: false, ..TrialOptions::default() };
-        for entry in library.entries.iter().filter(|entry| entry.key.user == EXPERT) {
+        for entry in library.entries.iter().filter(|entry| entry.key.number != SCANNED) {
             let mut trial = entry.load().unwrap();
             trial.signals.retain(|id, _| CHANNELS.contains(&id.as_str()));
             write_trial(&path, &trial, &library.scene, &options).unwrap();
@@ -74,7 +74,9 @@ impl Bench {
         path
     }
 
+    /// Plugs a stylus in, with nothing on its tape.
     fn stylus(&self) -> Fake {
+        self.tape.lock().unwrap().clear();
         let tape = self.tape.clone();
         let values = move |index: u64, channel: usize| {
             let tape = tape.lock().unwrap();
@@ -200,7 +202,7 @@ fn scans_on_the_line_are_named_and_a_signal_ends_the_last_one_whole() {
     let mut fake = bench.stylus();
     fake.wait_for_start();
     for surface in [1, 0, 2] {
-        let seconds = bench.play(&fake, &trial(&data, surface, "user1", 1), 2.0);
+        let seconds = bench.play(&fake, &trial(&data, surface, SCANNED), 2.0);
         fake.serve(seconds);
         let line = run.line(&mut fake);
         assert_eq!(line["surface"], data.surfaces()[surface], "{line} {}", run.said());
@@ -210,7 +212,7 @@ fn scans_on_the_line_are_named_and_a_signal_ends_the_last_one_whole() {
         assert!((line["scan_s"].as_f64().unwrap() - 2.0).abs() < 0.05, "{line}");
     }
     // In the middle of a drag.
-    let seconds = bench.play(&fake, &trial(&data, 1, "user1", 1), 2.0);
+    let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 2.0);
     fake.serve(seconds - 1.2);
     run.signal("TERM");
     let line = run.line(&mut fake);
@@ -236,7 +238,7 @@ fn what_was_enrolled_names_a_new_scan() {
         let mut enroll = bench.surfaced(&args);
         fake.wait_for_start();
         for number in 1..=2 {
-            let seconds = bench.play(&fake, &trial(&data, surface, EXPERT, number), 1.5);
+            let seconds = bench.play(&fake, &trial(&data, surface, number), 1.5);
             fake.serve(seconds);
             let line = enroll.line(&mut fake);
             assert_eq!(line["trial"], number, "{line} {}", enroll.said());
@@ -250,7 +252,7 @@ fn what_was_enrolled_names_a_new_scan() {
     let mut run = bench.surfaced(&["run", "--library", &library]);
     fake.wait_for_start();
     for surface in [1, 0] {
-        let seconds = bench.play(&fake, &trial(&data, surface, "user1", 1), 1.5);
+        let seconds = bench.play(&fake, &trial(&data, surface, SCANNED), 1.5);
         fake.serve(seconds);
         assert_eq!(run.line(&mut fake)["surface"], data.surfaces()[surface]);
     }
@@ -269,13 +271,13 @@ fn a_trial_that_is_too_short_by_its_own_t_star_or_clipped_is_refused() {
     let mut enroll =
         bench.surfaced(&["enroll", "felt", "--library", path.to_str().unwrap(), "--trials", "1"]);
     fake.wait_for_start();
-    let seconds = bench.play(&fake, &trial(&data, 0, EXPERT, 1), 0.6);
+    let seconds = bench.play(&fake, &trial(&data, 0, 1), 0.6);
     fake.serve(seconds);
     let line = enroll.line(&mut fake);
     assert_eq!((&line["trial"], &line["wanted"]), (&Value::Null, &1.into()), "{line}");
     assert!(line["remarks"].to_string().contains("too short"), "{line}");
     // Half of the drag is at the converter's end.
-    let mut loud = trial(&data, 0, EXPERT, 2);
+    let mut loud = trial(&data, 0, 2);
     for (id, signal) in &mut loud.signals {
         if let ("ac", surfaced::trial::Signal::Series(series)) = (id.as_str(), signal) {
             let samples = series.samples().iter().map(|x| (x * 1e4).clamp(-1.0, 1.0)).collect();
@@ -299,15 +301,16 @@ fn a_stylus_that_disappears_spoils_its_scan_and_comes_back() {
     let mut run = bench.surfaced(&["run", "--library", library.to_str().unwrap()]);
     let mut fake = bench.stylus();
     fake.wait_for_start();
-    let seconds = bench.play(&fake, &trial(&data, 0, "user1", 1), 2.0);
+    let seconds = bench.play(&fake, &trial(&data, 0, SCANNED), 2.0);
     fake.serve(seconds - 1.7);
     drop(fake);
     run.until_said("is lost", None);
     let mut fake = bench.stylus();
     let line = run.line(&mut fake);
-    assert!(line["spoiled"].to_string().contains("stopped before it was over"), "{line}");
+    // As a gap, or cut short, if the new one took its time.
+    assert_ne!(line["spoiled"], serde_json::json!([]), "{line}");
     fake.wait_for_start();
-    let seconds = bench.play(&fake, &trial(&data, 2, "user1", 1), 2.0);
+    let seconds = bench.play(&fake, &trial(&data, 2, SCANNED), 2.0);
     fake.serve(seconds);
     let line = run.line(&mut fake);
     assert_eq!(line["surface"], data.surfaces()[2], "{line} {}", run.said());
@@ -318,7 +321,7 @@ fn a_stylus_that_disappears_spoils_its_scan_and_comes_back() {
 
 #[test]
 fn a_killed_enrolment_leaves_whole_trials() {
-    let data = synthetic(0.8);
+    let data = synthetic(1.5);
     let mut bench = Bench::new();
     let path = bench.path("mine");
     let args = ["enroll", "felt", "--library", path.to_str().unwrap(), "--trials", "50"];
@@ -326,10 +329,11 @@ fn a_killed_enrolment_leaves_whole_trials() {
     let mut enroll = bench.surfaced(&args);
     fake.wait_for_start();
     for number in 1..=3 {
-        let seconds = bench.play(&fake, &trial(&data, 0, EXPERT, 1 + number % 2), 0.8);
+        let seconds = bench.play(&fake, &trial(&data, 0, 1 + number % 2), 1.5);
         fake.serve(seconds);
         if number < 3 {
-            assert_eq!(enroll.line(&mut fake)["trial"], number);
+            let line = enroll.line(&mut fake);
+            assert_eq!(line["trial"], number, "{line} {}", enroll.said());
         }
     }
     // The third may be on its way to the disk, or not.
@@ -341,9 +345,9 @@ fn a_killed_enrolment_leaves_whole_trials() {
         assert_eq!(entry.load().unwrap().signals.len(), 4);
     }
     // And the next one goes on where this one was ended.
-    let mut enroll = bench.surfaced(&args);
+    let enroll = bench.surfaced(&args);
     fake.wait_for_start();
-    let seconds = bench.play(&fake, &trial(&data, 0, EXPERT, 2), 0.8);
+    let seconds = bench.play(&fake, &trial(&data, 0, 2), 1.5);
     fake.serve(seconds);
     assert_eq!(enroll.line(&mut fake)["trial"], kept.entries.len() + 1);
 }
@@ -357,7 +361,7 @@ fn recording_keeps_every_scan_until_it_is_ended() {
     let mut record = bench.surfaced(&["record", "--library", path.to_str().unwrap()]);
     fake.wait_for_start();
     for number in 1..=2 {
-        let seconds = bench.play(&fake, &trial(&data, number as usize, EXPERT, 1), 0.8);
+        let seconds = bench.play(&fake, &trial(&data, number as usize, 1), 0.8);
         fake.serve(seconds);
         assert_eq!(record.line(&mut fake)["trial"], number);
     }

@@ -5,25 +5,24 @@ use std::sync::Arc;
 
 use crossbeam_channel::Sender;
 
+use super::answers::AnswerArgs;
 use super::lines::JsonLines;
-use super::method::{MethodArgs, WithMethod};
+use super::method::WithMethod;
+use super::plan::Comparing;
 use super::serve::ServeArgs;
 use super::supervisor::Supervisor;
 use super::terminal::{Keys, Terminal, watch_signals};
-use super::{Done, Failure, SourceArgs};
+use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::library::Entry;
-use crate::recognise::{Method, prepare_library};
+use crate::recognise::{LOOK_S, Method, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
     ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
 };
-
-/// What people are told while a scan goes on, so often, in seconds of drag.
-const PROGRESS_S: f64 = 0.1;
 
 /// Which station.
 #[derive(Clone, Debug, clap::Args)]
@@ -73,12 +72,12 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
 }
 
 /// Reads a library and makes it ready to name scans, whenever it is asked to.
-pub fn load(path: &Path, scene: &Scene, sources: &SourceArgs, method: &MethodArgs) -> Load {
+pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -> Load {
     let (path, scene) = (path.to_path_buf(), scene.clone());
-    let (sources, method) = (sources.clone(), method.clone());
+    let (how, answers) = (how.clone(), answers.clone());
     Arc::new(move || {
         let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
-        let scene = match sources.narrow(library.scene.clone()) {
+        let scene = match how.narrow(library.scene.clone()) {
             Ok(scene) => scene,
             Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
                 return Err(text);
@@ -89,9 +88,9 @@ pub fn load(path: &Path, scene: &Scene, sources: &SourceArgs, method: &MethodArg
             .filter(|entry| !entry.sources.is_empty())
             .collect();
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let beside = method.cache_beside(&path);
-        let fit = Fit { scene: &scene, entries, state, beside };
-        method.apply(&scene, fit)
+        let beside = how.method.cache_beside(&path);
+        let fit = Fit { scene: &scene, entries, state, beside, answers: &answers };
+        how.method.apply(&scene, fit)
     })
 }
 
@@ -100,20 +99,23 @@ struct Fit<'a> {
     entries: Vec<Entry>,
     state: LibraryState,
     beside: Option<&'a Path>,
+    answers: &'a AnswerArgs,
 }
 
 impl WithMethod for Fit<'_> {
     type Output = Result<Arc<dyn Recogniser>, String>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
-        let Self { scene, entries, state, beside } = self;
+        let Self { scene, entries, state, beside, answers } = self;
         let all = (0..entries.len()).collect();
         let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
         let trials = prepared.trials.into_iter().flatten().collect();
         let model = method.fit(trials).map_err(|error| error.to_string())?;
         let needs = Needs::of(scene, entries, state.synthetic);
-        Ok(Arc::new(ByMethod::new(method, model, needs, state)))
+        let mut by = ByMethod::new(method, model, needs, state);
+        answers.apply(&mut by).map_err(|error| error.to_string())?;
+        Ok(Arc::new(by))
     }
 }
 
@@ -149,7 +151,7 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     }
     let options = Options {
         detection: Some(config.detection.clone()),
-        progress_every_s: Some(PROGRESS_S),
+        progress_every_s: Some(LOOK_S),
         ..Options::default()
     };
     let options = work.serve.options(options);

@@ -2,7 +2,9 @@
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
+mod answers;
 mod chart;
+mod choose;
 mod compare;
 mod completion;
 mod dependence;
@@ -15,11 +17,13 @@ mod lines;
 mod live;
 mod method;
 mod paper;
+mod plan;
 mod replay;
 mod run;
 mod samples;
 mod serve;
 mod show;
+mod stress;
 mod supervisor;
 mod synth;
 mod tally;
@@ -56,6 +60,8 @@ enum Command {
     Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
+    Plan(plan::Args),
+    Stress(stress::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
@@ -95,6 +101,8 @@ pub fn run() -> ExitCode {
         Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Stress(args) => stress::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),

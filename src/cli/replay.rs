@@ -4,22 +4,24 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::answers::AnswerArgs;
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
+use super::plan::{Comparing, PlanArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
 use super::terminal::watch_signals;
 use super::{Done, Failure, SourceArgs, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, RecogniseError};
+use crate::recognise::{LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
 use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -47,8 +49,12 @@ pub struct Args {
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds)]
+    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -68,20 +74,21 @@ pub(super) struct Stage {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
+    let how = args.plan.resolve(&args.sources, &args.method, args.query_seconds)?;
     let stage = match (&args.data, &args.library) {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(args, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(&how, scene, Some(Protocol::ExpertVsUsers))?
         }
-        (Some(data), None) => by_protocol(args, super::open(data)?, args.protocol)?,
-        (Some(data), Some(library)) => against(args, data, library)?,
+        (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
+        (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    args.method.apply(&stage.scene, Player { args, stage: &stage })
+    how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
 }
 
-fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
-    let scene = args.sources.narrow(library.scene.clone())?;
+fn usable(how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
+    let scene = how.narrow(library.scene.clone())?;
     let entries = (library.entries.iter())
         .map(|entry| entry.clone().within(&scene))
         .filter(|entry| !entry.sources.is_empty())
@@ -89,21 +96,20 @@ fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure
     Ok((scene, entries))
 }
 
-fn by_protocol(args: &Args, data: Library, protocol: Option<Protocol>) -> Result<Stage, Failure> {
-    let (scene, entries) = usable(args, &data)?;
+fn by_protocol(
+    how: &Comparing,
+    data: Library,
+    protocol: Option<Protocol>,
+) -> Result<Stage, Failure> {
+    let (scene, entries) = usable(how, &data)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has = |of_expert: bool| keys.iter().any(|key| (key.user == EXPERT) == of_expert);
-    let protocol = protocol.unwrap_or(if has(true) && has(false) {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
+    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
     let folds = evaluate::folds(protocol, &keys)?;
     eprintln!("each trial is named by {}", protocol.name());
     Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
 }
 
-fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
+fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
     let same = |path: &PathBuf| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
@@ -114,8 +120,8 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
     }
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
-    let (scene, mut entries) = usable(args, &library)?;
-    let (of_data, queries) = usable(args, &data)?;
+    let (scene, mut entries) = usable(how, &library)?;
+    let (of_data, queries) = usable(how, &data)?;
     let fold = Fold {
         name: "library".into(),
         library: (0..entries.len()).collect(),
@@ -127,6 +133,7 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
 
 struct Player<'a> {
     args: &'a Args,
+    how: &'a Comparing,
     stage: &'a Stage,
 }
 
@@ -134,7 +141,7 @@ impl WithMethod for Player<'_> {
     type Output = Done;
 
     fn with(self, method: impl Method + 'static) -> Done {
-        let Self { args, stage } = self;
+        let Self { args, how, stage } = self;
         let models = models(&method, stage)?;
         let mut fold_of = BTreeMap::new();
         let mut queries = Vec::new();
@@ -142,7 +149,7 @@ impl WithMethod for Player<'_> {
             for &query in &fold.queries {
                 fold_of.insert(stage.entries[query].key.clone(), index);
                 let entry = &stage.entries[query];
-                queries.push(super::eval::first_seconds(entry, &stage.scene, args.query_seconds));
+                queries.push(first_seconds(entry, &stage.scene, how.query_seconds));
             }
         }
         let total = queries.len();
@@ -151,9 +158,13 @@ impl WithMethod for Player<'_> {
         let compared = stage.compared();
         let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
         let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-        let recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let applied = args.answers.apply(&mut recogniser)?;
+        applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+        let progress_every_s = applied.follows.then_some(LOOK_S);
+        let options = Options { progress_every_s, ..Options::default() };
         let mut tally = Tally::new(!args.json, total);
-        let options = args.serve.options(Options::default());
+        let options = args.serve.options(options);
         let mut station = Station::new(vec![Box::new(device)], options)
             .recogniser(Arc::new(recogniser))
             .listener(&mut tally);
@@ -162,7 +173,7 @@ impl WithMethod for Player<'_> {
         }
         let library = args.library.as_ref().filter(|_| args.serve.asked());
         if let Some(folder) = library {
-            let load = live::load(folder, &stage.scene, &args.sources, &args.method);
+            let load = live::load(folder, &stage.scene, how, &args.answers);
             station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
         }
         let address = Settings::default().address;

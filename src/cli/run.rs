@@ -1,7 +1,9 @@
 //! `surfaced run`: the station at work, with whatever devices are there.
 
+use super::answers::AnswerArgs;
 use super::live::{StationArgs, Work, library_of, load, verdict, work};
 use super::method::MethodArgs;
+use super::plan::PlanArgs;
 use super::{Done, Failure, SourceArgs, shown};
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
@@ -19,11 +21,19 @@ pub struct Args {
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let config = args.station.config()?;
+    let how = args.plan.resolve(&args.sources, &args.method, None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
     let library = library_of(&config)?;
     if !library.is_dir() {
         return Err(Failure::Failed(format!(
@@ -32,7 +42,8 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
-    let load = load(&library, &config.scene, &args.sources, &args.method);
+    let load = load(&library, &config.scene, &how, &args.answers);
+    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let totals = work(
         &config,
         Work {
@@ -40,7 +51,9 @@ pub fn run(args: &Args) -> Done {
             keep: library,
             orders: Vec::new(),
             listeners: Vec::new(),
-            hint: "tap a surface, then drag over it; space begins and ends by hand, q ends".into(),
+            hint: format!(
+                "tap a surface, then drag over it{long}; space begins and ends by hand, q ends"
+            ),
             json: args.station.json,
             serve: args.station.serve.clone(),
         },

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::method::at_least_one;
 use super::{Done, Failure, show};
-use crate::dataset::synth::{self, Parameters};
+use crate::dataset::synth::{self, Difficulty, Parameters};
 use crate::library::About;
 use crate::record::{self, TrialOptions};
 
@@ -32,6 +32,9 @@ pub struct Args {
     /// Length of a drag
     #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::eval::seconds)]
     seconds: f64,
+    /// About as hard as LMT108, source by source, instead of easier
+    #[arg(long)]
+    hard: bool,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -63,7 +66,7 @@ pub fn run(args: &Args) -> Done {
         users: args.users,
         seed: args.seed,
         drag_seconds: args.seconds,
-        ..Parameters::default()
+        difficulty: if args.hard { Difficulty::lmt108() } else { Difficulty::default() },
     });
     record::write_library_toml(&args.out, &library.scene, &library.name, true)?;
     let steps = show::Steps::new();

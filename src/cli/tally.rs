@@ -17,13 +17,31 @@ pub struct Tally {
     with_truth: usize,
     right: usize,
     latencies_ms: Vec<f64>,
+    /// What was named when an answer was settled, by the number of the scan.
+    settled: BTreeMap<u32, String>,
+    by_then: ByThen,
     damages: usize,
     spoiled: usize,
+}
+
+/// Answers as they were when they were settled, or at the end of their scan.
+#[derive(Default)]
+struct ByThen {
+    settled: usize,
+    with_truth: usize,
+    right: usize,
+    used_s: f64,
+    whole_s: f64,
 }
 
 impl Listener for Tally {
     fn notice(&mut self, notice: &Notice) {
         match notice {
+            Notice::Guess(guess) if guess.settled => {
+                if let Some(first) = guess.named.first() {
+                    self.settled.entry(guess.scan).or_insert_with(|| first.surface.clone());
+                }
+            }
             Notice::Answer(answer) => self.answer(answer),
             Notice::Warning(text) => self.damage(text),
             _ => {}
@@ -42,6 +60,8 @@ impl Tally {
             with_truth: 0,
             right: 0,
             latencies_ms: Vec::new(),
+            settled: BTreeMap::new(),
+            by_then: ByThen::default(),
             damages: 0,
             spoiled: 0,
         }
@@ -54,6 +74,7 @@ impl Tally {
         let right = answer.truth.as_ref().map(|truth| answer.surface.as_ref() == Some(truth));
         self.with_truth += usize::from(right.is_some());
         self.right += usize::from(right == Some(true));
+        self.settled_answer(answer);
         for reason in &answer.spoiled {
             eprintln!("warning: scan {}: {reason}", answer.scan);
         }
@@ -62,6 +83,18 @@ impl Tally {
         }
         if self.each {
             self.tell(answer, right);
+        }
+    }
+
+    fn settled_answer(&mut self, answer: &Answer) {
+        let settled = self.settled.remove(&answer.scan);
+        let then = &mut self.by_then;
+        then.settled += usize::from(settled.is_some());
+        then.used_s += answer.settled_s.unwrap_or(answer.scan_s);
+        then.whole_s += answer.scan_s;
+        if let Some(truth) = &answer.truth {
+            then.with_truth += 1;
+            then.right += usize::from(settled.as_ref().or(answer.surface.as_ref()) == Some(truth));
         }
     }
 
@@ -123,6 +156,24 @@ impl Tally {
             );
         }
         eprintln!("latency  {median:.1} ms from the end of a scan to its name (median)");
+        let then = &self.by_then;
+        if then.settled > 0 {
+            let n = self.answers as f64;
+            eprintln!(
+                "settled  {} of {} scans before their end; {:.2} s of scan used in the mean, of \
+                 {:.2} s{}",
+                then.settled,
+                self.answers,
+                then.used_s / n,
+                then.whole_s / n,
+                if then.with_truth > 0 {
+                    let share = then.right as f64 / then.with_truth as f64;
+                    format!("; {} right by then", show::percent(share))
+                } else {
+                    String::new()
+                }
+            );
+        }
     }
 
     /// How the command ends, after `lost` samples were lost.

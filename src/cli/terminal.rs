@@ -14,7 +14,8 @@ use signal_hook::iterator::Signals;
 
 use super::{Failure, show, shown};
 use crate::device::DeviceState;
-use crate::scene::Phase;
+use crate::ring::Counts;
+use crate::scene::{Phase, SourceId};
 use crate::station::{Answer, Enrolled, LibraryState, Listener, Notice, Order};
 
 /// Who is told on stderr.
@@ -152,11 +153,13 @@ impl Listener for Terminal {
             Notice::Enrolled(enrolled) => self.enrolled(enrolled),
             Notice::Library(library) => self.library(library),
             Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Streams(_) | Notice::Trace(_) | Notice::Alive => return,
-            Notice::Finished(_) => {
-                let clear = if self.draws { "\r\x1b[2K" } else { "" };
-                eprint!("{clear}");
-                return;
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => return,
+            Notice::Finished(totals) => {
+                let stream = |(id, counts): (&SourceId, &Counts)| {
+                    format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)
+                };
+                let streams: Vec<_> = totals.streams.iter().map(stream).collect();
+                return self.say(&format!("received: {}", streams.join(", ")));
             }
         }
         self.draw();

@@ -3,9 +3,40 @@
 use ndarray::Array2;
 
 use super::sampling::{Extent, Positions};
-use super::{colour, spectrum};
+use super::{RecogniseError, colour, spectrum};
 use crate::scene::{Colour, Domain, SourceSpec};
-use crate::trial::{Image, Series, Signal};
+use crate::trial::{Image, Series, Signal, TrialKey};
+
+/// Checks that a signal of the trial `key` is of the kind, and has the channels, that the scene
+/// says.
+///
+/// # Errors
+/// If it does not.
+pub(super) fn check_signal(
+    spec: &SourceSpec,
+    signal: &Signal,
+    key: &TrialKey,
+) -> Result<(), RecogniseError> {
+    let kind = |found, expected| RecogniseError::Kind {
+        source_name: spec.id.clone(),
+        trial: key.to_string(),
+        found,
+        expected,
+    };
+    match (signal, spec.domain == Domain::Image) {
+        (Signal::Image(_), false) => Err(kind("an image", "a series")),
+        (Signal::Series(_), true) => Err(kind("a series", "an image")),
+        (Signal::Series(series), false) if series.channels() != spec.channels => {
+            Err(RecogniseError::Channels {
+                source_name: spec.id.clone(),
+                found: series.channels(),
+                expected: spec.channels,
+                trial: key.to_string(),
+            })
+        }
+        _ => Ok(()),
+    }
+}
 
 /// What can be sampled of one source.
 #[derive(Clone, Debug)]

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::RecogniseError;
+use super::domain::check_signal;
 use super::frames::{FrameView, VIEWS, ViewFrames};
 use super::pixels::PixelGrid;
 use super::slow::SlowSeries;
@@ -65,7 +66,7 @@ fn frame_source(
     signal: &Signal,
     key: &TrialKey,
 ) -> Result<FramedSource, RecogniseError> {
-    check(spec, signal, key)?;
+    check_signal(spec, signal, key)?;
     Ok(match signal {
         Signal::Image(image) => FramedSource {
             data: Framed::Pixels(PixelGrid::new(image)),
@@ -93,29 +94,6 @@ fn frame_source(
 fn views(rate_hz: f64, channels: usize, band_hz: (f64, f64)) -> Vec<FrameView> {
     let view = |(frame_s, bands)| FrameView::new(rate_hz, channels, band_hz, frame_s, bands);
     VIEWS.into_iter().map(view).collect()
-}
-
-/// Checks a signal against the scene's words.
-fn check(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<(), RecogniseError> {
-    let kind = |found, expected| RecogniseError::Kind {
-        source_name: spec.id.clone(),
-        trial: key.to_string(),
-        found,
-        expected,
-    };
-    match (signal, spec.domain == Domain::Image) {
-        (Signal::Image(_), false) => Err(kind("an image", "a series")),
-        (Signal::Series(_), true) => Err(kind("a series", "an image")),
-        (Signal::Series(series), false) if series.channels() != spec.channels => {
-            Err(RecogniseError::Channels {
-                source_name: spec.id.clone(),
-                found: series.channels(),
-                expected: spec.channels,
-                trial: key.to_string(),
-            })
-        }
-        _ => Ok(()),
-    }
 }
 
 /// A library sorted by key, so that nothing depends on the order it came in.
@@ -208,7 +186,7 @@ impl FramedStream {
     /// or if its rate changes while the scan goes on.
     pub fn push(&mut self, id: &SourceId, signal: &Signal) -> Result<(), RecogniseError> {
         let Some(spec) = self.scene.get(id.as_str()) else { return Ok(()) };
-        check(spec, signal, &self.key)?;
+        check_signal(spec, signal, &self.key)?;
         let Signal::Series(series) = signal else {
             let source = frame_source(spec, signal, &self.key)?;
             let stream = SourceStream { source, channels: 0, samples: 0, pending: Vec::new() };

@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use rayon::prelude::*;
 
 use super::RecogniseError;
-use super::domain::DomainSamples;
+use super::domain::{DomainSamples, check_signal};
 use super::samples::SampleSet;
 use crate::library::Entry;
-use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
@@ -24,7 +24,7 @@ pub(super) struct Cut {
 /// A source, its rate and frames if it is a series, and its sets.
 pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of one source stay in memory beside the trial's own.
+/// How many lengths of one source stay in memory beside the trial's own; `chart` asks for as many.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths that were asked for, in frames.
@@ -55,7 +55,11 @@ impl PreparedTrial {
             .collect();
         let made = (known.par_iter())
             .map(|(_, signal, spec)| {
-                let shape = shape(spec, signal, &entry.key)?;
+                check_signal(spec, signal, &entry.key)?;
+                let shape = match signal {
+                    Signal::Image(_) => None,
+                    Signal::Series(series) => Some((series.rate_hz(), series.frames())),
+                };
                 let frames = shape.map_or(0, |(_, frames)| frames);
                 let content = if hashed { signal.content_hash() } else { 0 };
                 Ok((shape, content, (frames, Arc::new(cut(spec, signal, frames)))))
@@ -146,34 +150,6 @@ impl PreparedTrial {
     fn lock(&self) -> std::sync::MutexGuard<'_, Cuts> {
         // A thread that panicked while it held the lock left at most a cut unsaved.
         self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Checks a signal against the scene's words; gives rate and frames of a series.
-fn shape(
-    spec: &SourceSpec,
-    signal: &Signal,
-    key: &TrialKey,
-) -> Result<Option<(f64, usize)>, RecogniseError> {
-    let kind = |found, expected| RecogniseError::Kind {
-        source_name: spec.id.clone(),
-        trial: key.to_string(),
-        found,
-        expected,
-    };
-    match (signal, spec.domain == Domain::Image) {
-        (Signal::Image(_), true) => Ok(None),
-        (Signal::Image(_), false) => Err(kind("an image", "a series")),
-        (Signal::Series(_), true) => Err(kind("a series", "an image")),
-        (Signal::Series(series), false) if series.channels() != spec.channels => {
-            Err(RecogniseError::Channels {
-                source_name: spec.id.clone(),
-                found: series.channels(),
-                expected: spec.channels,
-                trial: key.to_string(),
-            })
-        }
-        (Signal::Series(series), false) => Ok(Some((series.rate_hz(), series.frames()))),
     }
 }
 

@@ -19,7 +19,7 @@ use image::ImageEncoder;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
-use crate::trial::{Image, Series, Signal, Trial};
+use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// What is written beside a trial's data, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,9 +78,9 @@ pub fn write_trial(
         let problem = "a trial needs the name of its surface and of its user; one of them is empty";
         return Err(LibraryError::file(dir, problem));
     }
+    let folder = trial_folder(dir, key);
     let surface = dir.join(folder_name::encode(&key.surface));
-    let name = format!("{}-{:02}", folder_name::encode(&key.user), key.number);
-    let folder = surface.join(&name);
+    let name = trial_name(key);
     let taken = || {
         LibraryError::file(
             &folder,
@@ -118,6 +118,15 @@ pub fn write_trial(
         sync_folder(dir)?;
     }
     Ok(folder)
+}
+
+/// The folder that a trial of this name is written into.
+pub fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
+    dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
+}
+
+fn trial_name(key: &TrialKey) -> String {
+    format!("{}-{:02}", folder_name::encode(&key.user), key.number)
 }
 
 fn write_files(

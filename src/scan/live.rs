@@ -16,6 +16,9 @@ use crate::scene::{Phase, SourceId};
 
 /// A stream that brought nothing for so long is not listened to, in seconds.
 const SILENT_S: f64 = 0.5;
+/// A drag of which nothing was heard for so long is over, in seconds: longer than any machine keeps
+/// a driver waiting.
+const GONE_S: f64 = 3.0;
 /// The largest offset between two devices that a tap can show, in seconds.
 const LARGEST_OFFSET_S: f64 = 0.3;
 /// A tap's source begins so long before its onset, in seconds, and lasts as in LMT108.
@@ -110,7 +113,8 @@ impl Live {
         for at in 0..self.groups.len() {
             let alive = |stream: usize| now_s - self.ends[stream].1 <= SILENT_S;
             let mut found = self.groups[at].listen(streams, alive);
-            if !self.groups[at].ears.iter().any(|(stream, _)| alive(*stream)) {
+            let gone = |stream: usize| now_s - self.ends[stream].1 > GONE_S;
+            if self.groups[at].ears.iter().all(|(stream, _)| gone(*stream)) {
                 let last = self.groups[at].detector.finish();
                 if self.leads(at) && last.is_some_and(|last| self.groups[at].cut_off(last)) {
                     marks.push(Mark::Spoil { why: "its data stopped before it was over".into() });
@@ -283,7 +287,8 @@ impl Live {
     fn index(&self, lead: usize, hop: u64, stream: &SourceId, streams: &[Stream]) -> Option<u64> {
         let at = streams.iter().position(|other| other.id() == stream)?;
         let group = &self.groups[lead];
-        if group.ears.iter().any(|(ear, _)| *ear == at) {
+        let heard = &streams[group.ears[0].0];
+        if streams[at].device == heard.device && streams[at].rate_hz() == heard.rate_hz() {
             return Some(group.frame(hop));
         }
         let offset_s = (self.groups.iter())

@@ -14,7 +14,7 @@ use super::live::{Cue, Detection, Live};
 use super::outbox::Outbox;
 use super::stream::Stream;
 use super::{Event, Totals};
-use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind};
+use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind, StreamSpec};
 use crate::ring::{self, Bell, Counts, Meter, Sink, Stop};
 use crate::scene::SourceId;
 
@@ -137,13 +137,13 @@ impl Session {
         let outbox = Outbox::new(tell, stop.clone(), waits);
         let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
         let mut ready = Vec::new();
-        for device in devices {
+        for (number, device) in devices.into_iter().enumerate() {
             let mut sinks = Vec::new();
             for spec in device.streams() {
                 if !names.insert(spec.id.clone()) {
                     return Err(SessionError::SameStream(spec.id));
                 }
-                let (sink, stream) = join(spec.id.clone(), spec.kind, &options, bell.clone());
+                let (sink, stream) = join(&spec, number, &options, bell.clone());
                 let (device, meter) = (device.name().to_string(), stream.meter().clone());
                 meters.push(StreamMeter { id: spec.id, device, meter });
                 sinks.push(sink);
@@ -272,16 +272,17 @@ fn check(options: &Options) -> Result<(), SessionError> {
     Ok(())
 }
 
-fn join(id: SourceId, kind: StreamKind, options: &Options, bell: Bell) -> (Sink, Stream) {
-    match kind {
+fn join(spec: &StreamSpec, device: usize, options: &Options, bell: Bell) -> (Sink, Stream) {
+    let id = spec.id.clone();
+    match spec.kind {
         StreamKind::Series { channels, rate_hz } => {
             let capacity = (options.ring_s * rate_hz).ceil() as usize;
             let (sink, tap) = ring::series(channels, capacity, bell);
-            (Sink::Series(sink), Stream::series(id, tap, rate_hz))
+            (Sink::Series(sink), Stream::series(id, device, tap, rate_hz))
         }
         StreamKind::Images => {
             let (sink, tap) = ring::images(options.ring_images, bell);
-            (Sink::Images(sink), Stream::images(id, tap))
+            (Sink::Images(sink), Stream::images(id, device, tap))
         }
     }
 }

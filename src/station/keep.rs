@@ -10,7 +10,7 @@ use crossbeam_channel::{Receiver, Sender};
 use super::enroll::{Wish, faults};
 use super::notice::Enrolled;
 use crate::library::{About, LibraryError, recording};
-use crate::record::{TrialOptions, utc, write_trial};
+use crate::record::{TrialOptions, trial_folder, utc, write_trial};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
@@ -114,7 +114,13 @@ impl Keep {
         if !numbers.contains_key(&of) {
             *numbers = self.numbers()?;
         }
-        let number = numbers.get(&of).copied().unwrap_or(1);
+        let mut key =
+            TrialKey::new(&wish.surface, &wish.user, numbers.get(&of).copied().unwrap_or(1));
+        // One that is incomplete is no entry of the library, but has its folder.
+        while trial_folder(&self.folder, &key).exists() {
+            key.number += 1;
+        }
+        let number = key.number;
         let took = scan.ended_at.elapsed().as_secs_f64() + scan.scan_s;
         let began = SystemTime::now() - std::time::Duration::from_secs_f64(took.max(0.0));
         let about = About {
@@ -126,7 +132,6 @@ impl Keep {
             devices: self.devices.clone(),
             ..About::default()
         };
-        let key = TrialKey::new(&wish.surface, &wish.user, number);
         let trial = Trial { key, signals: scan.trial.signals };
         let options = TrialOptions { about, durable: true };
         let folder = write_trial(&self.folder, &trial, &self.scene, &options)?;

@@ -36,16 +36,21 @@ impl Needs {
         Self { scene, report: report(&library, &question, |_, _| {}).ok() }
     }
 
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
     /// Whether a source is a switch, which rests at one value most of the time.
     pub fn is_switch(&self, id: &SourceId) -> bool {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The longest scan that any source asks for on the surface that was named, in seconds.
-    pub fn scan_s(&self, ranking: &Ranking) -> Option<f64> {
+    /// The longest scan that any of some sources asks for on a surface, in seconds.
+    pub fn scan_s(&self, surface: &str, sources: &[SourceId]) -> Option<f64> {
         let report = self.report.as_ref()?;
-        (ranking.sources.iter())
-            .filter_map(|id| report.need(ranking.surface(), id.as_str()))
+        (sources.iter())
+            .filter_map(|id| report.need(surface, id.as_str()))
             .map(|need| need.scan_s())
             .max_by(f64::total_cmp)
     }

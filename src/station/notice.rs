@@ -79,6 +79,13 @@ pub struct Guess {
     pub needed_s: Option<f64>,
 }
 
+impl Guess {
+    /// A scan of which nothing can be said yet.
+    pub fn nothing(scan: u32, scan_s: f64) -> Self {
+        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None }
+    }
+}
+
 /// The library that scans are compared with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LibraryState {

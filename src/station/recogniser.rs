@@ -6,7 +6,10 @@ use std::sync::Arc;
 use super::need::Needs;
 use super::notice::LibraryState;
 use crate::library::Entry;
-use crate::recognise::{Method, Ranking, RecogniseError};
+use crate::recognise::{
+    Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
+    without_flawed,
+};
 use crate::scan::Scan;
 use crate::trial::{Signal, TrialKey, flaws};
 
@@ -15,6 +18,8 @@ use crate::trial::{Signal, TrialKey, flaws};
 pub struct Verdict {
     /// The library's surfaces, the most alike first.
     pub ranking: Ranking,
+    /// It is none of them.
+    pub unknown: bool,
     /// Scan duration that 400 samples T* apart need on the first one, in seconds.
     pub needed_s: Option<f64>,
     /// For people: what is not perfect about the scan, a line each.
@@ -29,6 +34,12 @@ pub trait Recogniser: Send + Sync {
     /// If the scan has no source in common with the library, or does not fit the scene.
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError>;
 
+    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
+    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>>;
+
+    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
+    fn needed_s(&self, surface: &str) -> Option<f64>;
+
     /// For people: what scans are compared with.
     fn library(&self) -> LibraryState;
 }
@@ -39,8 +50,10 @@ pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Syn
 /// A method and the models that it made.
 pub struct ByMethod<M: Method> {
     method: M,
-    models: Vec<M::Model>,
+    models: Vec<Arc<M::Model>>,
     model_of: BTreeMap<TrialKey, usize>,
+    /// How scans are followed with each model.
+    following: Vec<FollowOptions>,
     needs: Needs,
     library: LibraryState,
 }
@@ -63,7 +76,38 @@ impl<M: Method> ByMethod<M> {
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
-        Self { method, models, model_of, needs, library }
+        let following = vec![FollowOptions::default(); models.len()];
+        let models = models.into_iter().map(Arc::new).collect();
+        Self { method, models, model_of, following, needs, library }
+    }
+
+    /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
+    /// rests on, for each model.
+    ///
+    /// # Errors
+    /// If the method has no measure of fit, or a library has too few trials; no scan is called
+    /// unknown then.
+    pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+        let rejections = self.models.iter().map(|model| self.method.rejection(model, rate));
+        let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
+        for (following, rejection) in self.following.iter_mut().zip(&rejections) {
+            following.rejection = Some(rejection.clone());
+        }
+        Ok(rejections)
+    }
+
+    /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
+    /// scan waits for it. Says what was found; nothing, if the method cannot follow scans.
+    pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
+        self.following.iter_mut().for_each(|following| following.loss = loss);
+        let with_options = self.models.iter().zip(&self.following);
+        let followers = with_options.filter_map(|(m, options)| self.method.follow(m, options));
+        followers.map(|follower| follower.settling().clone()).collect()
+    }
+
+    /// The model of a scan. The truth only says which library it is not part of.
+    fn model(&self, truth: Option<&TrialKey>) -> usize {
+        truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
 
     /// Flaws of the scan's channels, and samples closer than T*.
@@ -74,7 +118,9 @@ impl<M: Method> ByMethod<M> {
             if let Signal::Series(series) = signal
                 && !self.needs.is_switch(id)
             {
-                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}")));
+                let left_out =
+                    if ranking.sources.contains(id) { "" } else { "; the source is left out" };
+                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
             }
         }
         remarks.extend(self.needs.warnings(ranking, scan.scan_s));
@@ -84,15 +130,24 @@ impl<M: Method> ByMethod<M> {
 
 impl<M: Method> Recogniser for ByMethod<M> {
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
-        // What came out of the rings, and nothing else; the truth only says which library it is
-        // not part of.
-        let fold = scan.truth.as_ref().and_then(|key| self.model_of.get(key));
-        let model = &self.models[fold.copied().unwrap_or(0)];
-        let trial = Arc::new(scan.trial.clone());
+        let at = self.model(scan.truth.as_ref());
+        // What came out of the rings, and nothing else; less what no comparison should see.
+        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
         let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
-        let ranking = self.method.rank(model, &query)?;
-        let needed_s = self.needs.scan_s(&ranking);
-        Ok(Verdict { needed_s, remarks: self.remarks(scan, &ranking), ranking })
+        let ranking = self.method.rank(&self.models[at], &query)?;
+        let rejection = self.following[at].rejection.as_ref();
+        let unknown = ranking.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
+        Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
+    }
+
+    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+        let at = self.model(truth);
+        self.method.follow(&self.models[at], &self.following[at])
+    }
+
+    fn needed_s(&self, surface: &str) -> Option<f64> {
+        self.needs.scan_s(surface, &self.library.sources)
     }
 
     fn library(&self) -> LibraryState {

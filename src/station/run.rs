@@ -9,7 +9,7 @@ use super::enroll::{Enrolling, Wish};
 use super::keep::{Keep, Keeper};
 use super::notice::{Enrolled, Guess, LibraryState, Listener, Notice, Order};
 use super::recogniser::{Load, Recogniser};
-use super::worker::{Named, Work, Worker};
+use super::worker::{Job, Told, Work, Worker};
 use crate::device::Device;
 use crate::scan::{Cue, Event, Options, Scan, Session, SessionError, Totals};
 
@@ -133,7 +133,8 @@ struct Run<'a> {
     naming: Naming,
     load: Option<Load>,
     loading: Option<Receiver<Loaded>>,
-    pending: VecDeque<Box<Scan>>,
+    /// What the worker has had no time for yet.
+    pending: VecDeque<Job>,
     enrolling: Option<Enrolling>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
@@ -158,7 +159,7 @@ impl Run<'_> {
             // A recording waits until its scans are named; nothing else may be kept waiting.
             let reads = !finished && !(self.waits && !self.pending.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
-            let named = self.worker.named.clone();
+            let told = self.worker.told.clone();
             let kept = self.keeper.as_ref().map_or_else(never, |keeper| keeper.kept.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);
             select! {
@@ -167,7 +168,7 @@ impl Run<'_> {
                     Ok(Event::Finished(_)) | Err(_) => finished = true,
                     Ok(event) => self.event(event),
                 },
-                recv(named) -> named => if let Ok(named) = named { self.tell(answer(named)) },
+                recv(told) -> told => if let Ok(told) = told { self.tell(notice(told)) },
                 recv(kept) -> kept => if let Ok(kept) = kept { self.kept(kept) },
                 recv(loaded) -> loaded => {
                     self.loading = None;
@@ -183,7 +184,7 @@ impl Run<'_> {
     fn finish(self) -> Result<Totals, SessionError> {
         let Self { session, worker, keeper, mut listeners, mut enrolling, .. } = self;
         let mut tell = |notice: Notice| listeners.iter_mut().for_each(|one| one.notice(&notice));
-        worker.finish().for_each(|named| tell(answer(named)));
+        worker.finish().for_each(|told| tell(notice(told)));
         for kept in keeper.into_iter().flat_map(Keeper::finish) {
             tell(Notice::Enrolled(Enrolling::count(&mut enrolling, kept)));
         }
@@ -196,13 +197,7 @@ impl Run<'_> {
         match event {
             Event::Scan(scan) => self.scan(scan),
             Event::Phase { scan, phase } => self.tell(Notice::Phase { scan, phase }),
-            Event::Progress(progress) => self.tell(Notice::Guess(Guess {
-                scan: progress.number,
-                scan_s: progress.scan_s,
-                named: Vec::new(),
-                settled: false,
-                needed_s: None,
-            })),
+            Event::Progress(progress) => self.pending.push_back(Job::Progress(progress)),
             Event::Trace(trace) => self.tell(Notice::Trace(Arc::new(trace))),
             Event::Device { device, state, detail } => {
                 self.tell(Notice::Device { device, state, detail });
@@ -219,27 +214,36 @@ impl Run<'_> {
         {
             return keeper.keep(scan, wish);
         }
-        self.pending.push_back(scan);
-        if self.pending.len() > BACKLOG && !self.waits {
-            if let Some(scan) = self.pending.pop_front() {
+        self.pending.push_back(Job::Scan(scan));
+        let waiting = self.pending.iter().filter(|job| matches!(job, Job::Scan(_))).count();
+        if waiting <= BACKLOG || self.waits {
+            return;
+        }
+        // The oldest scan goes, and all that was to be said before its end.
+        while let Some(job) = self.pending.pop_front() {
+            if let Job::Scan(scan) = job {
                 self.warn(format!("scan {} was not named: too many wait for it", scan.number));
+                return;
             }
         }
     }
 
-    /// Hands scans to the worker, as far as it takes them.
+    /// Hands on to the worker, as far as it takes it.
     fn hand_on(&mut self) {
-        while let Some(scan) = self.pending.pop_front() {
-            match &self.naming {
-                Naming::Loading => return self.pending.push_front(scan),
-                Naming::None(why) => {
+        while let Some(job) = self.pending.pop_front() {
+            match (&self.naming, job) {
+                (Naming::Loading, job) => return self.pending.push_front(job),
+                (Naming::None(why), Job::Scan(scan)) => {
                     let text = format!("scan {} was not named: {why}", scan.number);
                     self.warn(text);
                 }
-                Naming::Ready(by) => {
-                    let work = Work { scan, by: by.clone() };
+                (Naming::None(_), Job::Progress(progress)) => {
+                    self.tell(Notice::Guess(Guess::nothing(progress.number, progress.scan_s)));
+                }
+                (Naming::Ready(by), job) => {
+                    let work = Work { job, by: by.clone() };
                     if let Err(back) = self.worker.work.try_send(work) {
-                        return self.pending.push_front(back.into_inner().scan);
+                        return self.pending.push_front(back.into_inner().job);
                     }
                 }
             }
@@ -316,9 +320,10 @@ impl Run<'_> {
     }
 }
 
-fn answer(named: Named) -> Notice {
-    match named {
-        Ok(answer) => Notice::Answer(Arc::new(answer)),
-        Err(problem) => Notice::Warning(problem),
+fn notice(told: Told) -> Notice {
+    match told {
+        Told::Named(Ok(answer)) => Notice::Answer(answer),
+        Told::Named(Err(problem)) => Notice::Warning(problem),
+        Told::Guess(guess) => Notice::Guess(guess),
     }
 }

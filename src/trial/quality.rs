@@ -1,7 +1,7 @@
 //! Flaws that a person with the cable in hand would want to hear of: a channel that is stuck, or
 //! one that runs into its limits.
 
-use super::Series;
+use super::{Image, Series};
 
 /// What is wrong with one channel of a series.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,6 +12,15 @@ pub enum Flaw {
         channel: usize,
         /// that value
         value: f32,
+    },
+    /// From some sample on every sample has the same value.
+    Stuck {
+        /// channel, counted from 1
+        channel: usize,
+        /// that value
+        value: f32,
+        /// share of samples that have it, 0 to 1
+        share: f64,
     },
     /// The channel rests at its highest or lowest value too often to be chance.
     Saturated {
@@ -28,6 +37,12 @@ impl std::fmt::Display for Flaw {
             Self::Constant { channel, value } => {
                 write!(f, "channel {channel} is stuck at {value}; check its cable")
             }
+            Self::Stuck { channel, value, share } => write!(
+                f,
+                "channel {channel} is stuck at {value} for the last {:.0} % of the scan; check its \
+                 cable",
+                share * 100.0
+            ),
             Self::Saturated { channel, share } => write!(
                 f,
                 "channel {channel} is saturated: {:.1} % of its samples are at its limit; lower \
@@ -42,12 +57,20 @@ impl std::fmt::Display for Flaw {
 const FEWEST_VALUES: usize = 16;
 /// So many samples in a row at a limit are no chance.
 const RUN: usize = 3;
+/// A channel that rests for so large a share at the end of a scan is stuck.
+const STUCK: f64 = 0.5;
 /// Share of samples in such runs that makes a flaw.
 const SHARE: f64 = 0.02;
 
 /// The flaws of a series, channel by channel.
 pub fn flaws(series: &Series) -> Vec<Flaw> {
     (0..series.channels()).filter_map(|channel| flaw(series, channel)).collect()
+}
+
+/// Whether a picture is of one colour throughout: a covered lens, or a camera that gives nothing.
+pub fn is_plain(image: &Image) -> bool {
+    let first = &image.rgb()[..3];
+    image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }
 
 fn flaw(series: &Series, channel: usize) -> Option<Flaw> {
@@ -66,6 +89,12 @@ fn flaw(series: &Series, channel: usize) -> Option<Flaw> {
     }
     if seen.len() < FEWEST_VALUES {
         return None;
+    }
+    let last = samples[samples.len() - 1];
+    let resting = samples.iter().rev().take_while(|x| **x == last).count();
+    let share = resting as f64 / samples.len() as f64;
+    if share >= STUCK {
+        return Some(Flaw::Stuck { channel: channel + 1, value: last, share });
     }
     let (mut at_limit, mut run) = (0, 0);
     for &x in samples {

@@ -3,12 +3,18 @@
 #![allow(dead_code)] // Not every test binary uses all of it.
 
 pub mod http;
+pub mod replayed;
 pub mod scripted;
+#[cfg(feature = "microphone")]
+pub mod sound;
 pub mod stylus;
 
 use std::path::{Path, PathBuf};
 
-use surfaced::scene::SourceId;
+use surfaced::dataset;
+use surfaced::evaluate::{self, Fold, Protocol};
+use surfaced::library::{Entry, Library, LibraryError};
+use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// A file or folder of the shared material, such as `data/lmt108_surfaces.txt`, or `None` where it
@@ -40,6 +46,20 @@ pub fn shared(relative: &str) -> Option<PathBuf> {
 /// The real recordings, see [`shared`].
 pub fn shared_lmt108() -> Option<PathBuf> {
     shared("data/LMT_108_SurfaceMaterials_Database")
+}
+
+/// Entries of the real sounds, and the first folds of leave-one-trial-out; see [`shared`].
+pub fn real_sounds(folds: usize) -> Option<(Scene, Vec<Entry>, Vec<Fold>)> {
+    let library = dataset::open(&shared_lmt108()?, &Scene::lmt108()).unwrap();
+    let scene = library.scene.clone().only(&[id("mi2")]).unwrap();
+    let entries: Vec<Entry> = (library.entries.into_iter())
+        .map(|entry| entry.within(&scene))
+        .filter(|entry| !entry.sources.is_empty())
+        .collect();
+    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let mut all = evaluate::folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
+    all.truncate(folds);
+    Some((scene, entries, all))
 }
 
 /// A source's name.
@@ -97,4 +117,28 @@ pub fn write_wav(path: &Path, rate_hz: u32, channels: u16, samples: &[i16]) {
 pub fn write_file(path: &Path, bytes: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(path, bytes).unwrap();
+}
+
+/// An empty folder for a library; it is removed with the first of the two.
+pub fn temp() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("library");
+    std::fs::create_dir(&path).unwrap();
+    (dir, path)
+}
+
+/// Opens recordings of any form with the default scene.
+pub fn open(path: &Path) -> Result<Library, LibraryError> {
+    surfaced::dataset::open(path, &Scene::lmt108())
+}
+
+/// Asserts that a message holds all `parts`.
+///
+/// # Panics
+/// If it does not.
+#[track_caller]
+pub fn says(message: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(message.contains(part), "`{part}` is not in: {message}");
+    }
 }

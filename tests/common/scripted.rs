@@ -63,7 +63,9 @@ pub fn scan(trial: &Trial, drag_s: f64, noise: &mut Noise) -> Vec<Sample> {
             let hit = swing * (-t / 0.01).exp() * (std::f64::consts::TAU * 300.0 * t).sin();
             let ac = gravity.map(|g| g + hit + 1e-4 * noise.next());
             let pressed = if swing > 0.0 { 0.1 } else { 0.0 };
-            samples.push(converted(ac, [pressed; 2], 0.0, 0.0));
+            // No sensor rests at the very end of its range.
+            let fr = [0, 1].map(|_| pressed + 3e-3 + 3e-4 * noise.next());
+            samples.push(converted(ac, fr, 3e-3 + 3e-4 * noise.next(), 0.0));
         }
     };
     hold(REST_S, 0.0, noise, &mut samples);

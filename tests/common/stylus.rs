@@ -35,6 +35,8 @@ pub struct Fake {
     pub commands: Vec<Command>,
     /// What one step of each channel of [`NAMES`] is worth.
     pub scales: [f32; 7],
+    /// Samples as many times as fast.
+    pub speed: f64,
     values: Values,
 }
 
@@ -61,6 +63,7 @@ impl Fake {
             deaf: 0,
             commands,
             scales: [1.0; 7],
+            speed: 1.0,
             values,
         }
     }
@@ -138,14 +141,14 @@ impl Fake {
     /// Samples in real time, and obeys.
     pub fn serve(&mut self, seconds: f64) {
         let (begin, mut sent) = (Instant::now(), 0);
+        let rate_hz = RATE_HZ as f64 * self.speed;
         while begin.elapsed().as_secs_f64() < seconds {
             self.heed();
+            let due = (begin.elapsed().as_secs_f64() * rate_hz) as u64;
             if self.next.is_none() {
-                sent = (begin.elapsed().as_secs_f64() * RATE_HZ as f64) as u64;
+                sent = due;
             }
-            while self.next.is_some()
-                && sent < (begin.elapsed().as_secs_f64() * RATE_HZ as f64) as u64
-            {
+            while self.next.is_some() && sent < due {
                 self.samples(32);
                 sent += 32;
             }

@@ -60,11 +60,12 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
 
 /// Light on red, green and blue; 1 is the expert's room.
 fn illumination(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> [f64; 3] {
-    if flash {
-        return [draws.value("flash", d.flash).exp(); 3];
-    }
-    let light = draws.value("light", d.light).exp();
-    let warmth = draws.value("warmth", d.warmth);
+    let (light, warmth) = if flash {
+        (draws.value("flash", d.flash), draws.value("flash warmth", d.flash_warmth))
+    } else {
+        (draws.value("light", d.light), draws.value("warmth", d.warmth))
+    };
+    let light = light.exp();
     [light * (0.5 * warmth).exp(), light, light * (-0.5 * warmth).exp()]
 }
 

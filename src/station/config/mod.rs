@@ -2,6 +2,7 @@
 //! program works with.
 
 mod file;
+mod only;
 mod resolve;
 
 use std::net::SocketAddr;

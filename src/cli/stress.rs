@@ -1,0 +1,155 @@
+//! `surfaced stress`: every method, disturbed until it breaks.
+
+use std::path::{Path, PathBuf};
+
+use super::method::{MethodArgs, WithMethod, at_least_one};
+use super::{Done, Failure, SourceArgs, show};
+use crate::evaluate::stress::{
+    self, Disturbance, Measure, MethodReport, Plan, Report, disturb, figure,
+};
+use crate::evaluate::{self, EvaluateError, Protocol};
+use crate::library::Entry;
+use crate::recognise::{Method, MethodName};
+use crate::scene::SourceSpec;
+use crate::trial::EXPERT;
+
+/// Disturb queries, and the library, until each method breaks
+///
+/// Writes a chart of the accuracy (and beside it NAME-unknown.svg and NAME-calibration.svg, for the
+/// rejection of unknown surfaces and for stated probabilities) and the numbers as JSON; says as a
+/// Markdown table where each method loses 5 points. `reference` runs with --halving.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
+                        mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
+                        dead-sensors,gain --methods embedding,svm")]
+pub struct Args {
+    /// Recordings: a library, or the LMT108 database
+    lib: PathBuf,
+    /// Picture to write, an SVG; the JSON and the other pictures go beside it
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// How queries and library are split (default: users against the expert where there are users)
+    #[arg(long, value_enum)]
+    protocol: Option<Protocol>,
+    #[command(flatten)]
+    sources: SourceArgs,
+    /// Methods, with commas between them (default: all)
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
+    methods: Vec<MethodName>,
+    /// Disturbances, with commas between them (default: all that the data can show)
+    #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
+    only: Vec<String>,
+    /// Queries at most
+    #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
+    queries: usize,
+    /// Compare sources with a dead or stuck sensor all the same, instead of leaving them out
+    #[arg(long)]
+    keep_flawed: bool,
+    /// Seed of the disturbances
+    #[arg(long, default_value_t = 1, value_name = "SEED")]
+    seed: u64,
+    /// Print the JSON on stdout, too
+    #[arg(long)]
+    json: bool,
+}
+
+struct Run<'a>(&'a Plan<'a>);
+
+impl WithMethod for Run<'_> {
+    type Output = Result<MethodReport, EvaluateError>;
+
+    fn with(self, method: impl Method + 'static) -> Self::Output {
+        let steps = show::Steps::new();
+        stress::run(&method, self.0, &|step, done, of| steps.tell(step, done, of))
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let library = super::open(&args.lib)?;
+    let scene = args.sources.narrow(library.scene.clone())?;
+    let entries: Vec<Entry> = (library.entries.iter())
+        .map(|entry| entry.clone().within(&scene))
+        .filter(|entry| !entry.sources.is_empty())
+        .collect();
+    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let has_users = keys.iter().any(|key| key.user != EXPERT);
+    let protocol = args.protocol.unwrap_or(if has_users {
+        Protocol::ExpertVsUsers
+    } else {
+        Protocol::LeaveOneTrialOut
+    });
+    let folds = Plan::limited(evaluate::folds(protocol, &keys)?, args.queries);
+    let held: Vec<&SourceSpec> = (scene.sources())
+        .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
+        .collect();
+    let disturbances = chosen(&args.only, &held)?;
+    let plan = Plan {
+        scene: &scene,
+        entries: &entries,
+        folds: &folds,
+        disturbances: &disturbances,
+        seed: args.seed,
+        keep_flawed: args.keep_flawed,
+    };
+    let mut report = Report {
+        data: library.name.clone(),
+        synthetic: library.synthetic,
+        protocol: protocol.name().into(),
+        sources: held.iter().map(|spec| spec.id.to_string()).collect(),
+        queries: folds.iter().map(|fold| fold.queries.len()).sum(),
+        unknown_queries: (folds.iter().flat_map(|fold| &fold.queries))
+            .filter(|query| plan.is_unknown(**query))
+            .count(),
+        keep_flawed: args.keep_flawed,
+        methods: Vec::new(),
+    };
+    let methods: &[MethodName] =
+        if args.methods.is_empty() { MethodName::all() } else { &args.methods };
+    for (done, method) in methods.iter().enumerate() {
+        eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
+        report.methods.push(MethodArgs::quick(*method).apply(&scene, Run(&plan))?);
+        // What is done stays, should a later method fail or a person lose patience.
+        write(&args.out, &report)?;
+    }
+    eprintln!("\n{}", report.markdown());
+    if args.json {
+        show::json(&report);
+    }
+    Ok(())
+}
+
+fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Failure> {
+    let all = disturb::all();
+    if let Some(unknown) = only.iter().find(|name| !all.iter().any(|d| d.name == **name)) {
+        let known: Vec<_> = all.iter().map(|d| d.name).collect();
+        return Err(Failure::Usage(format!(
+            "no disturbance `{unknown}`; there are {}",
+            known.join(", ")
+        )));
+    }
+    let wanted = |d: &Disturbance| only.is_empty() || only.iter().any(|name| name == d.name);
+    let found: Vec<_> = all.into_iter().filter(|d| wanted(d) && d.fits(held)).collect();
+    if found.is_empty() {
+        return Err(Failure::Usage("these disturbances change nothing of these sources".into()));
+    }
+    Ok(found)
+}
+
+fn write(out: &Path, report: &Report) -> Done {
+    let to = |path: PathBuf, text: String| {
+        std::fs::write(&path, text)
+            .map_err(|error| Failure::Failed(format!("{}: {error}", path.display())))
+    };
+    to(out.to_path_buf(), figure(report, Measure::Accuracy)?)?;
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    for (name, measure) in
+        [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
+    {
+        // Where no method states a probability there is nothing to draw.
+        if let Ok(svg) = figure(report, measure) {
+            to(out.with_file_name(format!("{stem}-{name}.svg")), svg)?;
+        }
+    }
+    to(out.with_extension("json"), serde_json::to_string_pretty(report)?)
+}

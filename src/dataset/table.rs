@@ -1,0 +1,127 @@
+//! Feature tables: trials of which only hand-made features are known, as CSV files.
+//!
+//! Each file is a source, named by the file: a header that begins with `file,surface,split,trial`,
+//! then one line a trial with the names' values and a number for each feature. Split `train` is
+//! the expert; any other is the user with the trial's number.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::library::LibraryError;
+use crate::library::files::{self, Listed};
+use crate::scene::SourceId;
+use crate::trial::{EXPERT, TrialKey};
+
+/// What every header begins with.
+const NAMES: &str = "file,surface,split,trial,";
+
+/// Feature tables of some trials.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureTables {
+    /// For people.
+    pub name: String,
+    /// The sources: the names of the files.
+    pub sources: Vec<SourceId>,
+    /// The features of each trial, source by source, in the order of the columns.
+    pub trials: BTreeMap<TrialKey, BTreeMap<SourceId, Vec<f64>>>,
+}
+
+/// Opens the feature tables in a folder; nothing if it holds none.
+///
+/// # Errors
+/// If one cannot be read, has a line of another length than its header, a value that is no finite
+/// number, or a trial twice.
+pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
+    let is_csv = |item: &Listed| !item.is_dir && item.name.ends_with(".csv");
+    let mut tables = FeatureTables {
+        name: folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned(),
+        sources: Vec::new(),
+        trials: BTreeMap::new(),
+    };
+    for item in files::list(folder)?.iter().filter(|item| is_csv(item)) {
+        let text = std::fs::read_to_string(&item.path)
+            .map_err(|error| LibraryError::Io { path: item.path.clone(), error })?;
+        if text.starts_with(NAMES) {
+            let stem = item.name.trim_end_matches(".csv");
+            let id = SourceId::new(stem)
+                .map_err(|error| LibraryError::file(&item.path, error.to_string()))?;
+            read(&text, &id, &mut tables.trials)
+                .map_err(|problem| LibraryError::file(&item.path, problem))?;
+            tables.sources.push(id);
+        }
+    }
+    Ok((!tables.trials.is_empty()).then_some(tables))
+}
+
+fn read(
+    text: &str,
+    id: &SourceId,
+    trials: &mut BTreeMap<TrialKey, BTreeMap<SourceId, Vec<f64>>>,
+) -> Result<(), String> {
+    let mut lines = text.lines().enumerate().map(|(i, line)| (i + 1, line));
+    let columns = lines.next().map_or(0, |(_, header)| header.split(',').count());
+    for (number, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
+        let fields: Vec<&str> = line.split(',').collect();
+        if fields.len() != columns {
+            return Err(format!(
+                "line {number} has {} fields; the header has {columns}",
+                fields.len()
+            ));
+        }
+        let trial = fields[3].trim().parse().map_err(|_| {
+            format!("line {number}: trial is `{}`; expected a whole number", fields[3])
+        })?;
+        let user = if fields[2] == "train" { EXPERT.into() } else { format!("user{trial}") };
+        let values = fields[4..].iter().enumerate().map(|(at, field)| {
+            field.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+                format!("line {number}, column {}: `{field}` is no finite number", at + 5)
+            })
+        });
+        let values = values.collect::<Result<Vec<f64>, String>>()?;
+        let key = TrialKey::new(fields[1], user, trial);
+        if trials.entry(key.clone()).or_default().insert(id.clone(), values).is_some() {
+            return Err(format!("line {number}: {key} is there twice"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TABLE: &str = "file,surface,split,trial,T_max,T_min\na,Oak,train,2,1.5,-2e-3\n";
+
+    fn open_with(name: &str, text: &str) -> Result<Option<FeatureTables>, LibraryError> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(name), text).unwrap();
+        open(folder.path())
+    }
+
+    #[test]
+    fn a_table_is_a_source() {
+        let tables = open_with("snd.csv", TABLE).unwrap().unwrap();
+        let key = TrialKey::new("Oak", EXPERT, 2);
+        assert_eq!(tables.trials[&key]["snd"], [1.5, -2e-3]);
+        assert_eq!(tables.sources.len(), 1);
+    }
+
+    #[test]
+    fn what_is_no_table_is_left_alone() {
+        assert_eq!(open_with("x.csv", "a,b\n1,2\n").unwrap(), None);
+        assert_eq!(open_with("x.txt", TABLE).unwrap(), None);
+    }
+
+    #[test]
+    fn bad_lines_are_named() {
+        for (bad, message) in [
+            ("a,Oak,train,3,1\n", "line 3 has 5 fields; the header has 6"),
+            ("a,Oak,train,x,1,2\n", "line 3: trial is `x`"),
+            ("a,Oak,train,3,1,nan\n", "line 3, column 6: `nan`"),
+            ("b,Oak,train,2,1,2\n", "line 3: Oak · expert · trial 2 is there twice"),
+        ] {
+            let error = open_with("x.csv", &format!("{TABLE}{bad}")).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

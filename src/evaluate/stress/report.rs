@@ -1,0 +1,188 @@
+//! What came of a stress run.
+
+use std::fmt::Write as _;
+
+use serde::Serialize;
+
+/// A loss of accuracy that counts, in fractions.
+const LOSS: f64 = 0.05;
+
+/// One method under one disturbance at one level. Shares are from 0 to 1.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Cell {
+    /// Share of queries named right.
+    pub accuracy: f64,
+    /// Share of queries of known surfaces that would be rejected.
+    pub known_rejected: f64,
+    /// Share of queries of unknown surfaces that would be rejected; none where the library is too
+    /// small to take surfaces out.
+    pub unknown_rejected: Option<f64>,
+    /// Expected calibration error of the stated probability, for methods that state one.
+    pub calibration_error: Option<f64>,
+    /// Queries that could not be compared at all; they count as named wrong.
+    pub refused: usize,
+}
+
+/// A level of a disturbance.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Level {
+    /// In the disturbance's unit.
+    pub level: f64,
+    /// What came of it.
+    #[serde(flatten)]
+    pub cell: Cell,
+}
+
+/// A disturbance, level by level.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Series {
+    /// The disturbance.
+    pub name: String,
+    /// What its levels are, with their unit.
+    pub axis: String,
+    /// From mild to absurd.
+    pub levels: Vec<Level>,
+    /// The first level from which on 5 points or more are lost, if any.
+    pub loses_5_points_at: Option<f64>,
+}
+
+impl Series {
+    /// With the place where 5 points are lost against `clean`.
+    pub fn new(name: &str, axis: &str, levels: Vec<Level>, clean: f64) -> Self {
+        let lost = |level: &&Level| level.cell.accuracy <= clean - LOSS + 1e-9;
+        let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
+        Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
+    }
+
+    /// Where on the axis 5 points are lost, counted from 0.
+    fn breaks_at(&self) -> Option<usize> {
+        self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
+    }
+}
+
+/// One method.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MethodReport {
+    /// Its name.
+    pub method: String,
+    /// Without a disturbance.
+    pub clean: Cell,
+    /// With each.
+    pub disturbances: Vec<Series>,
+}
+
+impl MethodReport {
+    /// The disturbances that cost 5 points at the mildest place on any axis.
+    pub fn fails_first(&self) -> Vec<&str> {
+        let Some(first) = self.disturbances.iter().filter_map(Series::breaks_at).min() else {
+            return Vec::new();
+        };
+        let there = |series: &&Series| series.breaks_at() == Some(first);
+        self.disturbances.iter().filter(there).map(|series| series.name.as_str()).collect()
+    }
+}
+
+/// What `surfaced stress` writes as JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// What was measured on.
+    pub data: String,
+    /// Made by a generator, not recorded.
+    pub synthetic: bool,
+    /// How queries and library were split.
+    pub protocol: String,
+    /// The sources.
+    pub sources: Vec<String>,
+    /// Number of queries.
+    pub queries: usize,
+    /// Number of those that were also asked of a library without their surface.
+    pub unknown_queries: usize,
+    /// Whether sources with a dead or stuck sensor were compared all the same.
+    pub keep_flawed: bool,
+    /// Method by method.
+    pub methods: Vec<MethodReport>,
+}
+
+impl Report {
+    /// For each disturbance and method the level at which 5 points are lost, and for each method
+    /// what it fails at first; a table in Markdown.
+    pub fn markdown(&self) -> String {
+        let mut text = String::new();
+        let mut line = |cells: Vec<String>| {
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "| {} |", cells.join(" | "));
+        };
+        let of_methods = |cell: &dyn Fn(&MethodReport) -> String| {
+            self.methods.iter().map(cell).collect::<Vec<_>>()
+        };
+        let row = |head: &str, cell: &dyn Fn(&MethodReport) -> String| {
+            [vec![head.to_string()], of_methods(cell)].concat()
+        };
+        line(row("loses 5 points at", &|m| format!("`{}`", m.method)));
+        line(vec!["---".into(); self.methods.len() + 1]);
+        line(row("undisturbed, %", &|m| format!("{:.1}", 100.0 * m.clean.accuracy)));
+        let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
+        for (at, series) in first.iter().enumerate() {
+            line(row(&format!("{} ({})", series.name, series.axis), &|m| {
+                let lost = m.disturbances.get(at).and_then(|s| s.loses_5_points_at);
+                lost.map_or("–".into(), |level| level.to_string())
+            }));
+        }
+        line(row("unknown surfaces rejected, %", &|m| {
+            m.clean.unknown_rejected.map_or("–".into(), |share| format!("{:.0}", 100.0 * share))
+        }));
+        line(row("**fails first**", &|m| match m.fails_first().as_slice() {
+            [] => "nowhere".into(),
+            names => names.join(", "),
+        }));
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(name: &str, accuracies: &[f64]) -> Series {
+        let level = |(i, &accuracy): (usize, &f64)| Level {
+            level: i as f64,
+            cell: Cell {
+                accuracy,
+                known_rejected: 0.05,
+                unknown_rejected: Some(0.5),
+                calibration_error: None,
+                refused: 0,
+            },
+        };
+        Series::new(name, "unit", accuracies.iter().enumerate().map(level).collect(), 0.9)
+    }
+
+    #[test]
+    fn a_method_fails_first_where_the_mildest_level_costs_five_points() {
+        let disturbances = vec![
+            series("a", &[0.9, 0.86, 0.2]),
+            series("b", &[0.9, 0.85, 0.9]),
+            series("c", &[0.9, 0.9, 0.88]),
+        ];
+        assert_eq!(disturbances[0].loses_5_points_at, Some(2.0));
+        assert_eq!(disturbances[2].loses_5_points_at, None);
+        let clean = disturbances[0].levels[0].cell.clone();
+        let method = MethodReport { method: "joint".into(), clean, disturbances };
+        assert_eq!(method.fails_first(), ["b"]);
+        let report = Report {
+            data: "d".into(),
+            synthetic: false,
+            protocol: "p".into(),
+            sources: vec![],
+            queries: 10,
+            unknown_queries: 2,
+            keep_flawed: false,
+            methods: vec![method],
+        };
+        let table = report.markdown();
+        assert!(
+            table.contains("| b (unit) | 1 |") && table.contains("| c (unit) | – |"),
+            "{table}"
+        );
+    }
+}

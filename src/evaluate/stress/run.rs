@@ -1,0 +1,300 @@
+//! Runs a method through disturbances.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::disturb::{Disturbance, Kind, Setting};
+use super::report::{Cell, Level, MethodReport, Series};
+use crate::evaluate::{EvaluateError, Fold, Progress, prepare};
+use crate::library::Entry;
+use crate::recognise::{Method, Ranking, RecogniseError, without_flawed};
+use crate::scene::Scene;
+use crate::seed;
+use crate::trial::Trial;
+
+/// One in so many surfaces is taken out of the library for the unknown queries.
+const UNKNOWN_SHARE: usize = 4;
+/// Share of undisturbed answers that may be rejected.
+const REJECTED: f64 = 0.05;
+/// Bins of the calibration error.
+const BINS: usize = 10;
+
+/// What is run.
+pub struct Plan<'a> {
+    /// The sources.
+    pub scene: &'a Scene,
+    /// The trials.
+    pub entries: &'a [Entry],
+    /// Queries and libraries; see [`Plan::limited`].
+    pub folds: &'a [Fold],
+    /// The disturbances.
+    pub disturbances: &'a [Disturbance],
+    /// Seed of the disturbances.
+    pub seed: u64,
+    /// Compare sources with a dead or stuck sensor all the same.
+    pub keep_flawed: bool,
+}
+
+impl Plan<'_> {
+    /// The first folds that hold so many queries; the last is thinned out to fit.
+    pub fn limited(folds: Vec<Fold>, queries: usize) -> Vec<Fold> {
+        let mut left = queries;
+        let mut kept = Vec::new();
+        for mut fold in folds {
+            if left == 0 {
+                break;
+            }
+            let step = fold.queries.len().div_ceil(left).max(1);
+            fold.queries = fold.queries.into_iter().step_by(step).take(left).collect();
+            left -= fold.queries.len();
+            kept.push(fold);
+        }
+        kept
+    }
+
+    /// Whether a query is also asked of a library without its surface.
+    pub fn is_unknown(&self, query: usize) -> bool {
+        let surfaces: BTreeSet<&str> =
+            self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();
+        let surface = self.entries[query].key.surface.as_str();
+        let at = surfaces.iter().position(|other| *other == surface).unwrap_or(0);
+        surfaces.len() > UNKNOWN_SHARE && at % UNKNOWN_SHARE == 0
+    }
+}
+
+/// A query's answer, and that of a library without its surface.
+#[derive(Clone, Copy, Debug, Default)]
+struct Answer {
+    /// Nothing if it could not be compared.
+    known: Option<Named>,
+    unknown: Option<Option<Named>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Named {
+    right: bool,
+    margin: f64,
+    confidence: Option<f64>,
+}
+
+/// Runs one method through all disturbances.
+///
+/// # Errors
+/// If the library cannot be prepared. Queries that a method refuses count as named wrong.
+pub fn run<M: Method>(
+    method: &M,
+    plan: &Plan<'_>,
+    progress: Progress<'_>,
+) -> Result<MethodReport, EvaluateError> {
+    let wanted: BTreeSet<usize> =
+        plan.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
+    let prepared = prepare(method, plan.entries, &wanted, progress)?;
+    let total: usize = plan.folds.iter().map(|fold| fold.queries.len()).sum();
+    let done = AtomicUsize::new(0);
+    let mut clean = Vec::new();
+    let mut cells: Vec<Vec<Vec<Answer>>> =
+        plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
+    for (index, fold) in plan.folds.iter().enumerate() {
+        let library: Vec<_> = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
+        let models = Models::fit(method, plan, fold, library)?;
+        let of_query = |&query: &usize| -> Result<_, EvaluateError> {
+            let raw = plan.entries[query].load().map_err(RecogniseError::from)?;
+            let answer = |trial: Trial| models.answer(method, plan, query, trial);
+            let undisturbed = answer(raw.clone());
+            let mut disturbed = Vec::new();
+            for d in plan.disturbances {
+                let Kind::Query(change) = d.kind else {
+                    disturbed.push(Vec::new());
+                    continue;
+                };
+                let at_level = |(at, &level): (usize, &f64)| {
+                    let mut trial = raw.clone();
+                    let key = raw.key.to_string();
+                    let rng = seed::rng(
+                        plan.seed,
+                        &[b"stress", d.name.as_bytes(), &at.to_le_bytes(), key.as_bytes()],
+                    );
+                    change(&mut trial, &mut Setting { level, scene: plan.scene, rng });
+                    answer(trial)
+                };
+                disturbed.push(d.levels.iter().enumerate().map(at_level).collect::<Vec<_>>());
+            }
+            progress("naming disturbed queries", done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            Ok((undisturbed, disturbed))
+        };
+        let answers: Vec<_> =
+            fold.queries.par_iter().map(of_query).collect::<Result<_, EvaluateError>>()?;
+        for (undisturbed, disturbed) in answers {
+            clean.push(undisturbed);
+            for (of_disturbance, levels) in cells.iter_mut().zip(disturbed) {
+                for (of_level, answer) in of_disturbance.iter_mut().zip(levels) {
+                    of_level.push(answer);
+                }
+            }
+        }
+        drop(models);
+        for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
+            if matches!(d.kind, Kind::Library(_)) {
+                for (at, of_level) in of_disturbance.iter_mut().enumerate() {
+                    of_level.extend(with_library(method, plan, fold, (index, d, at))?);
+                    progress("changed libraries", at + 1, d.levels.len());
+                }
+            }
+        }
+    }
+    Ok(sum_up(method.name(), plan, &clean, &cells))
+}
+
+/// The answers to a fold's queries by a disturbed library.
+fn with_library<M: Method>(
+    method: &M,
+    plan: &Plan<'_>,
+    fold: &Fold,
+    (index, disturbance, at): (usize, &Disturbance, usize),
+) -> Result<Vec<Answer>, EvaluateError> {
+    let Kind::Library(change) = disturbance.kind else { return Ok(Vec::new()) };
+    let key = [index.to_le_bytes(), at.to_le_bytes()];
+    let mut rng =
+        seed::rng(plan.seed, &[b"library", disturbance.name.as_bytes(), &key[0], &key[1]]);
+    let entries: Vec<Entry> = fold.library.iter().map(|&i| plan.entries[i].clone()).collect();
+    let entries = change(entries, disturbance.levels[at], &mut rng);
+    let all = (0..entries.len()).collect();
+    let prepared = prepare(method, &entries, &all, &|_, _, _| {})?;
+    let models = Models::fit(method, plan, fold, prepared.into_iter().flatten().collect())?;
+    let answer = |&query: &usize| {
+        let trial = plan.entries[query].load().map_err(RecogniseError::from)?;
+        Ok(models.answer(method, plan, query, trial))
+    };
+    fold.queries.par_iter().map(answer).collect()
+}
+
+/// A model of the library, and one without the surfaces that are to be unknown.
+struct Models<M: Method> {
+    all: M::Model,
+    without: Option<M::Model>,
+}
+
+impl<M: Method> Models<M> {
+    fn fit(
+        method: &M,
+        plan: &Plan<'_>,
+        fold: &Fold,
+        library: Vec<Arc<M::Prepared>>,
+    ) -> Result<Self, EvaluateError> {
+        // Prepared trials do not tell their surface, so the smaller library goes by the fold's own
+        // trials; a changed library has no unknown surfaces.
+        let without = (library.len() == fold.library.len())
+            .then(|| {
+                (fold.library.iter().zip(&library))
+                    .filter(|(trial, _)| !plan.is_unknown(**trial))
+                    .map(|(_, prepared)| Arc::clone(prepared))
+                    .collect::<Vec<_>>()
+            })
+            .filter(|kept| kept.len() < library.len());
+        let without = without.map(|kept| method.fit(kept)).transpose()?;
+        Ok(Self { all: method.fit(library)?, without })
+    }
+
+    fn answer(&self, method: &M, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
+        let truth = &plan.entries[query].key.surface;
+        let trial = if plan.keep_flawed { trial } else { without_flawed(trial, plan.scene).0 };
+        let trial = Arc::new(trial);
+        let Ok(prepared) = method.prepare(&Entry::in_memory(Arc::clone(&trial)), &trial) else {
+            return Answer::default();
+        };
+        let named = |ranking: Ranking| Named {
+            right: ranking.surface() == truth,
+            margin: ranking.margin,
+            confidence: ranking.confidence,
+        };
+        let rank = |model| method.rank(model, &prepared).ok().map(named);
+        let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));
+        Answer { known: rank(&self.all), unknown: unknown.map(rank) }
+    }
+}
+
+fn sum_up(
+    method: &str,
+    plan: &Plan<'_>,
+    clean: &[Answer],
+    cells: &[Vec<Vec<Answer>>],
+) -> MethodReport {
+    let mut margins: Vec<f64> = clean.iter().filter_map(|a| Some(a.known?.margin)).collect();
+    margins.sort_by(f64::total_cmp);
+    let threshold = margins.get((REJECTED * margins.len() as f64) as usize).copied().unwrap_or(0.0);
+    let undisturbed = cell(clean, threshold);
+    let series = |(d, levels): (&Disturbance, &Vec<Vec<Answer>>)| {
+        let levels = (d.levels.iter().zip(levels))
+            .map(|(&level, answers)| Level { level, cell: cell(answers, threshold) })
+            .collect();
+        Series::new(d.name, d.axis, levels, undisturbed.accuracy)
+    };
+    let disturbances = plan.disturbances.iter().zip(cells).map(series).collect();
+    MethodReport { method: method.into(), clean: undisturbed, disturbances }
+}
+
+fn cell(answers: &[Answer], threshold: f64) -> Cell {
+    let known: Vec<Named> = answers.iter().filter_map(|a| a.known).collect();
+    let unknown: Vec<Option<Named>> = answers.iter().filter_map(|a| a.unknown).collect();
+    let rejected = |named: &Named| named.margin < threshold;
+    let share = |count: usize, of: usize| count as f64 / of.max(1) as f64;
+    // What cannot be compared at all is rejected, too.
+    let unknown_rejected =
+        unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
+    let refused = answers.len() - known.len();
+    Cell {
+        accuracy: share(known.iter().filter(|named| named.right).count(), answers.len()),
+        known_rejected: share(
+            known.iter().filter(|n| rejected(n)).count() + refused,
+            answers.len(),
+        ),
+        unknown_rejected: (!unknown.is_empty()).then(|| share(unknown_rejected, unknown.len())),
+        calibration_error: calibration_error(&known),
+        refused,
+    }
+}
+
+/// Mean over answers of how far, within a tenth of stated probability, the share of right ones is
+/// from the mean statement (Guo et al. 2017).
+fn calibration_error(answers: &[Named]) -> Option<f64> {
+    let mut bins = [(0.0, 0.0); BINS];
+    for named in answers {
+        let stated = named.confidence?;
+        let bin = ((stated * BINS as f64) as usize).min(BINS - 1);
+        bins[bin].0 += stated;
+        bins[bin].1 += f64::from(u8::from(named.right));
+    }
+    let off: f64 = bins.iter().map(|(stated, right)| f64::abs(stated - right)).sum();
+    (!answers.is_empty()).then(|| off / answers.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(right: bool, confidence: f64) -> Named {
+        Named { right, margin: confidence, confidence: Some(confidence) }
+    }
+
+    #[test]
+    fn the_calibration_error_is_the_gap_between_statement_and_truth() {
+        let sure = [named(true, 0.95), named(false, 0.95), named(true, 0.95), named(false, 0.95)];
+        assert!((calibration_error(&sure).unwrap() - 0.45).abs() < 1e-12);
+        assert_eq!(calibration_error(&[named(true, 1.0)]), Some(0.0));
+        assert_eq!(calibration_error(&[]), None);
+    }
+
+    #[test]
+    fn folds_are_taken_until_there_are_queries_enough() {
+        let fold =
+            |name: &str, queries: Vec<usize>| Fold { name: name.into(), library: vec![0], queries };
+        let folds = vec![fold("a", (0..20).collect()), fold("b", (20..40).collect())];
+        let limited = Plan::limited(folds.clone(), 25);
+        assert_eq!(limited[0].queries.len(), 20);
+        assert_eq!(limited[1].queries, [20, 24, 28, 32, 36]);
+        assert_eq!(Plan::limited(folds, 10)[0].queries, [0, 2, 4, 6, 8, 10, 12, 14, 16, 18]);
+    }
+}

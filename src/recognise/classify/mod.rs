@@ -1,0 +1,315 @@
+//! The paper's comparison classifiers: naive Bayes, a support vector machine, nearest neighbours,
+//! AdaBoost and a random forest, on hand-made [features](super::features).
+//!
+//! ```text
+//! trial ─► FeatureVector ─► standardised on the library alone ─► Classifier ─► scores ─► rank
+//! ```
+//!
+//! Trees and the class statistics of naive Bayes are smartcore's. Its support vector machine
+//! borrows the data that it was trained on and can so not be kept, hence [`Svm`]'s own solver;
+//! Mahalanobis neighbours and AdaBoost it lacks.
+
+mod naive_bayes;
+mod neighbours;
+mod svm;
+mod trees;
+
+pub use naive_bayes::NaiveBayes;
+pub use neighbours::{Distance, Neighbours};
+pub use svm::Svm;
+pub use trees::{AdaBoost, RandomForest};
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use ndarray::{Array1, Array2, ArrayView1};
+
+use super::features::FeatureVector;
+use super::rank::{Candidate, Ranking, rank};
+use super::{Method, RecogniseError};
+use crate::library::Entry;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Trial, TrialKey};
+
+/// Standardised features lie no farther than this from 0: what is farther is a broken sensor, and
+/// must not drown all others.
+const FARTHEST: f64 = 10.0;
+/// A feature that spreads less than this share of its magnitude says nothing.
+const CONSTANT: f64 = 1e-9;
+
+/// How unlike a query is, as logarithms; smaller is more alike.
+pub enum Scores {
+    /// To each surface, in the order of [`Training::surfaces`].
+    Surfaces(Vec<f64>),
+    /// To each trial of the library, of which the `k` nearest vote.
+    Trials {
+        /// in the order of [`Training::keys`]
+        log_scores: Vec<f64>,
+        /// number of voters
+        k: usize,
+    },
+}
+
+/// A way of telling surfaces apart by standardised features.
+pub trait Classifier: Send + Sync {
+    /// What is learnt from a library.
+    type Model: Send + Sync;
+
+    /// Its name, as on the command line.
+    fn name(&self) -> &'static str;
+
+    /// Learns from a library.
+    fn train(&self, training: &Training) -> Self::Model;
+
+    /// Scores of one query, of as many features as the library's trials have.
+    fn scores(
+        &self,
+        model: &Self::Model,
+        training: &Training,
+        query: ArrayView1<'_, f64>,
+    ) -> Scores;
+
+    /// Whether the inverse of a surface's score is a probability that the classifier states.
+    fn states_probabilities(&self) -> bool {
+        false
+    }
+}
+
+/// A library as classifiers see it.
+#[derive(Clone, Debug)]
+pub struct Training {
+    /// Standardised features, shape (trials, features).
+    pub features: Array2<f64>,
+    /// Index of each trial's surface.
+    pub class: Vec<usize>,
+    /// The surfaces, sorted.
+    pub surfaces: Vec<String>,
+    /// The trials, sorted.
+    pub keys: Vec<TrialKey>,
+}
+
+impl Training {
+    /// Splits the trials of every surface into `parts`, in turn: for each, whether a trial belongs
+    /// to it. For choosing settings within a library.
+    pub fn parts(&self, parts: usize) -> Vec<Vec<bool>> {
+        let mut seen = vec![0; self.surfaces.len()];
+        let part_of: Vec<usize> = (self.class.iter())
+            .map(|&class| {
+                seen[class] += 1;
+                (seen[class] - 1) % parts
+            })
+            .collect();
+        (0..parts).map(|part| part_of.iter().map(|&p| p == part).collect()).collect()
+    }
+
+    /// Only those trials that `keep` says.
+    pub fn select(&self, keep: impl Fn(usize) -> bool) -> Self {
+        let rows: Vec<usize> = (0..self.class.len()).filter(|&i| keep(i)).collect();
+        Self {
+            features: self.features.select(ndarray::Axis(0), &rows),
+            class: rows.iter().map(|&i| self.class[i]).collect(),
+            surfaces: self.surfaces.clone(),
+            keys: rows.iter().map(|&i| self.keys[i].clone()).collect(),
+        }
+    }
+}
+
+/// A comparison classifier as a method.
+#[derive(Clone, Debug)]
+pub struct OnFeatures<C> {
+    scene: Scene,
+    classifier: C,
+}
+
+impl<C: Classifier> OnFeatures<C> {
+    /// The method for the sources of a scene.
+    pub fn new(scene: Scene, classifier: C) -> Self {
+        Self { scene, classifier }
+    }
+}
+
+/// Where a source's features stand among all, and how they are standardised.
+#[derive(Clone, Debug)]
+struct Columns {
+    first: usize,
+    /// Features of the source, used or not.
+    width: usize,
+    /// Index, mean and spread of those that are not the same in all trials.
+    used: Vec<(usize, f64, f64)>,
+    rate_hz: f64,
+    /// A library trial that has the source.
+    like: TrialKey,
+}
+
+/// A library, standardised and learnt.
+pub struct FeatureModel<M> {
+    columns: BTreeMap<SourceId, Columns>,
+    training: Training,
+    learnt: M,
+}
+
+/// Places and scales of all features of a library.
+fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>, RecogniseError> {
+    let ids: BTreeSet<&SourceId> = library.iter().flat_map(|v| v.sources.keys()).collect();
+    let mut columns = BTreeMap::new();
+    let mut first = 0;
+    for id in ids {
+        let having: Vec<_> =
+            library.iter().filter_map(|v| Some((v.sources.get(id)?, &v.key))).collect();
+        // Its name comes from a trial that has it.
+        let (like, key) = having[0];
+        let (width, rate_hz) = (like.values.len(), like.rate_hz);
+        let mut of_source =
+            Columns { first, width, used: Vec::new(), rate_hz, like: TrialKey::clone(key) };
+        for (source, _) in &having {
+            of_source.check(id, &source.values, source.rate_hz)?;
+        }
+        let n = having.len() as f64;
+        for i in 0..width {
+            let values = || having.iter().map(|(source, _)| source.values[i]);
+            let mean = values().sum::<f64>() / n;
+            let spread = (values().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
+            if spread > CONSTANT * (1.0 + mean.abs()) {
+                of_source.used.push((i, mean, spread));
+            }
+        }
+        first += of_source.used.len();
+        columns.insert(id.clone(), of_source);
+    }
+    Ok(columns)
+}
+
+impl Columns {
+    /// Checks that features are the library's: a rate too low for a band leaves bands out.
+    fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<(), RecogniseError> {
+        if values.len() == self.width {
+            return Ok(());
+        }
+        Err(RecogniseError::Rates {
+            source_name: id.clone(),
+            query_hz: rate_hz,
+            library_hz: self.rate_hz,
+            trial: self.like.to_string(),
+        })
+    }
+}
+
+/// Number of features that are used; one that is always 0 where none says anything.
+fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
+    columns.values().map(|c| c.used.len()).sum::<usize>().max(1)
+}
+
+/// The standardised features of a trial. A source that it lacks counts as the library's mean.
+fn standardised(
+    columns: &BTreeMap<SourceId, Columns>,
+    vector: &FeatureVector,
+) -> Result<Array1<f64>, RecogniseError> {
+    let mut row = Array1::zeros(width(columns));
+    for (id, source) in &vector.sources {
+        let Some(columns) = columns.get(id) else { continue };
+        columns.check(id, &source.values, source.rate_hz)?;
+        for (at, &(i, mean, spread)) in columns.used.iter().enumerate() {
+            let z = (source.values[i] - mean) / spread;
+            row[columns.first + at] = z.clamp(-FARTHEST, FARTHEST);
+        }
+    }
+    Ok(row)
+}
+
+impl<C: Classifier> Method for OnFeatures<C> {
+    type Prepared = FeatureVector;
+    type Model = FeatureModel<C::Model>;
+
+    fn name(&self) -> &'static str {
+        self.classifier.name()
+    }
+
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FeatureVector, RecogniseError> {
+        FeatureVector::new(&entry.key, trial, &self.scene)
+    }
+
+    fn fit(&self, mut library: Vec<Arc<FeatureVector>>) -> Result<Self::Model, RecogniseError> {
+        library.sort_by(|a, b| a.key.cmp(&b.key));
+        let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
+        let mut surfaces: Vec<String> = keys.iter().map(|key| key.surface.clone()).collect();
+        surfaces.dedup();
+        if surfaces.len() < 2 {
+            let (surfaces, trials) = (surfaces.len(), keys.len());
+            return Err(RecogniseError::TooFewSurfaces { surfaces, trials });
+        }
+        let columns = columns(&library)?;
+        let mut features = Array2::zeros((keys.len(), width(&columns)));
+        for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
+            row.assign(&standardised(&columns, vector)?);
+        }
+        let class = (keys.iter())
+            .map(|key| surfaces.partition_point(|surface| *surface < key.surface))
+            .collect();
+        let training = Training { features, class, surfaces, keys };
+        let learnt = self.classifier.train(&training);
+        Ok(FeatureModel { columns, training, learnt })
+    }
+
+    fn rank(&self, model: &Self::Model, query: &FeatureVector) -> Result<Ranking, RecogniseError> {
+        let FeatureModel { columns, training, learnt } = model;
+        let sources: Vec<SourceId> =
+            query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
+        if sources.is_empty() {
+            let names = |ids: Vec<&str>| {
+                if ids.is_empty() { "none".into() } else { ids.join(", ") }
+            };
+            return Err(RecogniseError::NothingInCommon {
+                query: names(query.sources.keys().map(SourceId::as_str).collect()),
+                library: names(columns.keys().map(SourceId::as_str).collect()),
+            });
+        }
+        let row = standardised(columns, query)?;
+        let (candidates, k) = match self.classifier.scores(learnt, training, row.view()) {
+            Scores::Trials { log_scores, k } => {
+                let pairs = training.keys.iter().zip(log_scores);
+                (pairs.map(|(key, log_ds)| Candidate { key: key.clone(), log_ds }).collect(), k)
+            }
+            Scores::Surfaces(log_scores) => (by_surface(training, &log_scores, row.view()), 1),
+        };
+        // A library has trials, and each is a candidate or its surface has one.
+        let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
+        ranking.confidence =
+            self.classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
+        Ok(ranking)
+    }
+}
+
+/// One candidate a surface: its trial that is nearest to the query.
+fn by_surface(
+    training: &Training,
+    log_scores: &[f64],
+    query: ArrayView1<'_, f64>,
+) -> Vec<Candidate> {
+    let mut nearest: Vec<Option<(f64, usize)>> = vec![None; training.surfaces.len()];
+    for (i, (row, &class)) in training.features.rows().into_iter().zip(&training.class).enumerate()
+    {
+        let distance = squared_distance(row, query);
+        if nearest[class].is_none_or(|(least, _)| distance < least) {
+            nearest[class] = Some((distance, i));
+        }
+    }
+    (nearest.into_iter().zip(log_scores))
+        .filter_map(|(nearest, &log_ds)| {
+            Some(Candidate { key: training.keys[nearest?.1].clone(), log_ds })
+        })
+        .collect()
+}
+
+fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}
+
+/// ln of probabilities that are proportional to exp of these, turned to smaller-is-more-alike.
+fn negative_log_softmax(logits: &[f64]) -> Vec<f64> {
+    let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;
+    logits.iter().map(|x| sum - x).collect()
+}
+
+#[cfg(test)]
+mod tests;

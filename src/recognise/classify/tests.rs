@@ -1,0 +1,98 @@
+//! What every comparison classifier promises.
+
+use super::*;
+use crate::recognise::features::SourceFeatures;
+
+/// Four surfaces in three dimensions, one of which says nothing, six trials each.
+fn library() -> Vec<Arc<FeatureVector>> {
+    let vector = |surface: usize, number: u32| {
+        let wobble = |k: u32| (f64::from(number * 7 + k) * 1.7 + surface as f64).sin() * 0.3;
+        let values = vec![
+            (surface % 2) as f64 * 3.0 + wobble(1),
+            (surface / 2) as f64 * 300.0 + 30.0 * wobble(2),
+            4.0,
+        ];
+        of("x", &["a", "b", "c", "d"][surface], number, values)
+    };
+    (0..4).flat_map(|s| (1..=6).map(move |n| Arc::new(vector(s, n)))).collect()
+}
+
+fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> FeatureVector {
+    let features = SourceFeatures { values, rate_hz: 10.0 };
+    let sources = BTreeMap::from([(SourceId::new(source).unwrap(), features)]);
+    FeatureVector { key: TrialKey::new(surface, "expert", number), sources }
+}
+
+fn check<C: Classifier>(classifier: C) {
+    let method = OnFeatures::new(Scene::lmt108(), classifier);
+    let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key.number == 3);
+    let model = method.fit(rest.clone()).unwrap();
+    for query in &held {
+        let ranking = method.rank(&model, query).unwrap();
+        assert_eq!(ranking.surface(), query.key.surface, "{}", method.name());
+        assert_eq!(ranking.ranked.len(), 4);
+        assert_eq!(ranking.nearest.surface, query.key.surface);
+        assert!(ranking.ranked.is_sorted_by(|a, b| a.score <= b.score));
+        if let Some(p) = ranking.confidence {
+            let sum: f64 = ranking.ranked.iter().map(|r| r.score.recip()).sum();
+            assert!(
+                (sum - 1.0).abs() < 1e-6 && p > 0.5 && p <= 1.0,
+                "{}: {sum} {p}",
+                method.name()
+            );
+        }
+    }
+    // Neither the order of the library nor chance matters.
+    let mut turned = rest;
+    turned.reverse();
+    let again = method.fit(turned).unwrap();
+    assert_eq!(method.rank(&model, &held[1]).unwrap(), method.rank(&again, &held[1]).unwrap());
+    // What is far beyond anything in the library still has an answer, with finite scores.
+    let far = of("x", "a", 3, vec![1e30, -1e30, 0.0]);
+    let ranking = method.rank(&model, &far).unwrap();
+    assert!(ranking.ranked.iter().all(|r| r.score.is_finite()), "{}", method.name());
+    assert!(method.rank(&model, &of("x", "a", 3, vec![1.0])).is_err(), "another rate");
+    let error = method.rank(&model, &of("y", "a", 3, vec![1.0])).unwrap_err().to_string();
+    assert!(error.contains("the query has y"), "{error}");
+    let one = library().into_iter().filter(|v| v.key.surface == "a").collect();
+    assert!(method.fit(one).is_err());
+}
+
+#[test]
+fn naive_bayes_keeps_the_promises() {
+    check(NaiveBayes);
+}
+
+#[test]
+fn neighbours_keep_the_promises() {
+    check(Neighbours { distance: Distance::Euclidean });
+    check(Neighbours { distance: Distance::Mahalanobis });
+}
+
+#[test]
+fn the_svm_keeps_the_promises() {
+    check(Svm);
+}
+
+#[test]
+fn trees_keep_the_promises() {
+    check(RandomForest { seed: 1 });
+    check(AdaBoost { seed: 1 });
+}
+
+#[test]
+fn a_source_that_a_query_lacks_counts_as_the_mean() {
+    let method = OnFeatures::new(Scene::lmt108(), NaiveBayes);
+    let mut both = Vec::new();
+    for vector in library() {
+        let mut vector = FeatureVector::clone(&vector);
+        let more = SourceFeatures { values: vec![f64::from(vector.key.number)], rate_hz: 1.0 };
+        vector.sources.insert(SourceId::new("y").unwrap(), more);
+        both.push(Arc::new(vector));
+    }
+    let model = method.fit(both).unwrap();
+    let query = &library()[8];
+    let ranking = method.rank(&model, query).unwrap();
+    assert_eq!(ranking.surface(), query.key.surface);
+    assert_eq!(ranking.sources.len(), 1, "what was not there was not compared");
+}

@@ -1,0 +1,73 @@
+//! Sources of a query that no comparison should see: their sensor is dead or stuck.
+
+use crate::scene::Scene;
+use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
+
+/// The query without those sources that have a channel which is stuck, or a picture of one colour,
+/// and for each a line that says so. Switches, which rest most of the time, are left alone; so are
+/// all sources where nothing else would be left to compare.
+///
+/// Libraries are taken as they are: what is in them was looked at when it was enrolled.
+pub fn without_flawed(mut trial: Trial, scene: &Scene) -> (Trial, Vec<String>) {
+    let flaw_of = |signal: &Signal| match signal {
+        Signal::Image(image) => is_plain(image).then(|| "the picture is of one colour".to_string()),
+        Signal::Series(series) => flaws(series)
+            .into_iter()
+            .find(|flaw| matches!(flaw, Flaw::Constant { .. } | Flaw::Stuck { .. }))
+            .map(|flaw| flaw.to_string()),
+    };
+    let flawed: Vec<_> = (trial.signals.iter())
+        .filter(|(id, _)| scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()))
+        .filter_map(|(id, signal)| Some((id.clone(), flaw_of(signal)?)))
+        .collect();
+    let left =
+        |id| scene.get(id).is_some() && !flawed.iter().any(|(other, _)| other.as_str() == id);
+    if !trial.signals.keys().any(|id| left(id.as_str())) {
+        return (trial, Vec::new());
+    }
+    trial.signals.retain(|id, _| !flawed.iter().any(|(other, _)| other == id));
+    let remarks =
+        flawed.into_iter().map(|(id, flaw)| format!("{id} is left out: {flaw}")).collect();
+    (trial, remarks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SourceId;
+    use crate::trial::{Image, Series, TrialKey};
+    use std::collections::BTreeMap;
+
+    fn query(sources: &[(&str, Vec<f32>)]) -> Trial {
+        let series =
+            |samples: &Vec<f32>| Signal::Series(Series::new(10.0, 1, samples.clone()).unwrap());
+        let signals: BTreeMap<_, _> =
+            sources.iter().map(|(id, x)| (SourceId::new(id).unwrap(), series(x))).collect();
+        Trial { key: TrialKey::new("a", "expert", 1), signals }
+    }
+
+    fn kept(trial: Trial) -> (Vec<String>, usize) {
+        let (trial, remarks) = without_flawed(trial, &Scene::lmt108());
+        (trial.signals.keys().map(SourceId::to_string).collect(), remarks.len())
+    }
+
+    #[test]
+    fn a_dead_source_goes_with_a_word_and_a_switch_stays() {
+        let alive = vec![1.0, 2.0, 1.5, 0.3];
+        let trial = query(&[("ir", vec![0.0; 4]), ("mi2", alive.clone()), ("me", vec![0.0; 4])]);
+        let (after, remarks) = without_flawed(trial.clone(), &Scene::lmt108());
+        assert_eq!(remarks, ["ir is left out: channel 1 is stuck at 0; check its cable"]);
+        assert!(after.signals.contains_key("me") && !after.signals.contains_key("ir"));
+        let halfway: Vec<f32> = (0..70).map(|i| if i < 30 { i as f32 } else { 3.0 }).collect();
+        assert_eq!(kept(query(&[("ir", halfway), ("mi2", alive)])), (vec!["mi2".into()], 1));
+    }
+
+    #[test]
+    fn a_covered_lens_is_left_out_and_the_last_source_never() {
+        let black = Image::new(Image::COLS, Image::ROWS, vec![7; 480 * 320 * 3]).unwrap();
+        let mut trial = query(&[("mi2", vec![1.0, 2.0, 1.0, 0.5])]);
+        trial.signals.insert(SourceId::new("ca1").unwrap(), Signal::Image(black));
+        assert_eq!(kept(trial), (vec!["mi2".into()], 1));
+        assert_eq!(kept(query(&[("ir", vec![0.0; 4])])), (vec!["ir".into()], 0));
+    }
+}

@@ -1,0 +1,147 @@
+//! Every method on numbers made to hurt: identical and nearly constant trials, 1e±30, heavy tails,
+//! duplicates, one outlier. (The kernel's own sums on such samples: `recognise::score`.)
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use common::id;
+use proptest::prelude::*;
+use surfaced::library::Entry;
+use surfaced::recognise::classify::{
+    AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
+};
+use surfaced::recognise::{
+    Embedding, EmbeddingOptions, Joint, Method, Precision, Ranking, RecogniseError, Reference,
+    ReferenceOptions,
+};
+use surfaced::scene::Scene;
+use surfaced::trial::{Series, Signal, Trial, TrialKey};
+
+const KINDS: usize = 9;
+
+/// A raw number in −1..1 as a sample of a kind that has broken something somewhere.
+fn hostile(kind: usize, x: f64, at: usize) -> f32 {
+    let value = match kind {
+        0 => x,
+        1 => 1e30 * x,
+        2 => 1e-30 * x,
+        3 => (1.57 * x).tan(),
+        4 => (3.0 * x).round(),
+        5 => 7.0 + 1e-6 * x,
+        6 if at == 100 => 1e8,
+        6 => x,
+        7 => 3.0,
+        _ => x.signum() * 1e4 + x,
+    };
+    value as f32
+}
+
+/// A trial whose sources are of one kind; `draw` numbers its noise.
+fn trial(surface: &str, number: u32, kind: usize, draw: u64) -> Trial {
+    let series = |name: &str, rate_hz: f64, channels: usize| {
+        let mut state = draw ^ name.len() as u64 ^ (u64::from(name.as_bytes()[0]) << 8);
+        let mut next = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        };
+        let samples = (0..2000 * channels).map(|at| hostile(kind, next(), at)).collect();
+        (id(name), Signal::Series(Series::new(rate_hz, channels, samples).unwrap()))
+    };
+    let signals: BTreeMap<_, _> =
+        [series("mi2", 44_100.0, 1), series("ac", 10_000.0, 3), series("ir", 10_000.0, 1)].into();
+    Trial { key: TrialKey::new(surface, "expert", number), signals }
+}
+
+/// Three surfaces, each of a kind of its own, three trials each; the query is a trial of the first,
+/// the very same one if `identical`.
+fn ranking<M: Method>(
+    method: &M,
+    kinds: [usize; 3],
+    seed: u64,
+    identical: bool,
+) -> Result<Ranking, RecogniseError> {
+    let mut library = Vec::new();
+    for (surface, kind) in ["ash", "elm", "oak"].into_iter().zip(kinds) {
+        for number in 1..=3 {
+            let draw = seed.wrapping_add(u64::from(number)).wrapping_mul(kind as u64 * 2 + 3);
+            let trial = Arc::new(trial(surface, number, kind, draw));
+            let entry = Entry::in_memory(Arc::clone(&trial));
+            library.push(Arc::new(method.prepare_for_library(&entry, &trial)?));
+        }
+    }
+    let draw =
+        if identical { seed.wrapping_add(1).wrapping_mul(kinds[0] as u64 * 2 + 3) } else { !seed };
+    let query = Arc::new(trial("ash", 9, kinds[0], draw));
+    let model = method.fit(library)?;
+    method.rank(&model, &method.prepare(&Entry::in_memory(Arc::clone(&query)), &query)?)
+}
+
+fn reference(precision: Precision) -> Reference {
+    let options =
+        ReferenceOptions { samples: 120, repetitions: 2, precision, ..ReferenceOptions::default() };
+    Reference::new(Scene::lmt108(), options)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn the_fast_reference_ranks_as_its_oracle_does(
+        kinds in [0..KINDS, 0..KINDS, 0..KINDS],
+        seed in any::<u64>(),
+        identical in any::<bool>(),
+    ) {
+        let fast = ranking(&reference(Precision::Fast), kinds, seed, identical).unwrap();
+        let oracle = ranking(&reference(Precision::Oracle), kinds, seed, identical).unwrap();
+        let score = |r: &Ranking, surface: &str| {
+            r.ranked.iter().find(|s| s.surface == surface).unwrap().score
+        };
+        for surface in ["ash", "elm", "oak"] {
+            let (a, b) = (score(&fast, surface), score(&oracle, surface));
+            // Three factors, each within 1e-4, relative or absolute, or at the floor of scores.
+            prop_assert!(
+                a.is_finite() && (a - b).abs() <= 1e-3 * b.max(1.0),
+                "{surface}: {a:e} vs {b:e} for {kinds:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn every_method_ranks_all_surfaces_with_finite_scores(
+        kinds in [0..KINDS, 0..KINDS, 0..KINDS],
+        seed in any::<u64>(),
+        identical in any::<bool>(),
+    ) {
+        let scene = Scene::lmt108;
+        let rankings = [
+            ranking(&reference(Precision::Fast), kinds, seed, identical),
+            ranking(&Joint::new(scene()), kinds, seed, identical),
+            ranking(&Embedding::new(scene(), EmbeddingOptions::default()), kinds, seed, identical),
+            ranking(&OnFeatures::new(scene(), NaiveBayes), kinds, seed, identical),
+            ranking(&OnFeatures::new(scene(), Svm), kinds, seed, identical),
+            ranking(
+                &OnFeatures::new(scene(), Neighbours { distance: Distance::Euclidean }),
+                kinds, seed, identical,
+            ),
+            ranking(
+                &OnFeatures::new(scene(), Neighbours { distance: Distance::Mahalanobis }),
+                kinds, seed, identical,
+            ),
+            ranking(&OnFeatures::new(scene(), RandomForest { seed: 1 }), kinds, seed, identical),
+            ranking(&OnFeatures::new(scene(), AdaBoost { seed: 1 }), kinds, seed, identical),
+        ];
+        for (method, ranking) in rankings.into_iter().enumerate() {
+            let ranking = ranking.unwrap();
+            prop_assert_eq!(ranking.ranked.len(), 3);
+            let fine = |s: f64| s.is_finite() && s >= 0.0;
+            prop_assert!(
+                ranking.ranked.iter().all(|r| fine(r.score)) && fine(ranking.margin),
+                "method {method} for {kinds:?}: {ranking:?}"
+            );
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! `surfaced stress` and the comparison classifiers, as commands.
+
+mod common;
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn surfaced(args: &[&str]) -> Output {
+    Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
+}
+
+#[track_caller]
+fn done(args: &[&str]) -> Output {
+    let output = surfaced(args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+fn scene(folder: &Path) -> String {
+    let path = folder.join("scene").to_str().unwrap().to_string();
+    let size = ["--surfaces", "6", "--trials", "4", "--users", "1", "--seconds", "0.5"];
+    done(&[&["synth", &path], &size[..]].concat());
+    path
+}
+
+#[test]
+fn a_stress_run_measures_draws_and_tells_where_methods_break() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = scene(dir.path());
+    let out = dir.path().join("stress.svg");
+    let run = done(&[
+        "stress",
+        &data,
+        "--out",
+        out.to_str().unwrap(),
+        "--methods",
+        "embedding,naive-bayes",
+        "--only",
+        "white-noise,dead-sensors,few-trials",
+        "--queries",
+        "6",
+        "--json",
+    ]);
+    let report: Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((&report["queries"], &report["synthetic"]), (&6.into(), &true.into()));
+    let methods = report["methods"].as_array().unwrap();
+    assert_eq!(methods.len(), 2);
+    for method in methods {
+        let clean = method["clean"]["accuracy"].as_f64().unwrap();
+        assert!(clean > 0.8, "{method}");
+        assert!(method["clean"]["calibration_error"].is_number());
+        assert!(method["clean"]["unknown_rejected"].is_number());
+        for disturbance in method["disturbances"].as_array().unwrap() {
+            assert_eq!(disturbance["levels"].as_array().unwrap().len(), 5);
+        }
+        // One dead sensor of eight is left out, and seven are enough.
+        let one_dead = &method["disturbances"][1]["levels"][0];
+        assert!(one_dead["accuracy"].as_f64().unwrap() > clean - 0.35, "{one_dead}");
+    }
+    for file in ["stress.svg", "stress-unknown.svg", "stress-calibration.svg", "stress.json"] {
+        assert!(dir.path().join(file).exists(), "{file}");
+    }
+    let told = String::from_utf8(run.stderr).unwrap();
+    assert!(told.contains("| loses 5 points at | `embedding` | `naive-bayes` |"), "{told}");
+    assert!(told.contains("fails first"), "{told}");
+}
+
+#[test]
+fn an_unknown_disturbance_is_wrong_usage_and_names_the_known_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = scene(dir.path());
+    let out = dir.path().join("s.svg");
+    let run = surfaced(&["stress", &data, "--out", out.to_str().unwrap(), "--only", "rain"]);
+    assert_eq!(run.status.code(), Some(2));
+    assert!(
+        String::from_utf8_lossy(&run.stderr).contains("no disturbance `rain`; there are white")
+    );
+}
+
+#[test]
+fn a_query_with_a_dead_sensor_is_named_by_the_others_with_a_word() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = scene(dir.path());
+    let ir = find(Path::new(&data), "Synth001Mesh", "user1");
+    common::write_wav(&ir, 10_000, 1, &[0; 5000]);
+    let run =
+        done(&["eval", &data, "--protocol", "expert-vs-users", "--method", "embedding", "--json"]);
+    let told = String::from_utf8(run.stderr).unwrap();
+    assert!(told.contains("ir is left out: channel 1 is stuck at 0"), "{told}");
+    let report: Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert!(report["accuracy_mean"].as_f64().unwrap() > 0.8);
+}
+
+/// The ir recording of a surface's trial by a user, whatever its folder is called.
+fn find(data: &Path, surface: &str, user: &str) -> std::path::PathBuf {
+    let trials = std::fs::read_dir(data.join(surface)).unwrap();
+    let of_user = |path: &std::path::PathBuf| path.to_string_lossy().contains(user);
+    let trial = trials.map(|trial| trial.unwrap().path()).find(of_user);
+    trial.unwrap_or_else(|| panic!("no trial of {surface} by {user}")).join("ir.wav")
+}
+
+#[test]
+fn every_classifier_names_surfaces_of_recordings_and_of_feature_tables() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = scene(dir.path());
+    let tables = dir.path().join("tables");
+    let mut text = String::from("file,surface,split,trial,T_a,T_b\n");
+    for (surface, level) in [("oak", 0.0), ("elm", 2.0), ("ash", 4.0)] {
+        for trial in 1..=4 {
+            let wobble = 0.1 * f64::from(trial);
+            text += &format!("x,{surface},train,{trial},{},{}\n", level + wobble, level - wobble);
+        }
+    }
+    common::write_file(&tables.join("snd.csv"), text);
+    for method in ["naive-bayes", "svm", "knn", "mahalanobis", "adaboost", "random-forest"] {
+        for (path, protocol) in
+            [(data.as_str(), "expert-vs-users"), (tables.to_str().unwrap(), "leave-one-trial-out")]
+        {
+            let run = done(&["eval", path, "--protocol", protocol, "--method", method, "--json"]);
+            let report: Value = serde_json::from_slice(&run.stdout).unwrap();
+            assert_eq!(report["method"], method);
+            assert!(report["accuracy_mean"].as_f64().unwrap() > 0.6, "{method} on {path}");
+        }
+    }
+    let refused = surfaced(&[
+        "eval",
+        tables.to_str().unwrap(),
+        "--protocol",
+        "leave-one-trial-out",
+        "--method",
+        "joint",
+    ]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("this method needs recordings"));
+}
