@@ -47,7 +47,9 @@ fn main() -> Result<(), Failed> {
     };
 
     println!("part         scans  answer p50 ms  p99 ms  processor of one core");
-    let begin = |station: &Station| (answers.lock().map_or(0, |a| a.len()), station.cpu_s(), Instant::now());
+    let begin = |station: &Station| {
+        (answers.lock().map_or(0, |a| a.len()), station.cpu_s(), Instant::now())
+    };
     let end = |name: &str, station: &Station, from: (usize, f64, Instant)| {
         let all = answers.lock().map(|a| a.clone()).unwrap_or_default();
         let mut of_part = all[from.0..].to_vec();
@@ -55,7 +57,13 @@ fn main() -> Result<(), Failed> {
         let at = |share: f64| of_part.get(((of_part.len() as f64 - 1.0) * share) as usize);
         let show = |x: Option<&f64>| x.map_or("-".into(), |x| format!("{x:.1}"));
         let busy = (station.cpu_s() - from.1) / from.2.elapsed().as_secs_f64();
-        println!("{name:<12} {:>5}  {:>13}  {:>6}  {:>5.1} %", of_part.len(), show(at(0.5)), show(at(0.99)), busy * 100.0);
+        println!(
+            "{name:<12} {:>5}  {:>13}  {:>6}  {:>5.1} %",
+            of_part.len(),
+            show(at(0.5)),
+            show(at(0.99)),
+            busy * 100.0
+        );
     };
     std::thread::sleep(Duration::from_secs(5));
     let wait = |seconds: f64| std::thread::sleep(Duration::from_secs_f64(seconds));
@@ -73,8 +81,14 @@ fn main() -> Result<(), Failed> {
     end("alone again", &station, from);
 
     let metrics = get(&station.address, "/metrics")?;
-    let of = |name: &str| metrics.lines().filter(|l| l.starts_with(name)).collect::<Vec<_>>().join("\n");
-    for name in ["surfaced_samples_total", "surfaced_lost", "surfaced_events_dropped", "surfaced_notices_missed"] {
+    let of =
+        |name: &str| metrics.lines().filter(|l| l.starts_with(name)).collect::<Vec<_>>().join("\n");
+    for name in [
+        "surfaced_samples_total",
+        "surfaced_lost",
+        "surfaced_events_dropped",
+        "surfaced_notices_missed",
+    ] {
         println!("{}", of(name));
     }
     let lost = of("surfaced_lost").lines().any(|line| !line.ends_with(" 0"));
@@ -87,8 +101,13 @@ fn main() -> Result<(), Failed> {
 
 /// Writes a library and a station's configuration, and gives scans for the stylus.
 fn prepare(dir: &Path) -> Result<Vec<Trial>, Failed> {
-    let parameters =
-        Parameters { surfaces: 6, trials: 4, users: 1, drag_seconds: DRAG_S, ..Parameters::default() };
+    let parameters = Parameters {
+        surfaces: 6,
+        trials: 4,
+        users: 1,
+        drag_seconds: DRAG_S,
+        ..Parameters::default()
+    };
     let data = synth::library(&parameters);
     let mut scans = Vec::new();
     for entry in &data.entries {

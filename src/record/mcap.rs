@@ -87,8 +87,11 @@ pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
         }
         super::write_file(&path, data, true)?;
     }
-    let trials: std::collections::BTreeSet<_> =
-        files.iter().filter_map(|(path, _)| path.parent()).filter(|p| p.iter().count() == 2).collect();
+    let trials: std::collections::BTreeSet<_> = files
+        .iter()
+        .filter_map(|(path, _)| path.parent())
+        .filter(|p| p.iter().count() == 2)
+        .collect();
     Ok(trials.len())
 }
 
@@ -110,7 +113,9 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
     let trials = trials(recording)?;
     let mut all = Vec::new();
     let library = trials.first().and_then(|trial| trial.ancestors().nth(2));
-    if let Some(description) = library.map(|dir| dir.join(DESCRIPTION)).filter(|path| path.is_file()) {
+    if let Some(description) =
+        library.map(|dir| dir.join(DESCRIPTION)).filter(|path| path.is_file())
+    {
         all.push((DESCRIPTION.to_string(), description));
     }
     for trial in trials {
@@ -170,7 +175,8 @@ fn write(
         match signal {
             Signal::Series(series) => {
                 about.insert("rate_hz".into(), series.rate_hz().to_string());
-                let schema = writer.add_schema("surfaced.Frame", "jsonschema", FRAME_SCHEMA.as_bytes())?;
+                let schema =
+                    writer.add_schema("surfaced.Frame", "jsonschema", FRAME_SCHEMA.as_bytes())?;
                 let channel = writer.add_channel(schema, &topic, "json", &about)?;
                 frames(writer, channel, series, begin_s)?;
                 longest_s = longest_s.max(series.duration_s());
@@ -243,8 +249,21 @@ mod tests {
             assert_eq!(within(name), Some(name.into()));
         }
         for name in [
-            "", "mi2.wav", "/etc/cron.d/x", "../a/b", "a/../b", "a/b/../../../c", "a/./b", "a//b",
-            ".ssh/a/b", "a/.b/c", "a/b/.bashrc", "a\\b/c/d", "a/b/c\0", "a/b/c/", "a/b/c/d",
+            "",
+            "mi2.wav",
+            "/etc/cron.d/x",
+            "../a/b",
+            "a/../b",
+            "a/b/../../../c",
+            "a/./b",
+            "a//b",
+            ".ssh/a/b",
+            "a/.b/c",
+            "a/b/.bashrc",
+            "a\\b/c/d",
+            "a/b/c\0",
+            "a/b/c/",
+            "a/b/c/d",
         ] {
             assert_eq!(within(name), None, "{name:?}");
         }
