@@ -132,7 +132,8 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
 fn trials(recording: &Path) -> Result<Vec<PathBuf>, LibraryError> {
     let root = recording.canonicalize().map_err(|error| LibraryError::io(recording, error))?;
     let inner = visible(&root)?;
-    if inner.iter().any(|item| !item.is_dir && item.name != DESCRIPTION) {
+    // A trial is files alone; a library is folders, whatever else may lie beside them.
+    if !inner.iter().any(|item| item.is_dir) {
         return Ok(vec![root]);
     }
     let mut all = Vec::new();
@@ -218,7 +219,7 @@ fn picture(
     image: &Image,
     begin_s: f64,
 ) -> mcap::McapResult<()> {
-    let png = super::png(image).map_err(|error| std::io::Error::other(error))?;
+    let png = super::png(image).map_err(std::io::Error::other)?;
     let data = base64::engine::general_purpose::STANDARD.encode(png);
     let time = json!({ "sec": begin_s as u64, "nsec": (begin_s.fract() * 1e9) as u32 });
     let message = json!({ "timestamp": time, "frame_id": "", "data": data, "format": "png" });
