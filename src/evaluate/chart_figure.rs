@@ -324,16 +324,18 @@ fn legend_rows(chart: &Chart, colours: &Colours<'_>) -> Vec<Vec<Key>> {
         }
     }
     let mut rows: Vec<Vec<Key>> = Vec::new();
-    let mut used = i32::MAX;
+    let mut used = 0;
     for key in keys {
-        if used + key.width() > WIDTH as i32 - 2 * MARGIN {
-            rows.push(Vec::new());
-            used = 0;
-        }
-        used += key.width();
-        rows.extend(rows.is_empty().then(Vec::new));
-        if let Some(row) = rows.last_mut() {
-            row.push(key);
+        let width = key.width();
+        match rows.last_mut().filter(|_| used + width <= WIDTH as i32 - 2 * MARGIN) {
+            Some(row) => {
+                used += width;
+                row.push(key);
+            }
+            None => {
+                used = width;
+                rows.push(vec![key]);
+            }
         }
     }
     rows
