@@ -22,7 +22,7 @@ type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
 /// right. Bars are 95 % Wilson intervals, the thick line is the front that nothing beats, whose
-/// points are numbered and told below, dashed lines are negative controls, squares are programs of
+/// points are numbered and told below, dashed lines with letters are negative controls, squares are programs of
 /// others, and hollow points use only some of the sources.
 ///
 /// # Errors
@@ -35,8 +35,10 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
         return Err(FigureError("the chart has no point for whole drags".into()));
     }
     let fronts = [front(&whole, |p| p.query_ms_p50), front(&timed(chart), |p| chart.scan_s(p))];
-    let told = fronts.iter().map(Vec::len).max().unwrap_or(0) as i32;
-    let below = (legend_rows(chart, &colours).len() as i32 + told + 2) * LINE + MARGIN;
+    let longest = fronts.iter().map(Vec::len).max().unwrap_or(0) as i32;
+    let controls = chart.controls().count() as i32;
+    let rows = legend_rows(chart, &colours).len() as i32 + controls + longest + 1;
+    let below = rows * LINE + 24 + MARGIN;
     svg((WIDTH, HEAD + PANEL + below as u32), |root| {
         head(root, chart)?;
         let (_, rest) = root.split_vertically(HEAD);
@@ -53,6 +55,12 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
             }
             top += LINE;
         }
+        for (letter, control) in lettered(chart) {
+            let text = format!("{letter}  negative control, {}", told(chart, control));
+            put(root, text, (MARGIN, top), 13)?;
+            top += LINE;
+        }
+        top += 8;
         for (column, (front, what)) in fronts.iter().zip(["latency", "scan time"]).enumerate() {
             let x = MARGIN + column as i32 * WIDTH as i32 / 2;
             put(
@@ -62,7 +70,7 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
                 14,
             )?;
             for (row, point) in front.iter().enumerate() {
-                let text = told_point(chart, row + 1, point);
+                let text = format!("{}  {}", row + 1, told(chart, point));
                 put(root, text, (x, top + LINE * (row as i32 + 1)), 13)?;
             }
         }
@@ -70,16 +78,14 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     })
 }
 
-fn told_point(chart: &Chart, number: usize, point: &Point) -> String {
-    let sources = if chart.is_subset(point) {
-        format!(", {} alone", point.sources.join(" + "))
-    } else {
-        String::new()
-    };
+fn told(chart: &Chart, point: &Point) -> String {
+    let name = if point.control { point.setting.clone() } else { point.name() };
+    let some = !point.control && chart.is_subset(point);
+    let sources =
+        if some { format!(", {} alone", point.sources.join(" + ")) } else { String::new() };
     let seconds = point.query_seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
     format!(
-        "{number}  {}{sources}{seconds}: {:.1} % ({:.1} to {:.1}), {} ms",
-        point.name(),
+        "{name}{sources}{seconds}: {:.1} % ({:.1} to {:.1}), {} ms",
         100.0 * point.accuracy,
         100.0 * point.accuracy_low,
         100.0 * point.accuracy_high,
@@ -111,7 +117,7 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
     );
     put(root, facts, (MARGIN, 38), 14)?;
     let key = "bars: 95 % Wilson interval over queries; thick line: what nothing beats, numbered \
-               and told below; dashed: negative controls, what a room and a session give away";
+               and told below; dashed: negative controls, what a room or a session may give away";
     put(root, key, (MARGIN, 58), 13)
 }
 
@@ -145,7 +151,7 @@ fn front<'a>(points: &[&'a Point], cost: impl Fn(&Point) -> f64) -> Vec<&'a Poin
 fn axis(chart: &Chart, points: &[&Point]) -> std::ops::Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
-    (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.03
+    (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
 }
 
 fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&Point], colours: &Colours<'_>) -> Drawn {
@@ -160,7 +166,7 @@ fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&Point], colours: &Col
         .bold_line_style(BLACK.mix(0.08))
         .x_desc("median latency of a query [ms], from raw samples to the answer, whole drag")
         .y_desc("accuracy")
-        .x_label_formatter(&|x| three_digits(*x).trim_end_matches('0').trim_end_matches('.').into())
+        .x_label_formatter(&|x| x.to_string())
         .y_label_formatter(&|y| percent(*y))
         .label_style(("sans-serif", 14))
         .draw()
@@ -219,22 +225,13 @@ fn marks<X: Ranged<ValueType = f64>>(
         let ((left, top), at) = (area.get_base_pixel(), panel.backend_coord(&(x, y)));
         (at.0 - left, at.1 - top)
     };
-    let mut above = i32::MAX;
-    let mut controls: Vec<&Point> = chart.controls().collect();
-    controls.sort_by(|a, b| a.accuracy.total_cmp(&b.accuracy));
-    for control in controls {
-        let (from, to) =
-            (place(panel, ends.0, control.accuracy), place(panel, ends.1, control.accuracy));
-        for dash in (from.0..to.0).step_by(10) {
-            let line = [(dash, from.1), ((dash + 5).min(to.0), from.1)];
+    for (letter, control) in lettered(chart) {
+        let ends = [ends.0, ends.1].map(|end| place(panel, end, control.accuracy));
+        for dash in (ends[0].0..ends[1].0).step_by(10) {
+            let line = [(dash, ends[0].1), ((dash + 5).min(ends[1].0), ends[0].1)];
             area.draw(&PathElement::new(line, GREY.stroke_width(1))).map_err(drawing)?;
         }
-        // Names do not run into each other.
-        above = (from.1 - 15).min(above - 15);
-        let text = format!("{}: {:.0} %", control.setting, 100.0 * control.accuracy);
-        let text =
-            Text::new(text, (from.0 + 8, above), ("sans-serif", 12).into_font().color(&GREY));
-        area.draw(&text).map_err(drawing)?;
+        put(area, letter, (ends[0].0 + 4, ends[0].1 - 16), 13)?;
     }
     let front = front(points, &x);
     let line = front.iter().map(|p| (x(p), p.accuracy));
@@ -250,12 +247,17 @@ fn marks<X: Ranged<ValueType = f64>>(
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in front.iter().enumerate() {
         let at = place(panel, x(point), point.accuracy_high);
-        // Close ones stand at different heights.
-        let lift = if at.0 - before.0 < 16 { before.1 + 14 } else { 0 };
-        before = (at.0, lift);
-        put(area, (number + 1).to_string(), (at.0 - 4, at.1 - 16 - lift), 13)?;
+        // Numbers of points that lie close together stand one above the other.
+        let top = if at.0 - before.0 < 18 { (at.1 - 16).min(before.1 - 13) } else { at.1 - 16 };
+        before = (at.0, top);
+        put(area, (number + 1).to_string(), (at.0 - 4, top), 13)?;
     }
     Ok(())
+}
+
+/// The controls, each with the letter that its line bears.
+fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &Point)> {
+    ('a'..='z').map(String::from).zip(chart.controls())
 }
 
 /// How a point looks.
@@ -311,16 +313,18 @@ fn legend_rows(chart: &Chart, colours: &Colours<'_>) -> Vec<Vec<Key>> {
         }
     }
     let mut rows: Vec<Vec<Key>> = Vec::new();
-    let mut used = i32::MAX;
+    let mut used = 0;
     for key in keys {
-        if used + key.width() > WIDTH as i32 - 2 * MARGIN {
-            rows.push(Vec::new());
-            used = 0;
-        }
-        used += key.width();
-        rows.extend(rows.is_empty().then(Vec::new));
-        if let Some(row) = rows.last_mut() {
-            row.push(key);
+        let width = key.width();
+        match rows.last_mut().filter(|_| used + width <= WIDTH as i32 - 2 * MARGIN) {
+            Some(row) => {
+                used += width;
+                row.push(key);
+            }
+            None => {
+                used = width;
+                rows.push(vec![key]);
+            }
         }
     }
     rows
@@ -344,7 +348,7 @@ mod tests {
         for text in [
             "reference",
             "embedding, some sources",
-            "loudness alone: 50 %",
+            "negative control, loudness alone: 50.0 %",
             "MiniRocket (a peer)",
             "SYNTHETIC",
             "first 0.5 s",

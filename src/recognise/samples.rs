@@ -178,19 +178,20 @@ impl SampleSet {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
-    /// Whether coordinates in f32 will do for sums of this set against any other, since nothing
-    /// beyond the reach of its own points counts, and these lie close together: the bound of
-    /// [`coarseness`] with every sample as far out as that.
+    /// Whether coordinates in f32 will do for sums of this set against any other: that of
+    /// [`coarseness`] for a set whose every sample lies where rounding does most harm. One that is
+    /// d away from the centre meets no more than those at least d − 7σ away.
     pub(super) fn is_compact(&self, sigma: f64) -> bool {
         /// exp(−7²/2) is 2e-11.
         const REACH: f64 = 7.0;
         let n = self.n();
-        let farthest = match &self.values {
-            Values::Single(v) => farthest(v, n, &self.centre),
-            Values::Double(v) => farthest(v, n, &self.centre),
+        let distances = match &self.values {
+            Values::Single(v) => distances(v, n, &self.centre),
+            Values::Double(v) => distances(v, n, &self.centre),
         };
-        let error = ROUNDING * (n as f64).sqrt() * (farthest / sigma + REACH);
-        self.fits_lanes(sigma) && error <= ROUNDING_ALLOWED
+        let harm = |(nearer, d): (usize, &f64)| (d / sigma + REACH) * (n - nearer) as f64;
+        let most = distances.iter().enumerate().map(harm).fold(0.0, f64::max);
+        self.fits_lanes(sigma) && ROUNDING / (n as f64).sqrt() * most <= ROUNDING_ALLOWED
     }
 
     /// Whether distances within the set are but a few at this length scale: seen from afar, every
@@ -320,8 +321,7 @@ fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
 /// at least half as far out, mᵢ of them; errors of different points have different signs. So the
 /// error of 2/n Σᵢⱼ k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
 fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
-    let mut distances: Vec<f64> = (0..n).map(|i| distance(values, n, i, centre)).collect();
-    distances.sort_unstable_by(f64::total_cmp);
+    let distances = distances(values, n, centre);
     let mut nearer = 0;
     let mut sum = 0.0;
     for &d in &distances {
@@ -338,13 +338,13 @@ fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
 /// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
 const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
 
-/// Distance of a sample from the centre.
-fn distance<T: Copy + Into<f64>>(values: &[T], n: usize, i: usize, centre: &[f64]) -> f64 {
-    let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i].into() - m).powi(2));
-    d2.sum::<f64>().sqrt()
-}
-
-/// The largest of these.
-fn farthest<T: Copy + Into<f64>>(values: &[T], n: usize, centre: &[f64]) -> f64 {
-    (0..n).map(|i| distance(values, n, i, centre)).fold(0.0, f64::max)
+/// Distances of samples from the centre, ascending.
+fn distances<T: Copy + Into<f64>>(values: &[T], n: usize, centre: &[f64]) -> Vec<f64> {
+    let distance = |i: usize| {
+        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i].into() - m).powi(2));
+        d2.sum::<f64>().sqrt()
+    };
+    let mut distances: Vec<f64> = (0..n).map(distance).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    distances
 }

@@ -6,8 +6,8 @@ use ndarray::{Array2, ArrayView2, Axis};
 
 use super::samples::{SampleSet, Scratch};
 use crate::kernel::{
-    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_self_sum, careful_sum, lane_sum,
-    length_scale, mmd2_biased, mmd2_from_sums,
+    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_sum, lane_sum, length_scale,
+    mmd2_biased, mmd2_from_sums,
 };
 
 /// The least score that enters a product or a logarithm.
@@ -194,7 +194,7 @@ impl<'a> QuerySet<'a> {
         y.fill_careful(points, sigma, &self.origin(shift));
         let yz = careful_sum(points, z_points);
         y.fill_careful(points, sigma, &y.centre);
-        CrossSums { yy: careful_self_sum(points), zz: *zz, yz }
+        CrossSums { yy: careful_sum(points, points), zz: *zz, yz }
     }
 
     /// z's centre, from where the shifted y is seen.
@@ -207,7 +207,8 @@ impl<'a> QuerySet<'a> {
         self.careful.get_or_init(|| {
             let mut points = CarefulPoints::default();
             self.set.fill_careful(&mut points, self.set.sigma, &self.set.centre);
-            let zz = careful_self_sum(&points);
+            // As y's own sum and the cross sum are formed, so that equal roundings cancel.
+            let zz = careful_sum(&points, &points);
             (points, zz)
         })
     }
