@@ -80,10 +80,19 @@ fn ranking<M: Method>(
     method.rank(&model, &method.prepare(&Entry::in_memory(Arc::clone(&query)), &query)?)
 }
 
-fn reference(precision: Precision) -> Reference {
+fn reference(scene: Scene, precision: Precision) -> Reference {
     let options =
         ReferenceOptions { samples: 120, repetitions: 2, precision, ..ReferenceOptions::default() };
-    Reference::new(Scene::lmt108(), options)
+    Reference::new(scene, options)
+}
+
+/// Eq. 8 adds the library's mean to the query, which at 1e30 leaves nothing of it, and at 1e-30
+/// nothing of the library's trial: such pairs have no score that could be held against ours.
+fn of_like_size(kinds: [usize; 3]) -> [usize; 3] {
+    match kinds.into_iter().find(|kind| [1, 2].contains(kind)) {
+        Some(extreme) => [extreme; 3],
+        None => kinds,
+    }
 }
 
 proptest! {
@@ -94,17 +103,19 @@ proptest! {
         kinds in [0..KINDS, 0..KINDS, 0..KINDS],
         seed in any::<u64>(),
         identical in any::<bool>(),
+        source in 0..3usize,
     ) {
-        let fast = ranking(&reference(Precision::Fast), kinds, seed, identical).unwrap();
-        let oracle = ranking(&reference(Precision::Oracle), kinds, seed, identical).unwrap();
+        let kinds = of_like_size(kinds);
+        let scene = || Scene::lmt108().only(&[id(["mi2", "ac", "ir"][source])]).unwrap();
+        let ranked = |precision| ranking(&reference(scene(), precision), kinds, seed, identical);
+        let (fast, oracle) = (ranked(Precision::Fast).unwrap(), ranked(Precision::Oracle).unwrap());
         let score = |r: &Ranking, surface: &str| {
             r.ranked.iter().find(|s| s.surface == surface).unwrap().score
         };
         for surface in ["ash", "elm", "oak"] {
             let (a, b) = (score(&fast, surface), score(&oracle, surface));
-            // Three factors, each within 1e-4, relative or absolute, or at the floor of scores.
             prop_assert!(
-                a.is_finite() && (a - b).abs() <= 1e-3 * b.max(1.0),
+                a.is_finite() && (a - b).abs() <= 1e-4 * b.max(1.0),
                 "{surface}: {a:e} vs {b:e} for {kinds:?}"
             );
         }
@@ -118,7 +129,7 @@ proptest! {
     ) {
         let scene = Scene::lmt108;
         let rankings = [
-            ranking(&reference(Precision::Fast), kinds, seed, identical),
+            ranking(&reference(scene(), Precision::Fast), kinds, seed, identical),
             ranking(&Joint::new(scene()), kinds, seed, identical),
             ranking(&Embedding::new(scene(), EmbeddingOptions::default()), kinds, seed, identical),
             ranking(&OnFeatures::new(scene(), NaiveBayes), kinds, seed, identical),

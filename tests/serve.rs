@@ -42,18 +42,18 @@ fn documented() -> Vec<(String, String)> {
     let (_, section) = text.split_once("\n## As a service, and for programs\n").unwrap();
     let section = section.split("\n## ").next().unwrap();
     let mut samples: Vec<(String, String)> = Vec::new();
+    let mut within = false;
     for line in section.lines() {
-        match line.strip_prefix("    ") {
-            Some(line) if line.starts_with("$ curl ") => {
-                samples.push((line["$ curl ".len()..].into(), String::new()));
-            }
-            Some(line) => {
-                if let Some((_, answer)) = samples.last_mut() {
-                    answer.push_str(line);
-                    answer.push('\n');
-                }
-            }
-            None => {}
+        let Some(line) = line.strip_prefix("    ") else {
+            within = false;
+            continue;
+        };
+        if let Some(command) = line.strip_prefix("$ curl ") {
+            within = true;
+            samples.push((command.into(), String::new()));
+        } else if let Some((_, answer)) = samples.last_mut().filter(|_| within) {
+            answer.push_str(line);
+            answer.push('\n');
         }
     }
     samples

@@ -12,6 +12,7 @@ mod devices;
 mod duration;
 mod enroll;
 mod eval;
+mod export;
 mod lines;
 mod live;
 mod method;
@@ -66,6 +67,8 @@ enum Command {
     Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
+    Export(export::ExportArgs),
+    Import(export::ImportArgs),
     Completion(completion::Args),
 }
 
@@ -105,6 +108,8 @@ pub fn run() -> ExitCode {
         Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Devices(args) => devices::run(&args),
+        Command::Export(args) => export::export(&args),
+        Command::Import(args) => export::import(&args),
         Command::Completion(args) => completion::run(&args),
     };
     let (code, kind, message) = match done {

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::choose::choose;
 use super::eval::share;
 use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, show};
@@ -104,11 +105,9 @@ impl Comparing {
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries = library.entries.iter().map(|entry| entry.clone().within(&scene)).collect();
-    let library = Library { scene, entries, ..library };
-    let keys: Vec<_> = library.entries.iter().map(|entry| entry.key.clone()).collect();
-    let protocol = args.protocol.unwrap_or_else(|| Protocol::natural(&keys));
+    let chosen = choose(&library, &args.lib, &args.sources, args.protocol)?;
+    let protocol = chosen.protocol;
+    let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();
     let options = PlanOptions { target: args.target, protocol, cache: None };
     let planned = search(&library, options, &|step, done, of| steps.tell(step, done, of))?;

@@ -5,6 +5,7 @@
 
 mod date;
 mod folder_name;
+pub mod mcap;
 mod wav;
 
 pub use date::utc;

@@ -50,7 +50,7 @@ function sureText(answer) {
   const parts = [];
   if (answer.surface === null) parts.push(`most alike: ${answer.ranked[0]?.surface ?? "nothing"}`);
   else if (answer.confidence !== null) parts.push(`${percent(answer.confidence)} sure`);
-  else parts.push(`${sureness(answer)} more alike than the next`);
+  else parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
   parts.push(`answered in ${answer.latency_ms.toFixed(0)} ms`);
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");
@@ -218,7 +218,6 @@ const changes = {
   phase: ({ scan, phase }) => {
     if (state.scan !== scan || phase === null) state.guess = null;
     [state.scan, state.phase] = [phase === null ? null : scan, phase];
-    if (phase !== null) announce(`scan ${scan}: ${phase}`);
   },
   guess: (guess) => (state.guess = guess),
   answer: (answer) => {
@@ -229,7 +228,7 @@ const changes = {
     scans = [answer, ...scans].slice(0, HISTORY);
     announce(`scan ${answer.scan}: ${answer.surface ?? "unknown"}, ${sureText(answer)}`);
   },
-  enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)),
+  enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
   library: (library) => (state.library = library),
   warning: (warning) => (state.warnings = [warning, ...state.warnings].slice(0, 50)),
