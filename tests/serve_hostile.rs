@@ -47,7 +47,7 @@ fn what_is_no_request_is_refused_and_orders_nothing() {
         b"GET / HTTP/9.9\r\n\r\n",
         b"POST /api/v1/start HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n",
         b"POST /api/v1/start HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\nx",
-        b"POST /api/v1/start HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+        b"POST /api/v1/enroll HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
     ] {
         let refused = served.raw(bytes).is_none_or(|reply| (400..600).contains(&reply.status));
         assert!(refused, "{:?}", String::from_utf8_lossy(bytes));

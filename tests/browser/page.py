@@ -170,7 +170,8 @@ def main():
         kept = [line for line in lines if line.get("folder")]
         assert len(kept) == 1 and (library / "slate").is_dir(), f"one trial was kept: {kept}\n{said}"
         assert all(line["lost_samples"] == 0 for line in lines if "lost_samples" in line)
-        assert code == 0, f"exit code {code}\n{said}"
+        # 3: the replay was ended in the middle of a scan, which it says.
+        assert code == 0 or (code == 3 and "was cut off" in said), f"exit code {code}\n{said}"
     print("the page works")
 
 
