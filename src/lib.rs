@@ -6,16 +6,17 @@
 //! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
 //! duration (HSIC, T*) and evaluate (protocols, chart, stress, plan) stand on library + kernel; station joins
-//! scan, recognise and record; cli and serve stand on top of all.
+//! scan, recognise, duration and record; cli and serve stand on top of all.
 //! ```
 //!
 //! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes
-//! every draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no
+//! every draw of randomness repeatable, [`draw`] makes pictures. Decoders, kernels and statistics are pure: no I/O, no
 //! clock, no global state.
 
 pub mod cli;
 pub mod dataset;
 pub mod device;
+pub mod draw;
 pub mod duration;
 pub mod evaluate;
 pub mod kernel;
@@ -26,5 +27,6 @@ pub mod ring;
 pub mod scan;
 pub mod scene;
 pub mod seed;
+pub mod serve;
 pub mod station;
 pub mod trial;

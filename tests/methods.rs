@@ -7,9 +7,8 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{id, picture, series, shared_lmt108};
-use surfaced::dataset;
-use surfaced::evaluate::{self, Fold, Protocol};
+use common::{id, picture, real_sounds, series};
+use surfaced::evaluate::{self, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingOptions, FramedStream, FramedTrial, Joint, Method, Ranking,
@@ -22,20 +21,6 @@ fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
 }
 
-/// Entries of the real sounds, and the first folds of leave-one-trial-out.
-fn real(folds: usize) -> Option<(Scene, Vec<Entry>, Vec<Fold>)> {
-    let library = dataset::open(&shared_lmt108()?, &Scene::lmt108()).unwrap();
-    let scene = library.scene.clone().only(&[id("mi2")]).unwrap();
-    let entries: Vec<Entry> = (library.entries.into_iter())
-        .map(|entry| entry.within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let mut all = evaluate::folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
-    all.truncate(folds);
-    Some((scene, entries, all))
-}
-
 fn accuracy<M: Method>(method: &M, entries: &[Entry], folds: &[Fold], seconds: Option<f64>) -> f64 {
     let cut = move |entry: &Entry| match seconds {
         Some(s) => entry.clone().changed(move |trial| trial.first_seconds(s, |_| true)),
@@ -46,7 +31,7 @@ fn accuracy<M: Method>(method: &M, entries: &[Entry], folds: &[Fold], seconds: O
 
 #[test]
 fn embedding_names_real_sounds_whole_and_short() {
-    let Some((scene, entries, folds)) = real(3) else { return };
+    let Some((scene, entries, folds)) = real_sounds(3) else { return };
     let method = embedding(&scene);
     assert!(accuracy(&method, &entries, &folds, None) >= 0.98);
     assert!(accuracy(&method, &entries, &folds, Some(1.0)) >= 0.93);
@@ -55,7 +40,7 @@ fn embedding_names_real_sounds_whole_and_short() {
 
 #[test]
 fn joint_names_real_sounds() {
-    let Some((scene, entries, folds)) = real(3) else { return };
+    let Some((scene, entries, folds)) = real_sounds(3) else { return };
     assert!(accuracy(&Joint::new(scene), &entries, &folds, None) >= 0.95);
 }
 
@@ -63,7 +48,7 @@ fn joint_names_real_sounds() {
 /// chart can show it, and may not come near the method itself.
 #[test]
 fn negative_controls_stay_far_below() {
-    let Some((_, entries, folds)) = real(2) else { return };
+    let Some((_, entries, folds)) = real_sounds(2) else { return };
     let control = |band: &str, align: bool| {
         let text = format!(
             "format = 1\n[sources.mi2]\ndomain = \"spectrum\"\nband_hz = {band}\n\
@@ -77,7 +62,7 @@ fn negative_controls_stay_far_below() {
 
 #[test]
 fn a_gain_changes_nothing_where_means_are_aligned() {
-    let Some((scene, entries, folds)) = real(1) else { return };
+    let Some((scene, entries, folds)) = real_sounds(1) else { return };
     let method = embedding(&scene);
     let library = |i: &usize| Arc::new(prepared(&method, &entries[*i].load().unwrap()));
     let model = method.fit(folds[0].library.iter().map(library).collect()).unwrap();

@@ -1,18 +1,14 @@
-//! The microphone's driver on a real sound server: a PulseAudio null sink, whose monitor is the
-//! microphone behind ALSA's pulse plugin. A real dragging sound is played into it.
-//!
-//! Needs the programs `pulseaudio` and `pactl`, `paplay`, and ALSA's pulse plugin (Debian:
-//! pulseaudio pulseaudio-utils libasound2-plugins); where they are absent the test is skipped,
-//! unless `SURFACED_REQUIRE_SOUND=1`.
+//! The microphone's driver on a real sound server (see `common::sound`): a real dragging sound is
+//! played into it.
 #![cfg(feature = "microphone")]
 
 mod common;
 
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::Child;
 use std::time::{Duration, Instant};
 
+use common::sound::{SINK, Server};
 use common::{id, shared};
 use realfft::RealFftPlanner;
 use surfaced::device::microphone::{Alsa, Microphone, RATE_HZ};
@@ -23,97 +19,6 @@ const SOUND: &str = "data/LMT_108_SurfaceMaterials_Database/SoundScans/Movement/
                      G4CherryTree_Sound_Movement_train10.wav";
 /// Silence before and after the sound, in seconds: time for the player to start, and to drain.
 const MARGIN_S: f64 = 1.5;
-
-/// A sound server of our own, with one null sink, that ends when it is dropped.
-struct Server {
-    child: Child,
-    dir: tempfile::TempDir,
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn missing(what: &str) -> bool {
-    let required = std::env::var("SURFACED_REQUIRE_SOUND").is_ok_and(|value| value == "1");
-    assert!(!required, "{what} is absent, but SURFACED_REQUIRE_SOUND=1");
-    let _ =
-        writeln!(std::io::stderr(), "SKIPPED: a test of the microphone, since {what} is absent");
-    true
-}
-
-fn has(program: &str) -> bool {
-    let run = Command::new(program).arg("--version").stdout(Stdio::null()).status();
-    run.is_ok_and(|status| status.success())
-}
-
-impl Server {
-    /// None where there is no PulseAudio.
-    fn start() -> Option<Self> {
-        for program in ["pulseaudio", "pactl", "paplay"] {
-            if !has(program) && missing(program) {
-                return None;
-            }
-        }
-        let dir = tempfile::tempdir().unwrap();
-        let home = |name: &str| {
-            let path = dir.path().join(name);
-            std::fs::create_dir(&path).unwrap();
-            path
-        };
-        let (runtime, config) = (home("run"), home("home"));
-        let log = std::fs::File::create(dir.path().join("log")).unwrap();
-        let socket = dir.path().join("socket");
-        let native = format!(
-            "module-native-protocol-unix auth-anonymous=1 socket={}",
-            socket.to_str().unwrap()
-        );
-        let null = "module-null-sink sink_name=drag rate=44100 channels=1 format=s16le";
-        let child = Command::new("pulseaudio")
-            .args(["-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1"])
-            .args(["--disallow-exit=no", "--realtime=no", "--high-priority=no", "-L", &native])
-            .args(["-L", null])
-            .env("XDG_RUNTIME_DIR", &runtime)
-            .env("HOME", &config)
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .unwrap();
-        let server = Self { child, dir };
-        let begin = Instant::now();
-        while !server.client("pactl").arg("info").output().unwrap().status.success() {
-            let log = || std::fs::read_to_string(server.dir.path().join("log")).unwrap();
-            assert!(begin.elapsed() < Duration::from_secs(20), "no sound server: {}", log());
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        Some(server)
-    }
-
-    fn client(&self, program: &str) -> Command {
-        let mut command = Command::new(program);
-        command
-            .env("PULSE_SERVER", format!("unix:{}", self.dir.path().join("socket").display()))
-            .env("HOME", self.dir.path().join("home"))
-            .env("XDG_RUNTIME_DIR", self.dir.path().join("run"));
-        command
-    }
-
-    /// An ALSA configuration in which `default` is the monitor of the null sink.
-    fn alsa(&self) -> PathBuf {
-        let path = self.dir.path().join("asound.conf");
-        let server = format!("unix:{}", self.dir.path().join("socket").display());
-        let text = format!(
-            "</usr/share/alsa/alsa.conf>\n\
-             pcm.!default {{ type pulse server \"{server}\" device \"drag.monitor\" }}\n\
-             ctl.!default {{ type pulse server \"{server}\" }}\n"
-        );
-        std::fs::write(&path, text).unwrap();
-        path
-    }
-}
 
 /// The best normalised cross-correlation of `sound` with a stretch of `heard`, and where it is.
 fn find(sound: &[f32], heard: &[f32]) -> (f64, usize) {
@@ -184,7 +89,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
             match report.kind {
                 ReportKind::State { state: DeviceState::Opening, .. } => {}
                 ReportKind::State { state: DeviceState::Streaming, .. } => {
-                    let player = server.client("paplay").arg("-d").arg("drag").arg(&path).spawn();
+                    let player = server.client("paplay").arg("-d").arg(SINK).arg(&path).spawn();
                     playing = Some((Instant::now(), player.unwrap()));
                 }
                 ReportKind::State { state, detail } => panic!("{state}: {detail}"),

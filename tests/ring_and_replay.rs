@@ -1,91 +1,20 @@
 //! From recordings through rings back to scans: nothing is changed, and what is lost is said.
 
+mod common;
+
 use std::sync::Arc;
 use std::time::Duration;
 
+use common::id;
+use common::replayed::{listen, picture, replay, same_signals, series, trial, whole_trial};
 use proptest::prelude::*;
-use surfaced::device::{Begin, Control, Device, DeviceError, DeviceState, Mark, Open, Replay};
+use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, Replay};
 use surfaced::device::{Speed, StreamKind, StreamSpec};
 use surfaced::library::{Entry, LibraryError, LoadTrial};
 use surfaced::ring::Sink;
-use surfaced::scan::{Event, Options, Scan, Session, SoFar, Totals};
+use surfaced::scan::{Event, Options, Scan, Session};
 use surfaced::scene::{Phase, Scene, SourceId};
-use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
-
-fn id(name: &str) -> SourceId {
-    SourceId::new(name).unwrap()
-}
-
-fn series(rate_hz: f64, channels: usize, frames: usize, salt: u32) -> Signal {
-    let sample = |i: u32| (i.wrapping_mul(2_654_435_761) ^ salt.wrapping_mul(97)) as f32 * 1e-9;
-    let samples = (0..(frames * channels) as u32).map(sample).collect();
-    Signal::Series(Series::new(rate_hz, channels, samples).unwrap())
-}
-
-fn picture(value: u8) -> Signal {
-    let rgb = vec![value; Image::ROWS * Image::COLS * 3];
-    Signal::Image(Image::new(Image::COLS, Image::ROWS, rgb).unwrap())
-}
-
-fn trial(number: u32, signals: Vec<(&str, Signal)>) -> Trial {
-    let signals = signals.into_iter().map(|(name, signal)| (id(name), signal)).collect();
-    Trial { key: TrialKey::new("slate", "expert", number), signals }
-}
-
-/// A trial with sources of every phase; `frames` of sound.
-fn whole_trial(number: u32, frames: usize) -> Trial {
-    trial(
-        number,
-        vec![
-            ("ca1", picture(number as u8)),
-            ("mi1", series(44_100.0, 1, frames / 3 + 1, number)),
-            ("mi2", series(44_100.0, 1, frames, number)),
-            ("ac", series(10_000.0, 3, frames / 4 + 1, number)),
-            ("me", series(100.0, 1, 1 + frames / 400, number)),
-        ],
-    )
-}
-
-fn replay(trials: &[Trial]) -> Replay {
-    let entries = trials.iter().cloned().map(Entry::in_memory).collect();
-    Replay::new(&Scene::lmt108(), entries)
-}
-
-struct Heard {
-    scans: Vec<Scan>,
-    so_far: Vec<(u32, f64, Trial)>,
-    warnings: Vec<String>,
-    lost: Vec<String>,
-    totals: Totals,
-}
-
-fn listen(device: impl Device + 'static, options: Options) -> Heard {
-    let session = Session::start(vec![Box::new(device)], options).unwrap();
-    let (mut sum, mut scans, mut so_far) = (SoFar::default(), Vec::new(), Vec::new());
-    let (mut warnings, mut lost) = (Vec::new(), Vec::new());
-    let mut finished = false;
-    for event in session.events() {
-        assert!(!finished, "nothing follows the end");
-        match event {
-            Event::Scan(scan) => scans.push(*scan),
-            Event::Progress(progress) => {
-                sum.add(&progress);
-                so_far.push((progress.number, progress.scan_s, sum.trial()));
-            }
-            Event::Warning(text) => warnings.push(text),
-            Event::Device { state: DeviceState::Lost, detail, .. } => lost.push(detail),
-            Event::Finished(_) => finished = true,
-            Event::Device { .. } | Event::Trace(_) => {}
-        }
-    }
-    assert!(finished);
-    Heard { scans, so_far, warnings, lost, totals: session.wait().unwrap() }
-}
-
-fn same_signals(scans: &[Scan], trials: &[Trial]) -> bool {
-    scans.len() == trials.len()
-        && scans.iter().zip(trials).all(|(scan, trial)| scan.trial.signals == trial.signals)
-}
+use surfaced::trial::{Signal, Trial, TrialKey};
 
 #[test]
 fn a_scan_holds_the_data_of_the_recording_and_not_its_name() {

@@ -1,145 +1,17 @@
 //! The stylus's driver against a stylus on a pseudo-terminal that misbehaves in every way.
 
-use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+mod common;
+
+use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use common::stylus::{Fake, RATE_HZ, value};
 use crossbeam_channel::Receiver;
-use serialport::{SerialPort, TTYPort};
-use surfaced::device::serial::{OpenPort, PortError, Selector, Stylus};
-use surfaced::device::{Control, Device, DeviceState, Report, ReportKind};
+use surfaced::device::serial::{OpenPort, Selector, Stylus};
+use surfaced::device::{Control, Device, DeviceState, OpenError, Report, ReportKind};
 use surfaced::ring::{Bell, Piece, SeriesTap, Sink, Stop, series};
-use surfaced_wire::{
-    Channel, Command, Decoder, Hello, MAX_ENCODED, Message, Samples, Status, encode,
-};
-
-const RATE_HZ: u64 = 10_000;
-const NAMES: [&str; 7] = ["acc_x", "acc_y", "acc_z", "fsr_1", "fsr_2", "ir", "metal"];
-
-/// A value that tells index and channel.
-fn value(index: u64, channel: usize) -> i16 {
-    (index % 4000) as i16 * 7 + channel as i16
-}
-
-/// A stylus on the master's side; dropping it unplugs it.
-struct Fake {
-    line: TTYPort,
-    _slave: TTYPort,
-    decoder: Decoder,
-    names: Vec<&'static str>,
-    /// Index of the next sample, while it samples.
-    next: Option<u64>,
-    /// Commands that go unheard.
-    deaf: usize,
-    commands: Vec<Command>,
-}
-
-impl Fake {
-    /// Plugs a stylus in, so that `link` leads to it.
-    fn plug(link: &Path) -> Self {
-        let (mut line, slave) = TTYPort::pair().unwrap();
-        line.set_timeout(Duration::from_millis(1)).unwrap();
-        let _ = std::fs::remove_file(link);
-        std::os::unix::fs::symlink(slave.name().unwrap(), link).unwrap();
-        let names = NAMES.to_vec();
-        let (decoder, commands) = (Decoder::new(), Vec::new());
-        Self { line, _slave: slave, decoder, names, next: None, deaf: 0, commands }
-    }
-
-    fn put(&mut self, mut bytes: &[u8]) {
-        let limit = Instant::now() + Duration::from_secs(10);
-        while !bytes.is_empty() && Instant::now() < limit {
-            bytes = &bytes[self.line.write(bytes).unwrap_or(0)..];
-        }
-        assert!(bytes.is_empty(), "nobody reads");
-    }
-
-    fn say(&mut self, message: &Message<'_>) {
-        let mut out = [0; MAX_ENCODED];
-        let n = encode(message, &mut out).unwrap();
-        self.put(&out[..n]);
-    }
-
-    fn hello(&mut self) {
-        let channels: Vec<_> =
-            self.names.iter().map(|name| Channel { name, scale: 1.0, unit: "" }).collect();
-        let channels = channels[..].into();
-        let hello =
-            Hello { serial: "T1", firmware: [0, 1, 0], sample_rate_hz: RATE_HZ as u32, channels };
-        self.say(&Message::Hello(hello));
-    }
-
-    fn samples(&mut self, count: u64) {
-        let first = self.next.unwrap();
-        let wide = self.names.len();
-        let channel = |name: &str| NAMES.iter().position(|n| *n == name).unwrap();
-        let places: Vec<_> = self.names.iter().map(|name| channel(name)).collect();
-        let values: Vec<u8> = (first..first + count)
-            .flat_map(|i| places.iter().flat_map(move |&c| value(i, c).to_le_bytes()))
-            .collect();
-        let samples = Samples::new(first, wide, &values).unwrap();
-        self.say(&Message::Samples(samples));
-        self.next = Some(first + count);
-    }
-
-    fn heed(&mut self) {
-        let mut bytes = [0; 256];
-        let Ok(n) = self.line.read(&mut bytes) else { return };
-        let (mut input, mut heard) = (&bytes[..n], Vec::new());
-        while let Some(message) = self.decoder.next(&mut input) {
-            match message {
-                Ok(Message::Command(command)) => heard.push(command),
-                other => panic!("{other:?}"),
-            }
-        }
-        for command in heard {
-            self.commands.push(command);
-            if self.deaf > 0 {
-                self.deaf -= 1;
-                continue;
-            }
-            match command {
-                Command::Start => {
-                    self.hello();
-                    self.next.get_or_insert(0);
-                }
-                Command::Identify => self.hello(),
-                Command::Stop => self.next = None,
-                Command::LightOff | Command::LightOn => {}
-            }
-            let light = command == Command::LightOn;
-            let sampling = self.next.is_some();
-            self.say(&Message::Status(Status { sampling, light, ..Status::default() }));
-        }
-    }
-
-    /// Samples in real time, and obeys.
-    fn serve(&mut self, seconds: f64) {
-        let (begin, mut sent) = (Instant::now(), 0);
-        while begin.elapsed().as_secs_f64() < seconds {
-            self.heed();
-            if self.next.is_none() {
-                sent = (begin.elapsed().as_secs_f64() * RATE_HZ as f64) as u64;
-            }
-            while self.next.is_some()
-                && sent < (begin.elapsed().as_secs_f64() * RATE_HZ as f64) as u64
-            {
-                self.samples(32);
-                sent += 32;
-            }
-        }
-    }
-
-    /// Serves until it is started.
-    fn wait_for_start(&mut self) {
-        let limit = Instant::now() + Duration::from_secs(10);
-        while self.next.is_none() {
-            assert!(Instant::now() < limit, "no start");
-            self.heed();
-        }
-    }
-}
+use surfaced_wire::Command;
 
 /// A driver at work.
 struct Bench {
@@ -430,10 +302,10 @@ fn a_port_that_another_has_is_busy_and_one_that_is_not_there_absent() {
     let dir = tempfile::tempdir().unwrap();
     let link = dir.path().join("stylus");
     let mut selector = Selector::Path(link.clone());
-    assert!(matches!(selector.open(), Err(PortError::Absent(_))));
+    assert!(matches!(selector.open(), Err(OpenError::Absent(_))));
     let _fake = Fake::plug(&link);
     let held = selector.open().unwrap();
-    assert!(matches!(selector.open(), Err(PortError::Busy(_))));
+    assert!(matches!(selector.open(), Err(OpenError::Busy(_))));
     drop(held);
     assert!(selector.open().is_ok());
 }

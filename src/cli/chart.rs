@@ -1,25 +1,28 @@
 //! `surfaced chart`: every method, accuracy against latency and against scan time.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use clap::Parser;
 
-use super::eval::Evaluation;
-use super::method::MethodArgs;
+use super::choose::{Choice, choose};
+use super::eval::{Also, Evaluation};
+use super::method::{MethodArgs, WithMethod, at_least_one};
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::{self, Chart, Point, Protocol, figure};
-use crate::library::Entry;
-use crate::scene::{Domain, Phase, Scene};
-use crate::trial::{EXPERT, Signal};
+use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, Protocol, figure};
+use crate::scene::{Domain, Phase, Scene, SourceId};
+use crate::trial::Signal;
 
 /// Chart accuracy against latency and scan time, for every method
 ///
-/// Each point is measured in this run. JSON is written beside the picture.
+/// Each point is measured in this run, beside two negative controls: what the band below 80 Hz
+/// and loudness alone give away. JSON is written beside the picture. An earlier run's JSON in place
+/// of recordings is drawn again, with whatever was joined to it since.
 #[derive(clap::Args)]
-#[command(after_help = "Example: surfaced chart LMT_108_SurfaceMaterials_Database --sources mi2 \
-                        --out chart.svg")]
+#[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
+                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg")]
 pub struct Args {
-    /// Recordings: a library, or the LMT108 database
+    /// Recordings (a library, or the LMT108 database), or the JSON of an earlier chart
     lib: PathBuf,
     /// Picture to write, an SVG; the JSON goes beside it
     #[arg(long, value_name = "FILE")]
@@ -29,27 +32,34 @@ pub struct Args {
     protocol: Option<Protocol>,
     #[command(flatten)]
     sources: SourceArgs,
+    /// Use this many surfaces at most, evenly spread over their names
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    surfaces: Option<usize>,
     /// Print the JSON on stdout, too
     #[arg(long)]
     json: bool,
 }
 
-/// Settings that are charted on whole drags, as options of `surfaced eval`.
-const SETTINGS: [&str; 8] = [
-    "--method reference --n 100 --repetitions 1",
-    "--method reference --n 400 --repetitions 1",
-    "--method reference --n 100 --repetitions 10",
-    "--method reference --n 400 --repetitions 10",
-    "--method reference --n 400 --repetitions 10 --halving",
-    "--method joint",
-    "--method embedding --no-discriminant",
-    "--method embedding",
+/// Settings that are charted, as options of `surfaced eval`; the flagged ones on the first seconds
+/// of a drag, too.
+const SETTINGS: [(&str, bool); 11] = [
+    ("--method reference --n 100 --repetitions 1", false),
+    ("--method reference --n 400 --repetitions 1", false),
+    ("--method reference --n 100 --repetitions 10", false),
+    ("--method reference --n 400 --repetitions 10", true),
+    ("--method reference --n 400 --repetitions 10 --halving", false),
+    ("--method joint", true),
+    ("--method embedding --no-discriminant --harmonics 1", false),
+    ("--method embedding --no-discriminant", true),
+    ("--method embedding --harmonics 1", false),
+    ("--method embedding --harmonics 2", false),
+    (SUBSETS_BY, true),
 ];
-/// Settings that are charted on the first seconds of a drag, too.
-const TIMED: [&str; 3] =
-    ["--method reference --n 400 --repetitions 10", "--method joint", "--method embedding"];
+/// The setting that subsets of the sources, and the control below, are charted with.
+const SUBSETS_BY: &str = "--method embedding";
+/// Scan times, in seconds, besides the whole.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
-/// Upper end of the band of the negative control: hum and rumble, of room and session.
+/// Upper end of the band of a negative control: hum and rumble, of room and session.
 const CONTROL_HZ: f64 = 80.0;
 
 /// A method's options without a command around them.
@@ -59,113 +69,208 @@ struct Options {
     method: MethodArgs,
 }
 
-/// One thing to measure.
+/// What is measured in one go.
 struct Plan {
     setting: String,
     scene: Scene,
-    seconds: Option<f64>,
-    control: Option<String>,
+    seconds: Vec<Option<f64>>,
+    kind: Kind,
+}
+
+#[derive(PartialEq)]
+enum Kind {
+    /// What a person may choose.
+    Method,
+    /// A method on what should say little.
+    Control,
+    /// No method at all.
+    Loudness,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let library = super::open(&args.lib)?;
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has_users = keys.iter().any(|key| key.user != EXPERT);
-    let protocol = args.protocol.unwrap_or(if has_users {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
-    let folds = evaluate::folds(protocol, &keys)?;
-    let plans = plans(&scene, &entries);
-    let mut points = Vec::new();
-    for (done, plan) in plans.iter().enumerate() {
-        eprintln!("{}/{}  {}", done + 1, plans.len(), told(plan));
-        let words = std::iter::once("surfaced").chain(plan.setting.split(' '));
-        // The settings above are options of this very program; a test parses them.
-        let options = Options::try_parse_from(words)?;
-        let evaluation = Evaluation {
-            entries: &entries,
-            folds: &folds,
-            scene: &plan.scene,
-            query_seconds: plan.seconds,
-            cache: None,
-        };
-        let (outcome, _) = options.method.apply(&plan.scene, evaluation)?;
-        let setting = plan.control.as_ref().unwrap_or(&plan.setting);
-        let point = Point::new(&outcome, setting, plan.seconds, plan.control.is_some());
-        eprintln!("      {}, {:.1} ms", show::percent(point.accuracy), point.query_ms_p50);
-        points.push(point);
+    let drawn_again = args.lib.extension().is_some_and(|e| e == "json") && args.lib.is_file();
+    let chart = if drawn_again { read(&args.lib)? } else { measured(args)? };
+    let beside = args.out.with_extension("json");
+    write(&args.out, &figure(&chart)?)?;
+    if !drawn_again || beside != args.lib {
+        write(&beside, &(serde_json::to_string_pretty(&chart)? + "\n"))?;
     }
-    let chart = Chart {
-        data: library.name.clone(),
-        synthetic: library.synthetic,
-        protocol: protocol.name().into(),
-        library_trials: folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
-        drag_s: drag_s(&scene, &entries)?,
-        points,
-    };
-    let write = |path: PathBuf, text: String| {
-        std::fs::write(&path, text)
-            .map_err(|error| Failure::Failed(format!("{}: {error}", path.display())))
-    };
-    write(args.out.clone(), figure(&chart)?)?;
-    write(args.out.with_extension("json"), serde_json::to_string_pretty(&chart)?)?;
     if args.json {
         show::json(&chart);
     }
     Ok(())
 }
 
-fn told(plan: &Plan) -> String {
-    let seconds = plan.seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
-    let control = plan.control.as_ref().map(|c| format!(" (control: {c})")).unwrap_or_default();
-    format!("{}{seconds}{control}", plan.setting)
+fn read(path: &Path) -> Result<Chart, Failure> {
+    let failed = |error: &dyn std::fmt::Display| {
+        Failure::Failed(format!(
+            "{}: {error}; expected what `surfaced chart` writes beside its picture",
+            super::shown(path)
+        ))
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| failed(&error))?;
+    serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-fn plans(scene: &Scene, entries: &[Entry]) -> Vec<Plan> {
-    let plan = |setting: &str, scene: &Scene, seconds| Plan {
+fn write(path: &Path, text: &str) -> Done {
+    std::fs::write(path, text)
+        .map_err(|error| Failure::Failed(format!("{}: {error}", super::shown(path))))
+}
+
+fn measured(args: &Args) -> Result<Chart, Failure> {
+    if args.out.extension().is_some_and(|e| e == "json") {
+        return Err(Failure::Usage(format!(
+            "{}: name the picture, such as chart.svg; the JSON is written beside it",
+            super::shown(&args.out)
+        )));
+    }
+    let library = super::open(&args.lib)?;
+    let mut choice = choose(&library, &args.lib, &args.sources, args.protocol)?;
+    if let Some(most) = args.surfaces {
+        choice.keep_surfaces(most)?;
+    }
+    let sources = choice.held();
+    choice.scene = choice.scene.only(&sources)?;
+    let drag_s = drag_s(&choice)?;
+    let surfaces: std::collections::BTreeSet<&str> = choice.surfaces().collect();
+    let chart = Chart {
+        data: library.name.clone(),
+        synthetic: library.synthetic,
+        protocol: choice.protocol.name().into(),
+        sources: sources.iter().map(SourceId::to_string).collect(),
+        surfaces: surfaces.len(),
+        library_trials: choice.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
+        threads: rayon::current_num_threads(),
+        drag_s,
+        points: Vec::new(),
+    };
+    let points = points(&choice, &plans(&choice.scene, drag_s))?;
+    Ok(Chart { points, ..chart })
+}
+
+fn points(choice: &Choice, plans: &[Plan]) -> Result<Vec<Point>, Failure> {
+    let start = Instant::now();
+    let mut points = Vec::new();
+    for (done, plan) in plans.iter().enumerate() {
+        let so_far_s = start.elapsed().as_secs_f64();
+        let left = match done {
+            0 => String::new(),
+            _ => {
+                let left_s = so_far_s * (plans.len() - done) as f64 / done as f64;
+                format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
+            }
+        };
+        eprintln!("{}/{}  {}{left}", done + 1, plans.len(), plan.setting);
+        for (seconds, (outcome, _)) in plan.seconds.iter().zip(measure(choice, plan)?) {
+            let control = plan.kind != Kind::Method;
+            let point = Point::new(&outcome, &plan.setting, *seconds, control);
+            eprintln!(
+                "       {}: {} ({} to {}), {:.2} ms",
+                seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
+                show::percent(point.accuracy),
+                show::percent(point.accuracy_low),
+                show::percent(point.accuracy_high),
+                point.query_ms_p50
+            );
+            points.push(point);
+        }
+    }
+    Ok(points)
+}
+
+fn measure(choice: &Choice, plan: &Plan) -> Result<Vec<(Outcome, Vec<Prediction>)>, Failure> {
+    let Choice { entries, folds, .. } = choice;
+    let evaluation = Evaluation {
+        entries,
+        folds,
+        scene: &plan.scene,
+        seconds: &plan.seconds,
+        cache: None,
+        also: Also::default(),
+    };
+    let setting = match plan.kind {
+        Kind::Loudness => match Loudness::new(&plan.scene) {
+            Some(loudness) => return Ok(evaluation.with(loudness)?.each),
+            None => return Ok(Vec::new()),
+        },
+        Kind::Control => SUBSETS_BY,
+        Kind::Method => &plan.setting,
+    };
+    // The settings above are options of this very program; a test parses them.
+    let options = Options::try_parse_from(words(setting))?;
+    Ok(options.method.apply(&plan.scene, evaluation)?.each)
+}
+
+fn words(setting: &str) -> impl Iterator<Item = &str> {
+    std::iter::once("surfaced").chain(setting.split(' '))
+}
+
+fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
+    let timed = || {
+        let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
+        std::iter::once(None).chain(shorter.map(Some)).collect()
+    };
+    let plan = |setting: &str, scene: &Scene, kind| Plan {
         setting: setting.into(),
         scene: scene.clone(),
-        seconds,
-        control: None,
+        seconds: vec![None],
+        kind,
     };
-    let mut plans: Vec<Plan> = SETTINGS.iter().map(|s| plan(s, scene, None)).collect();
-    for seconds in SECONDS {
-        plans.extend(TIMED.iter().map(|setting| plan(setting, scene, Some(seconds))));
+    let of_setting = |(setting, is_timed): (&str, bool)| {
+        let whole = plan(setting, scene, Kind::Method);
+        if is_timed { Plan { seconds: timed(), ..whole } } else { whole }
+    };
+    let mut plans: Vec<Plan> = SETTINGS.into_iter().map(of_setting).collect();
+    for subset in subsets(scene) {
+        plans.push(plan(SUBSETS_BY, &subset, Kind::Method));
     }
-    let held = |id: &crate::scene::SourceId| entries.iter().any(|e| e.sources.contains(id));
-    let sources: Vec<_> = scene.sources().filter(|spec| held(&spec.id)).collect();
-    for spec in &sources {
-        let id = std::slice::from_ref(&spec.id);
-        if let (true, Ok(alone)) = (sources.len() > 1, scene.clone().only(id)) {
-            plans.push(plan("--method embedding", &alone, None));
-        }
-        // Sounds alone: what a room and a session give away below all that a surface says.
-        if let (Domain::Spectrum { .. }, Ok(alone)) = (&spec.domain, scene.clone().only(id)) {
-            let below = alone.changed(|spec| {
-                spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
-                spec.align_mean = false;
-            });
-            let control = Some(format!("{} below {CONTROL_HZ} Hz alone", spec.id));
-            plans.push(Plan { control, ..plan("--method embedding", &below, None) });
-        }
+    let heard = |domain: &Domain| matches!(domain, Domain::Spectrum { .. });
+    if let Some(sounds) = of_domain(scene, heard) {
+        let ids: Vec<_> = sounds.sources().map(|spec| spec.id.as_str()).collect();
+        let ids = ids.join(", ");
+        let below = sounds.clone().changed(|spec| {
+            spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
+            spec.align_mean = false;
+        });
+        plans.push(plan(&format!("{ids} below {CONTROL_HZ} Hz alone"), &below, Kind::Control));
+        plans.push(plan(&format!("loudness of {ids} alone"), &sounds, Kind::Loudness));
     }
     plans
 }
 
-/// The longest drag of the first trial that has one.
-fn drag_s(scene: &Scene, entries: &[Entry]) -> Result<Option<f64>, Failure> {
-    let is_drag = |id: &crate::scene::SourceId| {
-        scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
+/// Each source alone, and all of one domain, where that is not all there is.
+fn subsets(scene: &Scene) -> Vec<Scene> {
+    let all = scene.sources().len();
+    let single = |spec: &crate::scene::SourceSpec| {
+        let id = std::slice::from_ref(&spec.id);
+        scene.clone().only(id).ok()
     };
-    let Some(entry) = entries.iter().find(|e| e.sources.iter().any(is_drag)) else {
+    let mut subsets: Vec<Scene> = scene.sources().filter_map(single).collect();
+    let domains: [fn(&Domain) -> bool; 3] = [
+        |domain| matches!(domain, Domain::Spectrum { .. }),
+        |domain| matches!(domain, Domain::Time),
+        |domain| matches!(domain, Domain::Image),
+    ];
+    let several = domains.into_iter().filter_map(|is| of_domain(scene, is));
+    subsets.extend(several.filter(|subset| subset.sources().len() > 1));
+    subsets.retain(|subset| subset.sources().len() < all);
+    subsets
+}
+
+/// The sources of a domain, if there are any.
+fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
+    let of = scene.sources().filter(|spec| is(&spec.domain));
+    let ids: Vec<SourceId> = of.map(|spec| spec.id.clone()).collect();
+    let scene = scene.clone().only(&ids).ok()?;
+    (!ids.is_empty()).then_some(scene)
+}
+
+/// The longest drag of the first trial that has one.
+fn drag_s(choice: &Choice) -> Result<Option<f64>, Failure> {
+    let is_drag =
+        |id: &SourceId| choice.scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
+    let Some(entry) = choice.entries.iter().find(|e| e.sources.iter().any(is_drag)) else {
         return Ok(None);
     };
     let trial = entry.load()?;
@@ -182,9 +287,22 @@ mod tests {
 
     #[test]
     fn every_setting_is_one_of_this_program() {
-        for setting in SETTINGS.iter().chain(&TIMED) {
-            let words = std::iter::once("surfaced").chain(setting.split(' '));
-            assert!(Options::try_parse_from(words).is_ok(), "{setting}");
+        for (setting, _) in SETTINGS {
+            assert!(Options::try_parse_from(words(setting)).is_ok(), "{setting}");
         }
+    }
+
+    #[test]
+    fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
+        let scene = Scene::lmt108();
+        let controls = |plans: &[Plan]| plans.iter().filter(|p| p.kind != Kind::Method).count();
+        let all = plans(&scene, Some(4.8));
+        assert_eq!(controls(&all), 2);
+        // Eight sources alone, three spectra, three series, two pictures.
+        assert_eq!(all.len(), SETTINGS.len() + 8 + 3 + 2);
+        let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
+        let alone = plans(&mi2, Some(0.8));
+        assert_eq!((controls(&alone), alone.len()), (2, SETTINGS.len() + 2));
+        assert_eq!(alone[3].seconds, [None, Some(0.5)]);
     }
 }

@@ -6,14 +6,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::answers::AnswerArgs;
+use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod};
 use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
+use crate::evaluate::first_seconds;
 use crate::evaluate::paper::Shard;
-use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction, Protocol};
+use crate::evaluate::{
+    self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+};
 use crate::library::Entry;
 use crate::recognise::{Method, without_flawed};
-use crate::scene::{Phase, Scene};
+use crate::scene::Scene;
 use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
@@ -52,6 +57,15 @@ pub struct Args {
     /// Use only the first seconds of each query's drag
     #[arg(long, value_name = "X", value_parser = seconds)]
     query_seconds: Option<f64>,
+    /// Also answer as soon as an answer is settled, and tell accuracy and scan time
+    #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
+    settle: bool,
+    /// Also leave whole surfaces out of the library, in so many groups, and tell how many of their
+    /// queries are called unknown
+    #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
+    leave_surfaces_out: Option<usize>,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -70,6 +84,21 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Parses a fraction.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
+        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
+    }
+}
+
+fn groups(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(groups) if groups >= 2 => Ok(groups),
+        _ => Err("expected a whole number, 2 or more".into()),
+    }
+}
+
 /// The JSON document: the outcome, and what it was measured on.
 #[derive(serde::Serialize)]
 struct Report {
@@ -79,6 +108,12 @@ struct Report {
     data: String,
     synthetic: bool,
     query_seconds: Option<f64>,
+    /// With `--settle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    settled: Option<SettledOutcome>,
+    /// With `--leave-surfaces-out`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unknown: Option<UnknownOutcome>,
     predictions: Vec<Answer>,
 }
 
@@ -104,19 +139,41 @@ pub(super) struct Evaluation<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scene: &'a Scene,
-    pub query_seconds: Option<f64>,
+    /// How much of each query's drag is used, one or more.
+    pub seconds: &'a [Option<f64>],
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
+    pub also: Also,
+}
+
+/// What else is measured.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Also {
+    /// Settled answers, for this loss.
+    pub settle: Option<f64>,
+    /// Unknown surfaces, left out in so many groups.
+    pub leave_out: Option<usize>,
+    /// Share of known surfaces that may be called unknown.
+    pub false_rejections: f64,
+}
+
+/// What came of it.
+pub(super) struct Evaluated {
+    /// As many as there are [`Evaluation::seconds`].
+    pub each: Vec<(Outcome, Vec<Prediction>)>,
+    pub settled: Option<SettledOutcome>,
+    pub unknown: Option<UnknownOutcome>,
 }
 
 impl WithMethod for Evaluation<'_> {
-    type Output = Result<(Outcome, Vec<Prediction>), EvaluateError>;
+    type Output = Result<Evaluated, EvaluateError>;
 
     fn with(self, method: impl Method + 'static) -> Self::Output {
         let steps = show::Steps::new();
         let left_out = LeftOut::default();
-        let as_query = |entry: &Entry| {
-            left_out.leave_out(first_seconds(entry, self.scene, self.query_seconds), self.scene)
+        let (scene, seconds) = (self.scene, self.seconds);
+        let as_query = |of: usize, entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
         };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
@@ -124,12 +181,33 @@ impl WithMethod for Evaluation<'_> {
         for remark in &prepared.remarks {
             eprintln!("{remark}");
         }
-        let (entries, folds) = (self.entries, self.folds);
-        let done =
-            evaluate::run_prepared(&method, entries, folds, &prepared.trials, as_query, &progress);
+        let (entries, folds, prepared) = (self.entries, self.folds, &prepared.trials);
+        let Also { settle, leave_out, false_rejections } = self.also;
+        let settled = settle.map(|loss| {
+            let limits = (loss, None);
+            evaluate::run_settled(&method, scene, entries, folds, prepared, limits, &progress)
+        });
+        let settled = settled.transpose()?;
+        let unknown = leave_out.map(|groups| {
+            let how = (groups, false_rejections);
+            evaluate::run_unknown(
+                &method,
+                entries,
+                folds,
+                prepared,
+                |entry: &Entry| as_query(0, entry),
+                how,
+                &progress,
+            )
+        });
+        let unknown = unknown.transpose()?;
+        let variants = seconds.len();
+        let each = evaluate::run_variants(
+            &method, entries, folds, prepared, variants, as_query, &progress,
+        )?;
         drop(steps);
         left_out.tell();
-        done
+        Ok(Evaluated { each, settled, unknown })
     }
 }
 
@@ -167,17 +245,6 @@ impl LeftOut {
     }
 }
 
-/// The entry with its drag cut to the first seconds.
-pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
-    let Some(seconds) = seconds else { return entry.clone() };
-    let scene = scene.clone();
-    entry.clone().changed(move |trial| {
-        trial.first_seconds(seconds, |id| {
-            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
-        })
-    })
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
@@ -197,37 +264,30 @@ pub fn run(args: &Args) -> Done {
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
     };
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    if entries.is_empty() {
-        let asked: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
-        return Err(Failure::Failed(format!(
-            "{}: no trial holds any of the sources {}; see above for what was found",
-            super::shown(data),
-            asked.join(", ")
-        )));
-    }
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = evaluate::folds(protocol, &keys)?;
+    let choice = choose(&library, data, &args.sources, Some(protocol))?;
+    let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);
-    let evaluation =
-        Evaluation { entries: &entries, folds: &folds, scene: &scene, query_seconds, cache };
-    let (outcome, predictions) = args.method.apply(&scene, evaluation)?;
-    finish(
-        args.json,
-        Report {
-            outcome,
-            protocol: protocol.name(),
-            data: library.name.clone(),
-            synthetic: library.synthetic,
-            query_seconds,
-            predictions: predictions.into_iter().map(Answer::from).collect(),
-        },
-    )
+    let also = Also {
+        settle: args.settle.then_some(args.answers.settle_loss),
+        leave_out: args.leave_surfaces_out,
+        false_rejections: args.answers.false_rejections(),
+    };
+    let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
+    let mut done = args.method.apply(scene, evaluation)?;
+    // There is one length, so one outcome.
+    let (outcome, predictions) = done.each.swap_remove(0);
+    let report = Report {
+        outcome,
+        protocol: protocol.name(),
+        data: library.name.clone(),
+        synthetic: library.synthetic,
+        query_seconds,
+        settled: done.settled,
+        unknown: done.unknown,
+        predictions: predictions.into_iter().map(Answer::from).collect(),
+    };
+    finish(args.json, report)
 }
 
 fn finish(json: bool, report: Report) -> Done {
@@ -262,4 +322,54 @@ fn tell(report: &Report) {
     for (truth, answer, count) in o.confusion.worst(5) {
         eprintln!("           {count} × {truth} taken for {answer}");
     }
+    report.settled.iter().for_each(tell_settled);
+    report.unknown.iter().for_each(tell_unknown);
+}
+
+fn tell_settled(s: &SettledOutcome) {
+    let percent = show::percent;
+    eprintln!(
+        "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
+        percent(s.accuracy),
+        percent(s.accuracy_low),
+        percent(s.accuracy_high),
+        percent(s.accuracy_whole),
+        s.lost,
+        s.gained
+    );
+    eprintln!(
+        "           after {:.2} s in the mean, {:.2} s in the median, of {:.2} s; {} of {} scans \
+         settled before their end",
+        s.scan_s_mean, s.scan_s_p50, s.whole_s_mean, s.settled, s.queries
+    );
+    let shown = s.rules.iter().filter(|rule| rule.shown).count();
+    eprintln!(
+        "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
+        percent(s.stated_loss),
+        s.rules.len()
+    );
+    eprintln!("           following takes {} of one core", percent(s.core_share));
+}
+
+fn tell_unknown(u: &UnknownOutcome) {
+    let percent = show::percent;
+    eprintln!(
+        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
+        percent(u.unknown_caught),
+        u.unknown_queries,
+        percent(u.unknown_caught_low),
+        percent(u.unknown_caught_high)
+    );
+    eprintln!(
+        "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
+         left-out trials)",
+        percent(u.false_rejections),
+        u.known_queries,
+        percent(u.false_rejections_low),
+        percent(u.false_rejections_high),
+        percent(u.stated.rate),
+        percent(u.stated.rate_low),
+        percent(u.stated.rate_high),
+        u.stated.trials
+    );
 }

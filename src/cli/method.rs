@@ -2,53 +2,16 @@
 
 use std::path::Path;
 
-use clap::ValueEnum;
-
+use crate::evaluate::plan::Setting;
 use crate::recognise::classify::{
     AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
 };
 use crate::recognise::features::FeatureVector;
 use crate::recognise::{
-    Embedding, EmbeddingOptions, Joint, Method, PositionMode, Precision, Reference,
+    Embedding, EmbeddingOptions, Joint, Method, MethodName, PositionMode, Precision, Reference,
     ReferenceOptions, STAGES,
 };
 use crate::scene::Scene;
-
-/// The methods, by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum MethodName {
-    /// The paper's method, exactly.
-    Reference,
-    /// The kernel two-sample test on samples that keep where they came from.
-    Joint,
-    /// Fourier features and a shrinkage discriminant.
-    Embedding,
-    /// Hand-made features: Gaussian naive Bayes.
-    NaiveBayes,
-    /// Hand-made features: support vector machine with RBF kernel.
-    Svm,
-    /// Hand-made features: nearest neighbours.
-    Knn,
-    /// Hand-made features: nearest neighbours by Mahalanobis distance.
-    Mahalanobis,
-    /// Hand-made features: boosted trees.
-    Adaboost,
-    /// Hand-made features: random forest.
-    RandomForest,
-}
-
-impl MethodName {
-    /// All of them.
-    pub fn all() -> Vec<Self> {
-        Self::value_variants().to_vec()
-    }
-
-    /// Its name on the command line.
-    pub fn name(self) -> String {
-        // Hidden values alone have no name, and there are none.
-        self.to_possible_value().map(|value| value.get_name().to_string()).unwrap_or_default()
-    }
-}
 
 /// How positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -86,6 +49,9 @@ pub struct MethodArgs {
     /// With `embedding`: let the nearest trial win, instead of training a discriminant
     #[arg(long)]
     no_discriminant: bool,
+    /// With `embedding`: harmonics of each band, 1 to 4 (default: 4, or 2 for several channels)
+    #[arg(long, value_name = "H", value_parser = clap::value_parser!(u8).range(1..=4))]
+    harmonics: Option<u8>,
     /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
@@ -145,6 +111,7 @@ impl MethodArgs {
             neighbours: 1,
             seed: 1,
             exact: false,
+            harmonics: None,
             no_discriminant: false,
             halving: true,
             no_tables: false,
@@ -164,6 +131,15 @@ impl MethodArgs {
                 work.with(Embedding::new(scene.clone(), self.embedding_options()))
             }
             _ => work.with(Reference::new(scene.clone(), self.reference_options())),
+        }
+    }
+
+    /// These settings, but for what a plan says.
+    pub fn planned(&self, setting: Setting) -> Self {
+        let planned = Self { method: setting.method(), ..self.clone() };
+        match setting {
+            Setting::Reference { n, repetitions } => Self { n, repetitions, ..planned },
+            Setting::Joint | Setting::Embedding => planned,
         }
     }
 
@@ -193,7 +169,11 @@ impl MethodArgs {
 
     /// The settings of `embedding`.
     pub fn embedding_options(&self) -> EmbeddingOptions {
-        EmbeddingOptions { discriminant: !self.no_discriminant, ..EmbeddingOptions::default() }
+        EmbeddingOptions {
+            discriminant: !self.no_discriminant,
+            harmonics: self.harmonics.map(usize::from),
+            ..EmbeddingOptions::default()
+        }
     }
 
     /// Where prepared trials of a library in a folder are kept, if they are.

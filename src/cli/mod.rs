@@ -2,21 +2,32 @@
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
+mod answers;
 mod chart;
+mod choose;
 mod compare;
+mod completion;
 mod dependence;
 mod devices;
 mod duration;
+mod enroll;
 mod eval;
+mod export;
+mod lines;
+mod live;
 mod method;
-mod need;
 mod paper;
+mod plan;
 mod replay;
+mod run;
 mod samples;
+mod serve;
 mod show;
 mod stress;
+mod supervisor;
 mod synth;
 mod tally;
+mod terminal;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -29,7 +40,13 @@ use crate::scene::{Scene, SourceId};
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
 #[derive(Parser)]
-#[command(name = "surfaced", version, max_term_width = 100)]
+#[command(
+    name = "surfaced",
+    version,
+    max_term_width = 100,
+    after_help = "Examples:\n  surfaced replay\n  surfaced replay --speed 1.0 --serve\n  \
+                  surfaced run --library my-library --serve"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -38,14 +55,21 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Replay(replay::Args),
+    Run(run::Args),
+    Enroll(enroll::EnrollArgs),
+    Record(enroll::RecordArgs),
     Eval(eval::Args),
     Chart(chart::Args),
+    Plan(plan::Args),
     Stress(stress::Args),
     Compare(compare::Args),
     Dependence(dependence::Args),
     Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
+    Export(export::ExportArgs),
+    Import(export::ImportArgs),
+    Completion(completion::Args),
 }
 
 /// How a command ended, short of doing all that it was asked to.
@@ -72,14 +96,21 @@ type Done = Result<(), Failure>;
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Replay(args) => replay::run(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Enroll(args) => enroll::enroll(&args),
+        Command::Record(args) => enroll::record(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Stress(args) => stress::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Dependence(args) => dependence::run(&args),
         Command::Duration(args) => duration::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Devices(args) => devices::run(&args),
+        Command::Export(args) => export::export(&args),
+        Command::Import(args) => export::import(&args),
+        Command::Completion(args) => completion::run(&args),
     };
     let (code, kind, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -87,12 +118,12 @@ pub fn run() -> ExitCode {
         Err(Failure::Usage(message)) => (2, "error", message),
         Err(Failure::Damaged(message)) => (3, "warning", message),
     };
-    eprintln!("{kind}: {message}");
+    eprintln!("{}{kind}: {message}", show::priority(kind));
     ExitCode::from(code)
 }
 
 /// Which sources a comparison uses.
-#[derive(clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// Sources to compare, with commas between them (default: all that the data have)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
@@ -119,4 +150,33 @@ pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
 /// A file that a person named, for messages.
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn every_help_has_an_example_that_can_be_typed() {
+        let mut cli = Cli::command();
+        cli.build();
+        for command in cli.get_subcommands().filter(|command| command.get_name() != "help") {
+            let name = command.get_name();
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let examples: Vec<&str> =
+                after.lines().filter_map(|line| line.trim().strip_prefix("surfaced ")).collect();
+            assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
+            for example in examples {
+                // What a shell would take away.
+                let plain = example.split(" > ").next().unwrap_or_default();
+                let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
+                let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));
+                assert!(parsed.is_ok(), "surfaced {example}: {}", parsed.err().unwrap());
+                assert!(example.starts_with(name), "surfaced {example} stands under {name}");
+            }
+        }
+        assert!(cli.get_after_help().is_some(), "`surfaced --help` has no example");
+    }
 }

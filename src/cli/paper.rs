@@ -111,10 +111,10 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
         // Plain numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string_pretty(&report).expect("plain data");
         write(&out.join("report.json"), &text)?;
-        write(&out.join("bars.svg"), &paper::bars(&report).map_err(Failure::Failed)?)?;
+        write(&out.join("bars.svg"), &paper::bars(&report)?)?;
         let mut written = "report.json, bars.svg";
         if let Some(confusion) = &report.confusion {
-            let figure = paper::confusion(confusion).map_err(Failure::Failed)?;
+            let figure = paper::confusion(confusion)?;
             write(&out.join("confusion.svg"), &figure)?;
             written = "report.json, bars.svg, confusion.svg";
         }

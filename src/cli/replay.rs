@@ -3,20 +3,25 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
 
+use super::answers::AnswerArgs;
+use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
-use super::need::Needs;
+use super::plan::{Comparing, PlanArgs};
+use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::{Done, Failure, SourceArgs, show};
+use super::terminal::watch_signals;
+use super::{Done, Failure, SourceArgs, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, Ranking, RecogniseError, without_flawed};
-use crate::scan::{Event, Options, Scan, Session};
+use crate::recognise::{LOOK_S, Method, RecogniseError};
+use crate::scan::Options;
 use crate::scene::Scene;
-use crate::trial::{EXPERT, TrialKey};
+use crate::serve::Settings;
+use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
+use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -26,7 +31,8 @@ use crate::trial::{EXPERT, TrialKey};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
-                        surfaced replay new-scans --library my-library --json")]
+                        surfaced replay new-scans --library my-library --json\n  \
+                        surfaced replay --speed 1.0 --serve")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -43,12 +49,18 @@ pub struct Args {
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds)]
+    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    serve: ServeArgs,
 }
 
 /// What is played, and what it is compared with.
@@ -62,20 +74,21 @@ pub(super) struct Stage {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
+    let how = args.plan.resolve(&args.sources, &args.method, args.query_seconds)?;
     let stage = match (&args.data, &args.library) {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(args, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(&how, scene, Some(Protocol::ExpertVsUsers))?
         }
-        (Some(data), None) => by_protocol(args, super::open(data)?, args.protocol)?,
-        (Some(data), Some(library)) => against(args, data, library)?,
+        (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
+        (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    args.method.apply(&stage.scene, Player { args, stage: &stage })
+    how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
 }
 
-fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
-    let scene = args.sources.narrow(library.scene.clone())?;
+fn usable(how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
+    let scene = how.narrow(library.scene.clone())?;
     let entries = (library.entries.iter())
         .map(|entry| entry.clone().within(&scene))
         .filter(|entry| !entry.sources.is_empty())
@@ -83,21 +96,20 @@ fn usable(args: &Args, library: &Library) -> Result<(Scene, Vec<Entry>), Failure
     Ok((scene, entries))
 }
 
-fn by_protocol(args: &Args, data: Library, protocol: Option<Protocol>) -> Result<Stage, Failure> {
-    let (scene, entries) = usable(args, &data)?;
+fn by_protocol(
+    how: &Comparing,
+    data: Library,
+    protocol: Option<Protocol>,
+) -> Result<Stage, Failure> {
+    let (scene, entries) = usable(how, &data)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has = |of_expert: bool| keys.iter().any(|key| (key.user == EXPERT) == of_expert);
-    let protocol = protocol.unwrap_or(if has(true) && has(false) {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
+    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
     let folds = evaluate::folds(protocol, &keys)?;
     eprintln!("each trial is named by {}", protocol.name());
     Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
 }
 
-fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
+fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
     let same = |path: &PathBuf| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
@@ -108,8 +120,8 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
     }
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
-    let (scene, mut entries) = usable(args, &library)?;
-    let (of_data, queries) = usable(args, &data)?;
+    let (scene, mut entries) = usable(how, &library)?;
+    let (of_data, queries) = usable(how, &data)?;
     let fold = Fold {
         name: "library".into(),
         library: (0..entries.len()).collect(),
@@ -121,6 +133,7 @@ fn against(args: &Args, data: &PathBuf, library: &PathBuf) -> Result<Stage, Fail
 
 struct Player<'a> {
     args: &'a Args,
+    how: &'a Comparing,
     stage: &'a Stage,
 }
 
@@ -128,7 +141,7 @@ impl WithMethod for Player<'_> {
     type Output = Done;
 
     fn with(self, method: impl Method + 'static) -> Done {
-        let Self { args, stage } = self;
+        let Self { args, how, stage } = self;
         let models = models(&method, stage)?;
         let mut fold_of = BTreeMap::new();
         let mut queries = Vec::new();
@@ -136,39 +149,59 @@ impl WithMethod for Player<'_> {
             for &query in &fold.queries {
                 fold_of.insert(stage.entries[query].key.clone(), index);
                 let entry = &stage.entries[query];
-                queries.push(super::eval::first_seconds(entry, &stage.scene, args.query_seconds));
+                queries.push(first_seconds(entry, &stage.scene, how.query_seconds));
             }
         }
         let total = queries.len();
         let device =
             Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
-        let session = Session::start(vec![Box::new(device)], Options::default())?;
-        let mut tally = Tally::new(args.json, total, Needs::of(stage));
-        let mut free_since = Instant::now();
-        for event in session.events() {
-            match event {
-                Event::Scan(scan) => {
-                    let fold = scan.truth.as_ref().and_then(|key| fold_of.get(key)).copied();
-                    let model = &models[fold.unwrap_or(0)];
-                    // A scan that waited for its turn behind others is not slow to name.
-                    let from = scan.ended_at.max(free_since);
-                    match recognise(&method, model, &scan, &stage.scene) {
-                        Ok(ranking) => tally.answer(&scan, &ranking, from),
-                        Err(error) => tally.damage(&format!("scan {}: {error}", scan.number)),
-                    }
-                    free_since = Instant::now();
-                }
-                Event::Warning(text) => tally.damage(&text),
-                Event::Device { .. } | Event::Progress(_) | Event::Trace(_) => {}
-                Event::Finished(_) => break,
-            }
+        let compared = stage.compared();
+        let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
+        let needs = Needs::of(&stage.scene, compared, stage.synthetic);
+        let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+        let applied = args.answers.apply(&mut recogniser)?;
+        applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+        let progress_every_s = applied.follows.then_some(LOOK_S);
+        let options = Options { progress_every_s, ..Options::default() };
+        let mut tally = Tally::new(!args.json, total);
+        let options = args.serve.options(options);
+        let mut station = Station::new(vec![Box::new(device)], options)
+            .recogniser(Arc::new(recogniser))
+            .listener(&mut tally);
+        if args.json {
+            station = station.listener(JsonLines);
         }
-        let totals = session.wait()?;
+        let library = args.library.as_ref().filter(|_| args.serve.asked());
+        if let Some(folder) = library {
+            let load = live::load(folder, &stage.scene, how, &args.answers);
+            station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        }
+        let address = Settings::default().address;
+        let (station, server) = args.serve.start(station, address, library.is_some())?;
+        let signals = match &server {
+            Some(_) => Some(watch_signals(station.orders())?),
+            None => None,
+        };
+        let totals = station.run()?;
         tally.sum_up(stage.synthetic);
+        if let (Some(server), Some(signals)) = (server, signals) {
+            // What is known is shown until somebody says that it is enough.
+            signals.wait();
+            server.stop();
+        }
         if let Some((name, error)) = totals.failed.first() {
             return Err(Failure::Failed(format!("{name}: {error}")));
         }
         tally.verdict(totals.lost())
+    }
+}
+
+impl Stage {
+    /// The trials that stand in the library of some fold.
+    fn compared(&self) -> Vec<Entry> {
+        let folds = self.folds.iter();
+        let indexes: BTreeSet<usize> = folds.flat_map(|fold| fold.library.clone()).collect();
+        indexes.into_iter().map(|index| self.entries[index].clone()).collect()
     }
 }
 
@@ -181,16 +214,4 @@ fn models<M: Method>(method: &M, stage: &Stage) -> Result<Vec<M::Model>, Recogni
         method.fit(fold.library.iter().filter_map(|&i| prepared[i].clone()).collect())
     };
     stage.folds.iter().map(fit).collect()
-}
-
-/// Names a scan: what came out of the rings, and nothing else.
-fn recognise<M: Method>(
-    method: &M,
-    model: &M::Model,
-    scan: &Scan,
-    scene: &Scene,
-) -> Result<Ranking, RecogniseError> {
-    let trial = Arc::new(without_flawed(scan.trial.clone(), scene).0);
-    let query = method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
-    method.rank(model, &query)
 }

@@ -28,6 +28,18 @@ pub fn json(value: &impl serde::Serialize) {
     }
 }
 
+/// What the journal reads at the begin of a line as its priority, where stderr is the journal's.
+pub fn priority(text: &str) -> &'static str {
+    if std::env::var_os("JOURNAL_STREAM").is_none() {
+        return "";
+    }
+    match text.split(':').next() {
+        Some("error") => "<3>",
+        Some("warning" | "refused") => "<4>",
+        _ => "<6>",
+    }
+}
+
 /// A fraction as a percentage.
 pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::method::{MethodArgs, MethodName, WithMethod, at_least_one};
+use super::method::{MethodArgs, WithMethod, at_least_one};
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, MethodReport, Plan, Report, disturb, figure,
 };
 use crate::evaluate::{self, EvaluateError, Protocol};
 use crate::library::Entry;
-use crate::recognise::Method;
+use crate::recognise::{Method, MethodName};
 use crate::scene::SourceSpec;
 use crate::trial::EXPERT;
 
@@ -104,7 +104,8 @@ pub fn run(args: &Args) -> Done {
         keep_flawed: args.keep_flawed,
         methods: Vec::new(),
     };
-    let methods = if args.methods.is_empty() { MethodName::all() } else { args.methods.clone() };
+    let methods: &[MethodName] =
+        if args.methods.is_empty() { MethodName::all() } else { &args.methods };
     for (done, method) in methods.iter().enumerate() {
         eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
         report.methods.push(MethodArgs::quick(*method).apply(&scene, Run(&plan))?);

@@ -1,151 +1,122 @@
-//! What came of a replay, scan by scan and in all: for people on stderr, as JSON on stdout.
+//! What came of a replay, scan by scan and in all, for people.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
 
-use super::need::Needs;
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
-use crate::recognise::{RankedSurface, Ranking};
-use crate::scan::Scan;
-use crate::scene::SourceId;
-use crate::trial::{Signal, TrialKey, flaws};
-
-/// One line of JSON: a scan and its answer.
-#[derive(serde::Serialize)]
-struct Line<'a> {
-    scan: u32,
-    surface: &'a str,
-    truth: Option<&'a str>,
-    user: Option<&'a str>,
-    trial: Option<u32>,
-    synthetic: bool,
-    ranked: &'a [RankedSurface],
-    margin: f64,
-    latency_ms: f64,
-    scan_s: f64,
-    lost_samples: u64,
-    sources: &'a [SourceId],
-    spoiled: &'a [String],
-    /// Scan duration that 400 samples T* apart need on the named surface.
-    needed_s: Option<f64>,
-}
+use crate::station::{Answer, Listener, Notice};
 
 /// What has been named so far.
 pub struct Tally {
-    json: bool,
+    /// Whether each answer is told.
+    each: bool,
     total: usize,
-    needs: Needs,
     /// Warnings about a sensor are said once, and counted.
     said: BTreeMap<String, usize>,
     answers: usize,
     with_truth: usize,
     right: usize,
     latencies_ms: Vec<f64>,
+    /// What was named when an answer was settled, by the number of the scan.
+    settled: BTreeMap<u32, String>,
+    by_then: ByThen,
     damages: usize,
     spoiled: usize,
 }
 
+/// Answers as they were when they were settled, or at the end of their scan.
+#[derive(Default)]
+struct ByThen {
+    settled: usize,
+    with_truth: usize,
+    right: usize,
+    used_s: f64,
+    whole_s: f64,
+}
+
+impl Listener for Tally {
+    fn notice(&mut self, notice: &Notice) {
+        match notice {
+            Notice::Guess(guess) if guess.settled => {
+                if let Some(first) = guess.named.first() {
+                    self.settled.entry(guess.scan).or_insert_with(|| first.surface.clone());
+                }
+            }
+            Notice::Answer(answer) => self.answer(answer),
+            Notice::Warning(text) => self.damage(text),
+            _ => {}
+        }
+    }
+}
+
 impl Tally {
-    /// Nothing yet, of `total` scans.
-    pub fn new(json: bool, total: usize, needs: Needs) -> Self {
+    /// Nothing yet, of `total` scans; whether people are told of `each`.
+    pub fn new(each: bool, total: usize) -> Self {
         Self {
-            json,
+            each,
             total,
-            needs,
             said: BTreeMap::new(),
             answers: 0,
             with_truth: 0,
             right: 0,
             latencies_ms: Vec::new(),
+            settled: BTreeMap::new(),
+            by_then: ByThen::default(),
             damages: 0,
             spoiled: 0,
         }
     }
 
-    /// A scan was named; its answer took since `from`.
-    pub fn answer(&mut self, scan: &Scan, ranking: &Ranking, from: Instant) {
-        let latency_ms = from.elapsed().as_secs_f64() * 1e3;
+    fn answer(&mut self, answer: &Answer) {
         self.answers += 1;
-        self.latencies_ms.push(latency_ms);
-        self.spoiled += usize::from(!scan.spoiled.is_empty());
-        let truth = scan.truth.as_ref();
-        let right = truth.map(|key| key.surface == ranking.surface());
+        self.latencies_ms.push(answer.latency_ms);
+        self.spoiled += usize::from(!answer.spoiled.is_empty());
+        let right = answer.truth.as_ref().map(|truth| answer.surface.as_ref() == Some(truth));
         self.with_truth += usize::from(right.is_some());
         self.right += usize::from(right == Some(true));
-        let needed_s = self.look_closer(scan, ranking);
-        if self.json {
-            show::json(&Line {
-                scan: scan.number,
-                surface: ranking.surface(),
-                truth: truth.map(|key| key.surface.as_str()),
-                user: truth.map(|key| key.user.as_str()),
-                trial: truth.map(|key| key.number),
-                synthetic: scan.synthetic,
-                ranked: &ranking.ranked,
-                margin: ranking.margin,
-                latency_ms,
-                scan_s: scan.scan_s,
-                lost_samples: scan.lost_samples,
-                sources: &ranking.sources,
-                spoiled: &scan.spoiled,
-                needed_s,
-            });
-        } else {
-            let more_s = needed_s.map(|needed| needed - scan.scan_s).filter(|s| *s > 0.0);
-            self.tell(ranking, right, truth, latency_ms, more_s);
+        self.settled_answer(answer);
+        for reason in &answer.spoiled {
+            eprintln!("warning: scan {}: {reason}", answer.scan);
+        }
+        for remark in &answer.remarks {
+            self.say(remark, answer.scan);
+        }
+        if self.each {
+            self.tell(answer, right);
         }
     }
 
-    fn tell(
-        &self,
-        ranking: &Ranking,
-        right: Option<bool>,
-        truth: Option<&TrialKey>,
-        ms: f64,
-        more_s: Option<f64>,
-    ) {
-        let verdict = match (right, truth) {
+    fn settled_answer(&mut self, answer: &Answer) {
+        let settled = self.settled.remove(&answer.scan);
+        let then = &mut self.by_then;
+        then.settled += usize::from(settled.is_some());
+        then.used_s += answer.settled_s.unwrap_or(answer.scan_s);
+        then.whole_s += answer.scan_s;
+        if let Some(truth) = &answer.truth {
+            then.with_truth += 1;
+            then.right += usize::from(settled.as_ref().or(answer.surface.as_ref()) == Some(truth));
+        }
+    }
+
+    fn tell(&self, answer: &Answer, right: Option<bool>) {
+        let verdict = match (right, &answer.truth) {
             (Some(true), _) => "right".to_string(),
-            (Some(false), Some(key)) => format!("wrong, it was {}", key.surface),
+            (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => String::new(),
         };
-        let longer = more_s.map(|s| format!("  (T*: drag {s:.1} s more)")).unwrap_or_default();
+        let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         eprintln!(
-            "{:>4}/{}  {:<28} margin {:<6.2} {:>7.1} ms  {verdict}{longer}",
+            "{:>4}/{}  {:<28} margin {:<6.2} {:>7.1} ms  {verdict}{}",
             self.answers,
             self.total,
-            ranking.surface(),
-            ranking.margin,
-            ms
+            answer.surface.as_deref().unwrap_or("unknown"),
+            answer.margin,
+            answer.latency_ms,
+            longer.unwrap_or_default()
         );
     }
 
-    /// Flaws of the scan's channels, what spoiled it, samples closer than T*; gives the scan
-    /// duration that the named surface asks for.
-    fn look_closer(&mut self, scan: &Scan, ranking: &Ranking) -> Option<f64> {
-        for (id, signal) in &scan.trial.signals {
-            let Signal::Series(series) = signal else { continue };
-            // A source with a fixed length scale is a switch, and rests most of the time.
-            if self.needs.is_switch(id) {
-                continue;
-            }
-            let left_out =
-                if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-            for flaw in flaws(series) {
-                self.say(format!("{id}: {flaw}{left_out}"), scan.number);
-            }
-        }
-        for reason in &scan.spoiled {
-            eprintln!("warning: scan {}: {reason}", scan.number);
-        }
-        for warning in self.needs.warnings(ranking, scan.scan_s) {
-            self.say(warning, scan.number);
-        }
-        self.needs.scan_s(ranking)
-    }
-
-    fn say(&mut self, text: String, scan: u32) {
+    fn say(&mut self, text: &str, scan: u32) {
         // The same flaw with other numbers is the same flaw.
         let kind: String = text.chars().filter(|c| !c.is_ascii_digit() && *c != '.').collect();
         let count = self.said.entry(kind).or_insert(0);
@@ -156,7 +127,7 @@ impl Tally {
     }
 
     /// Something in use was lost or damaged.
-    pub fn damage(&mut self, text: &str) {
+    fn damage(&mut self, text: &str) {
         self.damages += 1;
         eprintln!("warning: {text}");
     }
@@ -185,6 +156,24 @@ impl Tally {
             );
         }
         eprintln!("latency  {median:.1} ms from the end of a scan to its name (median)");
+        let then = &self.by_then;
+        if then.settled > 0 {
+            let n = self.answers as f64;
+            eprintln!(
+                "settled  {} of {} scans before their end; {:.2} s of scan used in the mean, of \
+                 {:.2} s{}",
+                then.settled,
+                self.answers,
+                then.used_s / n,
+                then.whole_s / n,
+                if then.with_truth > 0 {
+                    let share = then.right as f64 / then.with_truth as f64;
+                    format!("; {} right by then", show::percent(share))
+                } else {
+                    String::new()
+                }
+            );
+        }
     }
 
     /// How the command ends, after `lost` samples were lost.

@@ -23,6 +23,16 @@ pub enum Mark {
         /// index of the first frame after it
         end: u64,
     },
+    /// The scan goes on, but should not be trusted.
+    Spoil {
+        /// for people
+        why: String,
+    },
+    /// The scan is none, and forgotten.
+    GiveUp {
+        /// for people
+        why: String,
+    },
     /// The scan has ended; its sources that are still open end with what was pushed so far.
     End {
         /// when its last sample was taken

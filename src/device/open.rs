@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::{Control, DeviceError, DeviceState};
 
 /// How long a driver waits before it tries again.
-pub(super) const RETRY: Duration = Duration::from_secs(1);
+pub(super) const RETRY: Duration = Duration::from_millis(300);
 
 /// Why hardware cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

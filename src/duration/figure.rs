@@ -4,16 +4,12 @@ use plotters::prelude::*;
 
 use super::estimate::CurvePoint;
 use super::report::SourceDuration;
+use crate::draw::{Area, Drawn, FigureError, drawing, svg};
 
 const PANEL: (u32, u32) = (640, 380);
 const HSIC: RGBColor = RGBColor(0, 90, 160);
 const KAPPA: RGBColor = RGBColor(200, 70, 0);
 const MARK: RGBColor = RGBColor(30, 30, 30);
-
-/// Why a figure cannot be drawn.
-#[derive(Debug, thiserror::Error)]
-#[error("the figure cannot be drawn: {0}")]
-pub struct FigureError(String);
 
 /// An SVG with a panel for each surface and source that has a curve, two in a row.
 ///
@@ -27,26 +23,13 @@ pub fn figure(durations: &[SourceDuration]) -> Result<String, FigureError> {
     let columns = shown.len().min(2);
     let rows = shown.len().div_ceil(columns);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).map_err(drawing)?;
-        for (area, row) in root.split_evenly((rows, columns)).iter().zip(shown) {
-            panel(area, row)?;
-        }
-        root.present().map_err(drawing)?;
-    }
-    Ok(svg)
+    svg(size, |root| {
+        let areas = root.split_evenly((rows, columns));
+        areas.iter().zip(shown).try_for_each(|(area, row)| panel(area, row))
+    })
 }
 
-fn drawing(error: impl std::fmt::Display) -> FigureError {
-    FigureError(error.to_string())
-}
-
-fn panel(
-    area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
-    row: &SourceDuration,
-) -> Result<(), FigureError> {
+fn panel(area: &Area<'_>, row: &SourceDuration) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
     let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
     let curve = &row.curve;

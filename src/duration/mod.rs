@@ -116,7 +116,7 @@ mod trials;
 mod wild;
 
 pub use estimate::{CurvePoint, Estimate, Outcome, Rule, Settings};
-pub use figure::{FigureError, figure};
+pub use figure::figure;
 pub use need::{SAMPLES, START_S, ScanNeed, Second};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};
 pub use report::{DurationReport, Question, ReportError, SceneDuration, SourceDuration, report};

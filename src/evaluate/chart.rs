@@ -45,7 +45,7 @@ impl Point {
         control: bool,
     ) -> Self {
         Self {
-            method: outcome.method.clone(),
+            method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
             sources: outcome.sources.iter().map(SourceId::to_string).collect(),
             query_seconds,
@@ -61,10 +61,26 @@ impl Point {
     }
 }
 
+impl Point {
+    /// The method with those of its options that are not its defaults' own names: as short as it
+    /// can be told apart.
+    pub fn name(&self) -> String {
+        let options = self.setting.trim_start_matches("--method ");
+        let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
+        let options = options.replace("--repetitions ", "R = ").replace("--n ", "n = ");
+        let options = options.replace("--", "");
+        if options.is_empty() {
+            self.method.clone()
+        } else {
+            format!("{} ({options})", self.method)
+        }
+    }
+}
+
 /// Indices of the points that no other point beats in both `cost` (smaller is better) and
-/// accuracy, by ascending cost. Controls take no part.
+/// accuracy, by ascending cost.
 pub fn pareto(points: &[Point], cost: impl Fn(&Point) -> f64) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..points.len()).filter(|&i| !points[i].control).collect();
+    let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| {
         let (a, b) = (&points[a], &points[b]);
         cost(a).total_cmp(&cost(b)).then(b.accuracy.total_cmp(&a.accuracy))
@@ -87,8 +103,14 @@ pub struct Chart {
     pub synthetic: bool,
     /// How queries and library were split.
     pub protocol: String,
+    /// Sources that a method is given, unless its point says otherwise.
+    pub sources: Vec<String>,
+    /// Surfaces that could be the answer.
+    pub surfaces: usize,
     /// Trials in the library of a fold.
     pub library_trials: usize,
+    /// Threads that a query had.
+    pub threads: usize,
     /// Length of a whole drag in seconds, where one is.
     pub drag_s: Option<f64>,
     /// The measured points.
@@ -96,6 +118,21 @@ pub struct Chart {
 }
 
 impl Chart {
+    /// The points that are no controls.
+    pub fn methods(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|point| !point.control)
+    }
+
+    /// The negative controls.
+    pub fn controls(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|point| point.control)
+    }
+
+    /// Whether a point of ours used but some of the sources.
+    pub fn is_subset(&self, point: &Point) -> bool {
+        !point.peer && point.sources.len() < self.sources.len()
+    }
+
     /// Scan time of a point: the part of the drag that it used.
     pub fn scan_s(&self, point: &Point) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
@@ -110,7 +147,7 @@ pub(super) mod tests {
         Point {
             method: method.into(),
             setting: String::new(),
-            sources: vec!["mi2".into()],
+            sources: vec!["ac".into(), "mi2".into()],
             query_seconds: None,
             accuracy,
             accuracy_low: accuracy - 0.05,
@@ -123,16 +160,42 @@ pub(super) mod tests {
         }
     }
 
+    pub(crate) fn chart(points: Vec<Point>) -> Chart {
+        Chart {
+            data: "a <scene>".into(),
+            synthetic: true,
+            protocol: "leave-one-trial-out".into(),
+            sources: vec!["ac".into(), "mi2".into()],
+            surfaces: 20,
+            library_trials: 180,
+            threads: 2,
+            drag_s: Some(4.8),
+            points,
+        }
+    }
+
     #[test]
     fn the_front_holds_what_nothing_beats() {
-        let mut points = vec![
+        let points = [
             point("slow and good", 10.0, 0.9),
             point("fast and good", 1.0, 0.9),
             point("fastest", 0.5, 0.4),
             point("slowest and best", 20.0, 0.95),
             point("slow and bad", 30.0, 0.1),
         ];
-        points.push(Point { control: true, ..point("a control", 0.1, 1.0) });
         assert_eq!(pareto(&points, |p| p.query_ms_p50), [2, 1, 3]);
+    }
+
+    #[test]
+    fn a_name_is_short_and_tells_settings_apart() {
+        let name = |method: &str, setting: &str| {
+            Point { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
+        };
+        assert_eq!(name("joint", "--method joint"), "joint");
+        assert_eq!(
+            name("reference", "--method reference --n 100 --repetitions 10 --halving"),
+            "reference (n = 100 R = 10 halving)"
+        );
+        assert_eq!(name("lda", "log bands"), "lda (log bands)");
     }
 }

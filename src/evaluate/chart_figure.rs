@@ -2,70 +2,123 @@
 
 use std::collections::BTreeMap;
 
-use plotters::coord::Shift;
 use plotters::coord::ranged1d::Ranged;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::chart::{Chart, Point, pareto};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, put, svg};
 
-const PANEL: (u32, u32) = (640, 520);
+const WIDTH: u32 = 1400;
+const HEAD: u32 = 78;
+const PANEL: u32 = 520;
+/// Height of a line of text below the panels.
+const LINE: i32 = 20;
+const MARGIN: i32 = 24;
 const GREY: RGBColor = RGBColor(120, 120, 120);
-/// Distinct also for the colour-blind (Okabe & Ito 2008).
-pub(super) const COLOURS: [RGBColor; 10] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(86, 180, 233),
-    RGBColor(150, 110, 0),
-    RGBColor(0, 0, 0),
-    RGBColor(230, 159, 0),
-    RGBColor(120, 94, 240),
-    RGBColor(128, 60, 40),
-];
 
-/// Why a chart cannot be drawn.
-#[derive(Debug, thiserror::Error)]
-#[error("the chart cannot be drawn: {0}")]
-pub struct ChartError(pub(super) String);
-
-pub(super) fn drawing(error: impl std::fmt::Display) -> ChartError {
-    ChartError(error.to_string())
-}
-
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
+type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
-/// right. Bars are 95 % Wilson intervals, the line is the front that nothing beats, hollow grey
-/// points are negative controls, squares are programs of others.
+/// right. Bars are 95 % Wilson intervals, the thick line is the front that nothing beats, whose
+/// points are numbered and told below, dashed lines are negative controls, squares are programs of
+/// others, and hollow points use only some of the sources.
 ///
 /// # Errors
 /// If there are no points.
-pub fn figure(chart: &Chart) -> Result<String, ChartError> {
-    if chart.points.is_empty() {
-        return Err(ChartError("it has no points".into()));
+pub fn figure(chart: &Chart) -> Result<String, FigureError> {
+    let colours = colours(chart);
+    let whole: Vec<&Point> =
+        chart.methods().filter(|point| point.query_seconds.is_none()).collect();
+    if whole.is_empty() {
+        return Err(FigureError("the chart has no point for whole drags".into()));
     }
-    let mut svg = String::new();
-    {
-        let size = (2 * PANEL.0, PANEL.1 + 40);
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).map_err(drawing)?;
-        let mark = if chart.synthetic { " (synthetic data)" } else { "" };
-        let title = format!("{}{mark} · {}", chart.data, chart.protocol);
-        let root = root.titled(&title, ("sans-serif", 20)).map_err(drawing)?;
-        let (left, right) = root.split_horizontally(PANEL.0);
-        latency_panel(&left, chart)?;
-        time_panel(&right, chart)?;
-        root.present().map_err(drawing)?;
-    }
-    Ok(svg)
+    let fronts = [front(&whole, |p| p.query_ms_p50), front(&timed(chart), |p| chart.scan_s(p))];
+    let told = fronts.iter().map(Vec::len).max().unwrap_or(0) as i32;
+    let below = (legend_rows(chart, &colours).len() as i32 + told + 2) * LINE + MARGIN;
+    svg((WIDTH, HEAD + PANEL + below as u32), |root| {
+        head(root, chart)?;
+        let (_, rest) = root.split_vertically(HEAD);
+        let (panels, _) = rest.split_vertically(PANEL);
+        let (left, right) = panels.split_horizontally(WIDTH / 2);
+        latency_panel(&left, chart, &whole, &colours)?;
+        time_panel(&right, chart, &colours)?;
+        let mut top = (HEAD + PANEL) as i32 + 8;
+        for row in legend_rows(chart, &colours) {
+            let mut x = MARGIN;
+            for key in row {
+                key.draw(root, (x, top))?;
+                x += key.width();
+            }
+            top += LINE;
+        }
+        for (column, (front, what)) in fronts.iter().zip(["latency", "scan time"]).enumerate() {
+            let x = MARGIN + column as i32 * WIDTH as i32 / 2;
+            put(
+                root,
+                format!("Nothing measured here beats, in accuracy and {what}:"),
+                (x, top),
+                14,
+            )?;
+            for (row, point) in front.iter().enumerate() {
+                let text = told_point(chart, row + 1, point);
+                put(root, text, (x, top + LINE * (row as i32 + 1)), 13)?;
+            }
+        }
+        Ok(())
+    })
 }
 
-fn colours(chart: &Chart) -> BTreeMap<&str, RGBColor> {
+fn told_point(chart: &Chart, number: usize, point: &Point) -> String {
+    let sources = if chart.is_subset(point) {
+        format!(", {} alone", point.sources.join(" + "))
+    } else {
+        String::new()
+    };
+    let seconds = point.query_seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
+    format!(
+        "{number}  {}{sources}{seconds}: {:.1} % ({:.1} to {:.1}), {} ms",
+        point.name(),
+        100.0 * point.accuracy,
+        100.0 * point.accuracy_low,
+        100.0 * point.accuracy_high,
+        three_digits(point.query_ms_p50)
+    )
+}
+
+fn three_digits(x: f64) -> String {
+    let decimals = (2 - x.max(1e-3).log10().floor() as i32).clamp(0, 3) as usize;
+    format!("{x:.decimals$}")
+}
+
+fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
+    put(
+        root,
+        format!("How well and how fast surfaces are named: {}", chart.data),
+        (MARGIN, 12),
+        20,
+    )?;
+    let kind =
+        if chart.synthetic { "SYNTHETIC data, made by a generator" } else { "recorded data" };
+    let queries = chart.points.iter().map(|p| p.queries).max().unwrap_or(0);
+    let facts = format!(
+        "{kind} · {} · {} surfaces, {} library trials, {queries} queries · sources {}",
+        chart.protocol,
+        chart.surfaces,
+        chart.library_trials,
+        chart.sources.join(", ")
+    );
+    put(root, facts, (MARGIN, 38), 14)?;
+    let key = "bars: 95 % Wilson interval over queries; thick line: what nothing beats, numbered \
+               and told below; dashed: negative controls, what a room and a session give away";
+    put(root, key, (MARGIN, 58), 13)
+}
+
+/// Methods in the order in which they come, each with its colour.
+fn colours(chart: &Chart) -> Colours<'_> {
     let mut methods: Vec<&str> = Vec::new();
-    for point in chart.points.iter().filter(|p| !p.control) {
+    for point in chart.methods() {
         if !methods.contains(&point.method.as_str()) {
             methods.push(&point.method);
         }
@@ -73,154 +126,240 @@ fn colours(chart: &Chart) -> BTreeMap<&str, RGBColor> {
     methods.into_iter().zip(COLOURS.into_iter().cycle()).collect()
 }
 
-fn lowest(points: &[&Point]) -> f64 {
-    let low = points.iter().map(|p| p.accuracy_low).fold(1.0, f64::min);
-    (low * 10.0).floor() / 10.0
+/// Settings that were measured on several scan times.
+fn timed(chart: &Chart) -> Vec<&Point> {
+    let same = |a: &Point, b: &Point| {
+        (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
+    };
+    let has_others =
+        |a: &&Point| chart.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds);
+    chart.methods().filter(has_others).collect()
 }
 
-fn latency_panel(area: &Area<'_>, chart: &Chart) -> Result<(), ChartError> {
-    let whole: Vec<&Point> = chart.points.iter().filter(|p| p.query_seconds.is_none()).collect();
-    let times = || whole.iter().map(|p| p.query_ms_p50.max(1e-3));
-    let from = times().fold(f64::INFINITY, f64::min) / 1.6;
-    let to = times().fold(0.0, f64::max) * 1.6;
-    let mut panel = ChartBuilder::on(area)
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(64)
-        .build_cartesian_2d((from..to).log_scale(), lowest(&whole)..1.005)
+fn front<'a>(points: &[&'a Point], cost: impl Fn(&Point) -> f64) -> Vec<&'a Point> {
+    let owned: Vec<Point> = points.iter().map(|&p| p.clone()).collect();
+    pareto(&owned, cost).into_iter().map(|i| points[i]).collect()
+}
+
+/// The accuracies that an axis shows, controls included.
+fn axis(chart: &Chart, points: &[&Point]) -> std::ops::Range<f64> {
+    let all = points.iter().copied().chain(chart.controls());
+    let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
+    (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.03
+}
+
+fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&Point], colours: &Colours<'_>) -> Drawn {
+    let ms = |p: &Point| p.query_ms_p50.max(1e-3);
+    let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
+    let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
+    let mut panel = builder(area)
+        .build_cartesian_2d((from..to).log_scale(), axis(chart, whole))
         .map_err(drawing)?;
-    panel
-        .configure_mesh()
+    (panel.configure_mesh())
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.08))
-        .x_desc("median latency of a query [ms], whole drag")
+        .x_desc("median latency of a query [ms], from raw samples to the answer, whole drag")
         .y_desc("accuracy")
-        .x_label_formatter(&|x| if *x < 1.0 { format!("{x:.1}") } else { format!("{x:.0}") })
-        .y_label_formatter(&|y| format!("{:.0} %", y * 100.0))
+        .x_label_formatter(&|x| three_digits(*x).trim_end_matches('0').trim_end_matches('.').into())
+        .y_label_formatter(&|y| percent(*y))
         .label_style(("sans-serif", 14))
         .draw()
         .map_err(drawing)?;
-    let owned: Vec<Point> = whole.iter().map(|p| (*p).clone()).collect();
-    let front = pareto(&owned, |p| p.query_ms_p50);
-    let line = front.iter().map(|&i| (owned[i].query_ms_p50, owned[i].accuracy));
-    panel.draw_series(LineSeries::new(line, BLACK.mix(0.35).stroke_width(2))).map_err(drawing)?;
-    scatter(&mut panel, chart, &whole, |p| p.query_ms_p50.max(1e-3))
+    marks(area, &mut panel, chart, (from, to), whole, colours, ms)
 }
 
-fn time_panel(area: &Area<'_>, chart: &Chart) -> Result<(), ChartError> {
-    // For each method and scan time its best point: the others crowd the panel.
-    let mut best: BTreeMap<(&str, bool, u64), &Point> = BTreeMap::new();
-    for point in &chart.points {
-        let key = (point.method.as_str(), point.control, (chart.scan_s(point) * 1e3) as u64);
-        let kept = best.entry(key).or_insert(point);
-        if point.accuracy > kept.accuracy {
-            *kept = point;
-        }
+fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
+    let shown = timed(chart);
+    let end = chart.points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max) * 1.06;
+    let mut panel =
+        builder(area).build_cartesian_2d(0.0..end, axis(chart, &shown)).map_err(drawing)?;
+    (panel.configure_mesh())
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc("scan time used [s]; settings that were measured on several")
+        .y_desc("accuracy")
+        .y_label_formatter(&|y| percent(*y))
+        .label_style(("sans-serif", 14))
+        .draw()
+        .map_err(drawing)?;
+    let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
+    for point in &shown {
+        let line = lines.entry((&point.method, &point.setting)).or_default();
+        line.push((chart.scan_s(point), point.accuracy));
     }
-    let shown: Vec<&Point> = best.into_values().collect();
-    let end = shown.iter().map(|p| chart.scan_s(p)).fold(0.0, f64::max).max(0.1) * 1.05;
-    let mut panel = ChartBuilder::on(area)
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(64)
-        .build_cartesian_2d(0.0..end, lowest(&shown)..1.005)
-        .map_err(drawing)?;
-    panel
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("scan time used [s]; the best setting of each method")
-        .y_desc("accuracy")
-        .y_label_formatter(&|y| format!("{:.0} %", y * 100.0))
-        .label_style(("sans-serif", 14))
-        .draw()
-        .map_err(drawing)?;
-    for (method, colour) in colours(chart) {
-        let mut line: Vec<(f64, f64)> = (shown.iter())
-            .filter(|p| p.method == method && !p.control)
-            .map(|p| (chart.scan_s(p), p.accuracy))
-            .collect();
+    for ((method, _), mut line) in lines {
         line.sort_by(|a, b| a.0.total_cmp(&b.0));
-        panel
-            .draw_series(LineSeries::new(line, colour.mix(0.5).stroke_width(1)))
-            .map_err(drawing)?;
+        let style = colours[method].mix(0.6).stroke_width(1);
+        panel.draw_series(LineSeries::new(line, style)).map_err(drawing)?;
     }
-    scatter(&mut panel, chart, &shown, |p| chart.scan_s(p))
+    marks(area, &mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
 }
 
-/// How a point looks, and what the legend calls it.
-fn look(point: &Point, colours: &BTreeMap<&str, RGBColor>) -> (String, ShapeStyle) {
-    match colours.get(point.method.as_str()) {
-        Some(colour) if !point.control => (point.method.clone(), colour.filled()),
-        _ => (format!("control: {}", point.setting), GREY.stroke_width(2)),
-    }
+fn builder<'a, 'b>(area: &'a Area<'b>) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
+    let mut builder = ChartBuilder::on(area);
+    builder.margin(14).x_label_area_size(46).y_label_area_size(64);
+    builder
 }
 
-fn scatter<'a, 'b: 'a, X>(
-    panel: &mut Panel<'a, 'b, X>,
+fn percent(y: f64) -> String {
+    if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
+}
+
+/// Controls, front and points.
+fn marks<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &mut Panel<'_, '_, X>,
     chart: &Chart,
+    ends: (f64, f64),
     points: &[&Point],
+    colours: &Colours<'_>,
     x: impl Fn(&Point) -> f64,
-) -> Result<(), ChartError>
-where
-    X: Ranged<ValueType = f64>,
-{
-    let colours = colours(chart);
-    let mut named = Vec::new();
+) -> Drawn {
+    let place = |panel: &Panel<'_, '_, X>, x: f64, y: f64| {
+        let ((left, top), at) = (area.get_base_pixel(), panel.backend_coord(&(x, y)));
+        (at.0 - left, at.1 - top)
+    };
+    let mut above = i32::MAX;
+    let mut controls: Vec<&Point> = chart.controls().collect();
+    controls.sort_by(|a, b| a.accuracy.total_cmp(&b.accuracy));
+    for control in controls {
+        let (from, to) =
+            (place(panel, ends.0, control.accuracy), place(panel, ends.1, control.accuracy));
+        for dash in (from.0..to.0).step_by(10) {
+            let line = [(dash, from.1), ((dash + 5).min(to.0), from.1)];
+            area.draw(&PathElement::new(line, GREY.stroke_width(1))).map_err(drawing)?;
+        }
+        // Names do not run into each other.
+        above = (from.1 - 15).min(above - 15);
+        let text = format!("{}: {:.0} %", control.setting, 100.0 * control.accuracy);
+        let text =
+            Text::new(text, (from.0 + 8, above), ("sans-serif", 12).into_font().color(&GREY));
+        area.draw(&text).map_err(drawing)?;
+    }
+    let front = front(points, &x);
+    let line = front.iter().map(|p| (x(p), p.accuracy));
+    panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3))).map_err(drawing)?;
     for point in points {
-        let (name, style) = look(point, &colours);
+        let colour = colours[point.method.as_str()];
         let bar = [(x(point), point.accuracy_low), (x(point), point.accuracy_high)];
-        let thin = style.color.mix(0.45).stroke_width(1);
-        let at = (x(point), point.accuracy);
-        panel.draw_series([PathElement::new(bar, thin)]).map_err(drawing)?;
-        let series = if point.peer {
-            let square = EmptyElement::at(at) + Rectangle::new([(-5, -5), (5, 5)], style);
-            panel.draw_series([square])
+        let bar = PathElement::new(bar, colour.mix(0.45).stroke_width(1));
+        panel.draw_series([bar]).map_err(drawing)?;
+        let key = Mark { colour, square: point.peer, hollow: chart.is_subset(point) };
+        key.draw(area, place(panel, x(point), point.accuracy))?;
+    }
+    let mut before = (i32::MIN / 2, 0);
+    for (number, point) in front.iter().enumerate() {
+        let at = place(panel, x(point), point.accuracy_high);
+        // Close ones stand at different heights.
+        let lift = if at.0 - before.0 < 16 { before.1 + 14 } else { 0 };
+        before = (at.0, lift);
+        put(area, (number + 1).to_string(), (at.0 - 4, at.1 - 16 - lift), 13)?;
+    }
+    Ok(())
+}
+
+/// How a point looks.
+#[derive(Clone, Copy)]
+struct Mark {
+    colour: RGBColor,
+    square: bool,
+    hollow: bool,
+}
+
+impl Mark {
+    fn draw(self, area: &Area<'_>, (x, y): (i32, i32)) -> Drawn {
+        let style = if self.hollow { self.colour.stroke_width(2) } else { self.colour.filled() };
+        if self.square {
+            area.draw(&Rectangle::new([(x - 5, y - 5), (x + 5, y + 5)], style)).map_err(drawing)
         } else {
-            panel.draw_series([Circle::new(at, 5, style)])
-        };
-        let series = series.map_err(drawing)?;
-        if !named.contains(&name) {
-            series.label(name.clone()).legend(move |(x, y)| Circle::new((x + 8, y), 5, style));
-            named.push(name);
+            area.draw(&Circle::new((x, y), 5, style)).map_err(drawing)
         }
     }
-    panel
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(BLACK.mix(0.2))
-        .label_font(("sans-serif", 13))
-        .draw()
-        .map_err(drawing)
+}
+
+/// A name in the legend.
+struct Key {
+    name: String,
+    mark: Mark,
+}
+
+impl Key {
+    /// About what the text takes.
+    fn width(&self) -> i32 {
+        self.name.chars().count() as i32 * 7 + 40
+    }
+
+    fn draw(&self, area: &Area<'_>, (x, y): (i32, i32)) -> Drawn {
+        self.mark.draw(area, (x + 6, y + 7))?;
+        put(area, self.name.as_str(), (x + 18, y), 13)
+    }
+}
+
+/// The legend, as many names in a row as fit.
+fn legend_rows(chart: &Chart, colours: &Colours<'_>) -> Vec<Vec<Key>> {
+    let mut keys: Vec<Key> = Vec::new();
+    for point in chart.methods() {
+        let colour = colours[point.method.as_str()];
+        let hollow = chart.is_subset(point);
+        let name = match (point.peer, hollow) {
+            (true, _) => format!("{} (a peer)", point.method),
+            (false, true) => format!("{}, some sources", point.method),
+            (false, false) => point.method.clone(),
+        };
+        if !keys.iter().any(|key| key.name == name) {
+            keys.push(Key { name, mark: Mark { colour, square: point.peer, hollow } });
+        }
+    }
+    let mut rows: Vec<Vec<Key>> = Vec::new();
+    let mut used = i32::MAX;
+    for key in keys {
+        if used + key.width() > WIDTH as i32 - 2 * MARGIN {
+            rows.push(Vec::new());
+            used = 0;
+        }
+        used += key.width();
+        rows.extend(rows.is_empty().then(Vec::new));
+        if let Some(row) = rows.last_mut() {
+            row.push(key);
+        }
+    }
+    rows
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::chart::tests::point;
+    use super::super::chart::tests::{chart, point};
     use super::*;
 
     #[test]
     fn a_chart_names_its_methods_controls_and_kind_of_data() {
         let mut points = vec![point("reference", 300.0, 0.7), point("embedding", 2.0, 1.0)];
         points.push(Point { query_seconds: Some(0.5), ..point("embedding", 2.0, 0.95) });
-        let control = Point { control: true, ..point("embedding", 2.0, 0.5) };
+        points.push(Point { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
+        let control = Point { control: true, ..point("control", 2.0, 0.5) };
         points.push(Point { setting: "loudness alone".into(), ..control });
         points.push(Point { peer: true, ..point("MiniRocket", 9.0, 0.98) });
-        let chart = Chart {
-            data: "a <scene>".into(),
-            synthetic: true,
-            protocol: "leave-one-trial-out".into(),
-            library_trials: 180,
-            drag_s: Some(4.8),
-            points,
-        };
+        let chart = chart(points);
         let svg = figure(&chart).unwrap();
-        for text in ["reference", "embedding", "control: loudness alone", "MiniRocket", "synthetic"]
-        {
+        for text in [
+            "reference",
+            "embedding, some sources",
+            "loudness alone: 50 %",
+            "MiniRocket (a peer)",
+            "SYNTHETIC",
+            "first 0.5 s",
+            "a &lt;scene&gt;",
+        ] {
             assert!(svg.contains(text), "{text}");
         }
-        assert!(svg.contains("a &lt;scene&gt;"));
         assert!(figure(&Chart { points: vec![], ..chart }).is_err());
+    }
+
+    #[test]
+    fn numbers_have_three_digits() {
+        assert_eq!(
+            [0.1234, 1.234, 12.34, 1234.0].map(three_digits),
+            ["0.123", "1.23", "12.3", "1234"]
+        );
     }
 }

@@ -17,6 +17,13 @@ pub enum Protocol {
 }
 
 impl Protocol {
+    /// Users against the expert where there are both, else each trial against the same person's
+    /// other trials.
+    pub fn natural(keys: &[TrialKey]) -> Self {
+        let has = |of_expert: bool| keys.iter().any(|key| (key.user == EXPERT) == of_expert);
+        if has(true) && has(false) { Self::ExpertVsUsers } else { Self::LeaveOneTrialOut }
+    }
+
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {

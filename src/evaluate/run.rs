@@ -10,6 +10,7 @@ use super::{EvaluateError, Fold};
 use crate::library::Entry;
 use crate::recognise::features::FeatureVector;
 use crate::recognise::{Method, Preparation, Ranking, RecogniseError, prepare_library};
+use crate::scene::{Phase, Scene};
 use crate::trial::TrialKey;
 
 /// Told after each step: what is being done, how much is done, how much there is to do.
@@ -70,9 +71,28 @@ pub fn run_prepared<M: Method>(
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
+    let as_query = |_, entry: &Entry| as_query(entry);
+    let mut all = run_variants(method, entries, folds, prepared, 1, as_query, progress)?;
+    Ok(all.swap_remove(0))
+}
+
+/// The same for several variants of each query, told apart by the first argument of `as_query`; the
+/// model of a fold serves all of them.
+///
+/// # Errors
+/// If a trial cannot be read or compared.
+pub fn run_variants<M: Method>(
+    method: &M,
+    entries: &[Entry],
+    folds: &[Fold],
+    prepared: &[Option<Arc<M::Prepared>>],
+    variants: usize,
+    as_query: impl Fn(usize, &Entry) -> Entry,
+    progress: Progress<'_>,
+) -> Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError> {
     let keys = |i: usize| &entries[i].key;
-    name_queries(method, &keys, folds, prepared, progress, |model, i| {
-        let entry = as_query(&entries[i]);
+    name_queries(method, &keys, folds, prepared, variants, progress, |model, i, variant| {
+        let entry = as_query(variant, &entries[i]);
         let trial = entry.load().map_err(RecogniseError::from)?;
         let start = Instant::now();
         let query = method.prepare(&entry, &trial)?;
@@ -94,48 +114,69 @@ pub fn run_features<M: Method<Prepared = FeatureVector>>(
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
     let prepared: Vec<_> = trials.iter().cloned().map(Some).collect();
     let keys = |i: usize| &trials[i].key;
-    name_queries(method, &keys, folds, &prepared, progress, |model, i| {
+    let mut all = name_queries(method, &keys, folds, &prepared, 1, progress, |model, i, _| {
         let start = Instant::now();
         Ok((method.rank(model, &trials[i])?, start))
-    })
+    })?;
+    Ok(all.swap_remove(0))
 }
 
-/// Names the queries of all folds, one after the other; `answer` also says when it began.
+/// Names the queries of all folds, one after the other, each in all its variants; `answer` is asked
+/// for query and variant, and also says when it began.
 fn name_queries<'a, M: Method>(
     method: &M,
     keys: &dyn Fn(usize) -> &'a TrialKey,
     folds: &[Fold],
     prepared: &[Option<Arc<M::Prepared>>],
+    variants: usize,
     progress: Progress<'_>,
-    answer: impl Fn(&M::Model, usize) -> Result<(Ranking, Instant), RecogniseError>,
-) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
-    let mut predictions = Vec::with_capacity(total);
+    answer: impl Fn(&M::Model, usize, usize) -> Result<(Ranking, Instant), RecogniseError>,
+) -> Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError> {
+    let total = variants * folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
+    let mut predictions: Vec<Vec<Prediction>> = vec![Vec::new(); variants];
+    let mut done = 0;
     for (index, fold) in folds.iter().enumerate() {
         let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
         let model = method.fit(library)?;
-        for &query in &fold.queries {
-            let (ranking, start) = answer(&model, query)?;
-            let query_ms = start.elapsed().as_secs_f64() * 1e3;
-            predictions.push(Prediction {
-                key: keys(query).clone(),
-                fold: index,
-                surface: ranking.surface().into(),
-                margin: ranking.margin,
-                query_ms,
-                sources: ranking.sources,
-            });
-            progress("naming queries", predictions.len(), total);
+        for (variant, predictions) in predictions.iter_mut().enumerate() {
+            for &query in &fold.queries {
+                let (ranking, start) = answer(&model, query, variant)?;
+                let query_ms = start.elapsed().as_secs_f64() * 1e3;
+                predictions.push(Prediction {
+                    key: keys(query).clone(),
+                    fold: index,
+                    surface: ranking.surface().into(),
+                    margin: ranking.margin,
+                    query_ms,
+                    sources: ranking.sources,
+                });
+                done += 1;
+                progress("naming queries", done, total);
+            }
         }
     }
     let names: Vec<_> = folds.iter().map(|fold| fold.name.clone()).collect();
     let labels: BTreeSet<_> =
         in_libraries(folds).iter().map(|&i| keys(i).surface.clone()).collect();
     let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
-    let outcome =
-        Outcome::new(&predictions, &names, labels.into_iter().collect(), largest, method.name());
-    // `folds` gives no fold without queries, so there is a prediction to sum up.
-    Ok((outcome.expect("every fold has queries"), predictions))
+    let sum_up = |predictions: Vec<Prediction>| {
+        let labels = labels.iter().cloned().collect();
+        let outcome = Outcome::new(&predictions, &names, labels, largest, method.name());
+        // `folds` gives no fold without queries, so there is a prediction to sum up.
+        (outcome.expect("every fold has queries"), predictions)
+    };
+    Ok(predictions.into_iter().map(sum_up).collect())
+}
+
+/// The entry with its drag cut to the first seconds.
+pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
+    let Some(seconds) = seconds else { return entry.clone() };
+    let scene = scene.clone();
+    entry.clone().changed(move |trial| {
+        trial.first_seconds(seconds, |id| {
+            scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
+        })
+    })
 }
 
 /// Loads and prepares those trials that are `wanted`, by index; the others stay `None`.

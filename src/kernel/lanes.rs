@@ -6,8 +6,9 @@
 //! Lanes add up one row at a time and rows in f64.
 //!
 //! Relative error of a sum, beside that of the coordinates: below 9e-7 for every single kernel value
-//! 2^(−q/16) of note ([`Quality::Fine`]: 3e-7), with 4e-9·q more far out, and of changing sign, so
-//! that sums over spread-out samples are good to 2e-7 (tested). Sums never are NaN.
+//! 2^(−q/16) of note ([`Quality::Fine`]: 3e-7), with 4e-9·q more far out, and in several channels
+//! 5e-9·(‖a‖² + ‖b‖²) more; of changing sign, so that sums over spread-out samples are good to 2e-7
+//! (tested). Sums never are NaN.
 
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;
@@ -22,8 +23,10 @@ pub struct Lanes {
     channels: usize,
     /// Channel-major, `points` rounded up to whole lanes a channel.
     values: Vec<f32>,
-    /// Least and greatest coordinate by channel.
-    bounds: [(f32, f32); 4],
+    /// −‖x‖², filled up with zeros.
+    minus_norms: Vec<f32>,
+    /// The least of these.
+    farthest: f32,
 }
 
 /// A coordinate so far away that the kernel vanishes; its square still is a number.
@@ -46,7 +49,6 @@ impl Lanes {
         assert!((1..=4).contains(&channels), "lanes take 1 to 4 channels, not {channels}");
         self.channels = channels;
         self.values.clear();
-        self.bounds = Default::default();
         for channel in 0..channels {
             let coordinates = of_channel(channel);
             if channel == 0 {
@@ -56,14 +58,12 @@ impl Lanes {
             let start = self.values.len();
             let scaled = |x: f64| (x * scale).clamp(-FARTHEST, FARTHEST) as f32;
             self.values.extend(coordinates.map(scaled));
-            let (mut low, mut high) = (0f32, 0f32);
-            for &x in &self.values[start..] {
-                low = if x < low { x } else { low };
-                high = if x > high { x } else { high };
-            }
-            self.bounds[channel] = (low, high);
             self.values.resize(start + self.points.next_multiple_of(LANES), FAR);
         }
+        self.minus_norms.clear();
+        self.minus_norms.resize(self.points.next_multiple_of(LANES), 0.0);
+        let norms = &mut self.minus_norms[..self.points];
+        self.farthest = minus_norms(&self.values, norms);
     }
 
     fn channels<const C: usize>(&self) -> [&[f32]; C] {
@@ -71,14 +71,34 @@ impl Lanes {
         std::array::from_fn(|c| &self.values[c * padded..(c + 1) * padded])
     }
 
-    /// Bound on the squared distance from a point here to one of another set or of the filling.
-    fn reach(&self, other: &Self) -> f32 {
-        if !other.points.is_multiple_of(LANES) {
-            return f32::INFINITY;
-        }
-        let spans = self.bounds.iter().zip(&other.bounds);
-        spans.map(|(a, b)| (a.1.max(b.1) - a.0.min(b.0)).powi(2)).sum()
+    /// Whether no point lies far out, and none is filling.
+    fn is_near(&self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        return self.points.is_multiple_of(LANES) && -self.farthest <= super::simd::NEAREST;
+        #[cfg(not(target_arch = "x86_64"))]
+        false
     }
+}
+
+/// −‖x‖² of points, whose channels are padded to whole lanes; returns the least.
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2+fma", "aarch64+neon"))]
+fn minus_norms(values: &[f32], norms: &mut [f32]) -> f32 {
+    let padded = norms.len().next_multiple_of(LANES);
+    let mut least = 0f32;
+    // In f64, block by block, and rounded once.
+    for (block, norms) in norms.chunks_mut(LANES).enumerate() {
+        let mut sums = [0f64; LANES];
+        for channel in values.chunks_exact(padded) {
+            for (sum, &x) in sums.iter_mut().zip(&channel[block * LANES..]) {
+                *sum -= f64::from(x) * f64::from(x);
+            }
+        }
+        for (norm, sum) in norms.iter_mut().zip(sums) {
+            *norm = sum as f32;
+            least = if *norm < least { *norm } else { least };
+        }
+    }
+    least
 }
 
 /// The factor on coordinates that turns exp(−d²/(2σ²)) into 2^(−d²/16).
@@ -89,7 +109,7 @@ pub fn lane_scale(sigma: f64) -> f64 {
 /// How well each kernel value is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
-    /// To 9e-7, and 4e-9·q more for values 2^(−q/16) far out.
+    /// To 9e-7, and more for values 2^(−q/16) far out: see the module.
     Quick,
     /// To 3e-7, and as much more far out; for sums that are not compared with others of their kind.
     Fine,
@@ -161,13 +181,16 @@ fn of_channels<const C: usize, const SELF: bool>(
     let (rows, from, to) = (a.points, a.channels::<C>(), b.channels::<C>());
     #[cfg(target_arch = "x86_64")]
     if set == InstructionSet::Avx512 && super::simd::is_available() {
-        use super::simd::{FINE, QUICK, QUICK_FAR, REACH, sum};
+        use super::simd::{FAR, FINE, NEAR, Points, sum};
+        let of_a = Points { channels: from, minus_norms: &a.minus_norms };
+        let of_b = Points { channels: to, minus_norms: &b.minus_norms };
+        let is_near = !SELF && a.is_near() && b.is_near();
         // SAFETY: the machine has what `sum` asks for, as `is_available` has just found.
         return unsafe {
             match quality {
-                Quality::Fine => sum::<C, FINE, SELF>(from, rows, to),
-                Quality::Quick if a.reach(b) < REACH => sum::<C, QUICK, SELF>(from, rows, to),
-                Quality::Quick => sum::<C, QUICK_FAR, SELF>(from, rows, to),
+                Quality::Fine => sum::<C, FINE, SELF>(of_a, rows, of_b),
+                Quality::Quick if is_near => sum::<C, NEAR, false>(of_a, rows, of_b),
+                Quality::Quick => sum::<C, FAR, SELF>(of_a, rows, of_b),
             }
         };
     }

@@ -119,7 +119,7 @@ fn expansion(points: &[f64], middle: f64) -> [f64; TERMS] {
         let mut term = [0f64; LANES];
         for lane in 0..LANES {
             // The term of 1e6, which fills up, is exactly the least that is given: 1e-301.
-            term[lane] = exp2_of_minus(0.5 * std::f64::consts::LOG2_E * t[lane] * t[lane]);
+            term[lane] = exp2_of_minus::<false>(0.5 * std::f64::consts::LOG2_E * t[lane] * t[lane]);
         }
         // (−1)ᵏ/k! Heₖ, by its own recurrence: aₖ₊₁ = −(t aₖ + aₖ₋₁)/(k + 1).
         for (k, sum) in sums.iter_mut().enumerate() {

@@ -15,7 +15,7 @@ mod permute;
 mod simd;
 mod table;
 
-pub use careful::{CarefulPoints, careful_sum};
+pub use careful::{CarefulPoints, careful_self_sum, careful_sum};
 pub use hsic::{
     Dependence, FEWEST_PAIRS, HsicError, PERMUTATIONS, Threshold, centred, hsic_b, kernel_matrix,
     permuted, quantile_index, test_independence,

@@ -11,6 +11,7 @@ mod domain;
 pub mod embedding;
 pub mod features;
 mod flawed;
+mod follow;
 pub mod framed;
 mod frames;
 mod grouped;
@@ -26,15 +27,19 @@ mod samples;
 mod sampling;
 mod scale;
 mod score;
+pub mod settle;
+mod share;
 mod slow;
 mod spectrum;
 mod storage;
+mod unknown;
 
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use domain::DomainSamples;
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
 pub use flawed::without_flawed;
+pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 pub use framed::{FramedStream, FramedTrial};
 pub use halving::{STAGES, Stage};
 pub use joint::{Joint, JointModel};
@@ -47,7 +52,10 @@ pub use sampling::{Extent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, im
 pub use score::{
     Precision, QuerySet, SCORE_FLOOR, SampleScore, log_score, score_samples, score_sets,
 };
+pub use settle::{SettleRule, Settling};
+pub use share::jeffreys_quantile;
 pub use spectrum::{amplitude_spectrum, band_bins};
+pub use unknown::{Conformity, Rejection, RejectionError, strangeness};
 
 use std::sync::Arc;
 
@@ -121,6 +129,52 @@ pub enum RecogniseError {
     },
 }
 
+/// The methods, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MethodName {
+    /// The paper's method, exactly.
+    Reference,
+    /// The kernel two-sample test on samples that keep where they came from.
+    Joint,
+    /// Fourier features and a shrinkage discriminant.
+    Embedding,
+    /// Hand-made features: Gaussian naive Bayes.
+    NaiveBayes,
+    /// Hand-made features: support vector machine with RBF kernel.
+    Svm,
+    /// Hand-made features: nearest neighbours.
+    Knn,
+    /// Hand-made features: nearest neighbours by Mahalanobis distance.
+    Mahalanobis,
+    /// Hand-made features: boosted trees.
+    Adaboost,
+    /// Hand-made features: random forest.
+    RandomForest,
+}
+
+impl MethodName {
+    /// All of them.
+    pub fn all() -> &'static [Self] {
+        clap::ValueEnum::value_variants()
+    }
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Joint => "joint",
+            Self::Embedding => "embedding",
+            Self::NaiveBayes => "naive-bayes",
+            Self::Svm => "svm",
+            Self::Knn => "knn",
+            Self::Mahalanobis => "mahalanobis",
+            Self::Adaboost => "adaboost",
+            Self::RandomForest => "random-forest",
+        }
+    }
+}
+
 /// A way of comparing trials.
 pub trait Method: Send + Sync {
     /// What a comparison needs to know of one trial.
@@ -177,8 +231,21 @@ pub trait Method: Send + Sync {
     /// If the query has no source in common with the library, or another sample rate.
     fn rank(&self, model: &Self::Model, query: &Self::Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// How probable it is that a ranking's first surface is the right one, for methods that say so.
-    fn confidence(&self, _ranking: &Ranking) -> Option<f64> {
+    /// Follows scans while they go on; `None` for a method that cannot. The first time, the stop
+    /// rule is calibrated, which takes a while.
+    fn follow(
+        &self,
+        _model: &Arc<Self::Model>,
+        _options: &FollowOptions,
+    ) -> Option<Box<dyn Follow>> {
         None
+    }
+
+    /// The fit at or below which a query is called unknown, for a stated rate of false rejections.
+    ///
+    /// # Errors
+    /// If the method has no measure of fit, or the library too few trials.
+    fn rejection(&self, _model: &Self::Model, _rate: f64) -> Result<Rejection, RejectionError> {
+        Err(RejectionError::Method(self.name()))
     }
 }

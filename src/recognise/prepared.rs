@@ -24,7 +24,7 @@ pub(super) struct Cut {
 /// A source, its rate and frames if it is a series, and its sets.
 pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of one source stay in memory beside the trial's own.
+/// How many lengths of one source stay in memory beside the trial's own; `chart` asks for as many.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths that were asked for, in frames.

@@ -34,6 +34,11 @@ pub struct Ranking {
     pub sources: Vec<SourceId>,
     /// The most alike trial of the library.
     pub nearest: TrialKey,
+    /// Probability of the first surface, by a method that gives one.
+    pub confidence: Option<f64>,
+    /// Share of left-out library trials that fit their nearest surface no better than the query
+    /// fits the first (a conformal p-value), by a method and a library that can tell.
+    pub fit: Option<f64>,
 }
 
 impl Ranking {
@@ -77,7 +82,7 @@ pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) ->
             score: log_ds.exp().min(f64::MAX),
         })
         .collect();
-    Some(Ranking { ranked, margin, sources, nearest })
+    Some(Ranking { ranked, margin, sources, nearest, confidence: None, fit: None })
 }
 
 /// ln(eᵃ + eᵇ) without overflow.

@@ -19,7 +19,8 @@ use super::rank::{Candidate, Ranking, rank};
 use super::samples::{SampleSet, Scratch};
 use super::sampling::{Extent, Positions, keyed_positions};
 use super::score::{Precision, QuerySet, log_score};
-use super::{Method, RecogniseError, storage};
+use super::storage::{self, VERSION};
+use super::{Method, RecogniseError};
 use crate::kernel::{FOLD, NODES};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceSpec};
@@ -249,7 +250,8 @@ impl Method for Reference {
         }
         let sources: Vec<_> = self.scene.sources().collect();
         let said = format!(
-            "{samples} {repetitions} {seed} {precision:?} {tabulate} {NODES} {FOLD} {sources:?}"
+            "{VERSION} {samples} {repetitions} {seed} {precision:?} {tabulate} {NODES} {FOLD} \
+             {sources:?}"
         );
         Some(seed::stable_hash(&[self.name().as_bytes(), said.as_bytes()]))
     }

@@ -3,7 +3,8 @@
 use ndarray::Array2;
 
 use crate::kernel::{
-    CarefulPoints, Lanes, Quality, SelfMean, careful_sum, lane_scale, lane_self_sum, length_scale,
+    CarefulPoints, Lanes, LineSum, Quality, SelfMean, careful_self_sum, lane_scale, lane_self_sum,
+    length_scale,
 };
 
 /// Sets of at most so many distinct samples (the metal detector has two) are summed over these.
@@ -30,8 +31,10 @@ pub struct SampleSet {
     pub(super) centre: Vec<f64>,
     /// σ by the median heuristic, of these samples.
     pub(super) sigma: f64,
-    /// Error of n·MMD² times σ that f32 may cause; infinite for samples in tight clusters.
+    /// Error of n·MMD² times σ that coordinates in f32 may cause.
     pub(super) coarseness: f64,
+    /// Whether distances within the set are but a few: see [`is_clustered`].
+    pub(super) clustered: bool,
     /// Mean of K(y, y) by σ, if tabulated.
     pub(super) table: Option<SelfMean>,
     /// Distinct samples and how often each occurs, where they are few.
@@ -97,14 +100,10 @@ impl SampleSet {
             }
         }
         let few = Few::find(&values, n, samples.ncols());
-        let coarseness = if few.is_some() {
-            0.0
-        } else if is_clustered(&values, n, sigma) {
-            f64::INFINITY
-        } else {
-            coarseness(&values, n, &centre)
-        };
-        Self { values: Values::new(values), mean, centre, sigma, coarseness, table: None, few }
+        let coarseness = coarseness(&values, n, &centre);
+        let clustered = few.is_some() || is_clustered(&values, n, sigma);
+        let values = Values::new(values);
+        Self { values, mean, centre, sigma, coarseness, clustered, table: None, few }
     }
 
     /// A set from what was stored of one.
@@ -114,9 +113,10 @@ impl SampleSet {
         centre: Vec<f64>,
         sigma: f64,
         coarseness: f64,
+        clustered: bool,
         table: Option<SelfMean>,
     ) -> Self {
-        let mut set = Self { values, mean, centre, sigma, coarseness, table, few: None };
+        let mut set = Self { values, mean, centre, sigma, coarseness, clustered, table, few: None };
         let (n, dims) = (set.n(), set.dims());
         set.few = match &set.values {
             Values::Single(values) => Few::find(values, n, dims),
@@ -162,20 +162,41 @@ impl SampleSet {
     }
 
     fn self_sum(&self, sigma: f64, scratch: &mut Scratch) -> f64 {
-        if self.fits_lanes(sigma) {
+        if let Some(sum) = self.few_sum(self, sigma, &vec![0.0; self.dims()]) {
+            sum
+        } else if self.fits_lanes(sigma) && !self.is_clustered_at(sigma) {
             self.fill_lanes(&mut scratch.lanes, sigma, &self.centre);
             lane_self_sum(&scratch.lanes, Quality::Fine)
         } else {
             self.fill_careful(&mut scratch.careful, sigma, &self.centre);
-            careful_sum(&scratch.careful, &scratch.careful)
+            careful_self_sum(&scratch.careful)
         }
     }
 
-    /// Whether f32 holds the set well enough for comparisons at this length scale.
+    /// Whether coordinates in f32 hold the set well enough at this length scale.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
-        // Seen from afar, every set is a tight cluster.
-        let afar = sigma > AFAR * self.sigma;
-        self.dims() <= 4 && !afar && self.coarseness <= ROUNDING_ALLOWED * sigma
+        self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
+    }
+
+    /// Whether coordinates in f32 will do for sums of this set against any other, since nothing
+    /// beyond the reach of its own points counts, and these lie close together: the bound of
+    /// [`coarseness`] with every sample as far out as that.
+    pub(super) fn is_compact(&self, sigma: f64) -> bool {
+        /// exp(−7²/2) is 2e-11.
+        const REACH: f64 = 7.0;
+        let n = self.n();
+        let farthest = match &self.values {
+            Values::Single(v) => farthest(v, n, &self.centre),
+            Values::Double(v) => farthest(v, n, &self.centre),
+        };
+        let error = ROUNDING * (n as f64).sqrt() * (farthest / sigma + REACH);
+        self.fits_lanes(sigma) && error <= ROUNDING_ALLOWED
+    }
+
+    /// Whether distances within the set are but a few at this length scale: seen from afar, every
+    /// set is a tight cluster.
+    pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
+        self.clustered || sigma > AFAR * self.sigma
     }
 
     pub(super) fn fill_lanes(&self, lanes: &mut Lanes, sigma: f64, origin: &[f64]) {
@@ -213,14 +234,22 @@ impl SampleSet {
         all.chunks(self.n()).map(<[f64]>::to_vec).collect()
     }
 
-    /// Calls `work` with the values of the first channel.
-    pub(super) fn with_channel<R>(
-        &self,
-        work: impl FnOnce(&mut dyn Iterator<Item = f64>) -> R,
-    ) -> R {
+    /// The first channel, expanded with a kernel of length scale `sigma`.
+    pub(super) fn line(&self, sigma: f64) -> LineSum {
+        let n = self.n();
         match &self.values {
-            Values::Single(v) => work(&mut v[..self.n()].iter().map(|&x| f64::from(x))),
-            Values::Double(v) => work(&mut v[..self.n()].iter().copied()),
+            Values::Single(v) => {
+                LineSum::new(v[..n].iter().map(|&x| f64::from(x)), self.centre[0], sigma)
+            }
+            Values::Double(v) => LineSum::new(v[..n].iter().copied(), self.centre[0], sigma),
+        }
+    }
+
+    /// The sum of the first channel's samples against those of a line, moved by `shift`.
+    pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
+        match &self.values {
+            Values::Single(v) => line.sum(v[..self.n()].iter().map(|&x| f64::from(x)), shift),
+            Values::Double(v) => line.sum(v[..self.n()].iter().copied(), shift),
         }
     }
 
@@ -264,7 +293,8 @@ impl Few {
 ///
 /// The error of a kernel value in f32 changes sign with the fraction of q, where the value is
 /// 2^(−q/16). Over spread-out samples it averages out; samples in a few tight clusters have but a
-/// few distances, hence a few fractions, and their errors add up. A subset of pairs tells.
+/// few distances, hence a few fractions, and their errors add up. A subset of pairs tells. Between
+/// a set in clusters and one that is spread out there are as many distances as the latter has samples.
 fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
     const SUBSET: usize = 32;
     const BINS: usize = 8;
@@ -290,11 +320,7 @@ fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
 /// at least half as far out, mᵢ of them; errors of different points have different signs. So the
 /// error of 2/n Σᵢⱼ k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
 fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
-    let distance = |i: usize| {
-        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i] - m).powi(2));
-        d2.sum::<f64>().sqrt()
-    };
-    let mut distances: Vec<f64> = (0..n).map(distance).collect();
+    let mut distances: Vec<f64> = (0..n).map(|i| distance(values, n, i, centre)).collect();
     distances.sort_unstable_by(f64::total_cmp);
     let mut nearer = 0;
     let mut sum = 0.0;
@@ -305,6 +331,20 @@ fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
         sum += (d * (n - nearer) as f64).powi(2);
     }
     // Where squares are too large or too small for a number, f32 is as well.
-    let error = 1.22 / n as f64 * f64::from(f32::EPSILON) * 0.5 * sum.sqrt();
+    let error = ROUNDING / n as f64 * sum.sqrt();
     if error.is_normal() || distances[n - 1] == 0.0 { error } else { f64::INFINITY }
+}
+
+/// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
+const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
+
+/// Distance of a sample from the centre.
+fn distance<T: Copy + Into<f64>>(values: &[T], n: usize, i: usize, centre: &[f64]) -> f64 {
+    let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i].into() - m).powi(2));
+    d2.sum::<f64>().sqrt()
+}
+
+/// The largest of these.
+fn farthest<T: Copy + Into<f64>>(values: &[T], n: usize, centre: &[f64]) -> f64 {
+    (0..n).map(|i| distance(values, n, i, centre)).fold(0.0, f64::max)
 }

@@ -6,7 +6,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 
 use super::samples::{SampleSet, Scratch};
 use crate::kernel::{
-    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_sum, lane_self_sum, lane_sum,
+    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_self_sum, careful_sum, lane_sum,
     length_scale, mmd2_biased, mmd2_from_sums,
 };
 
@@ -78,7 +78,7 @@ pub struct QuerySet<'a> {
     way: Way,
     /// Σ k(zᵢ, zⱼ), which no library trial changes.
     zz: f64,
-    /// Points and zz in f64, once some comparison asks for them.
+    /// Points and their sum in f64, once some comparison asks for them.
     careful: OnceLock<(CarefulPoints, f64)>,
 }
 
@@ -86,8 +86,12 @@ pub struct QuerySet<'a> {
 enum Way {
     /// One channel and many comparisons: expanded once.
     Line(LineSum),
-    /// Up to four channels, in f32.
-    Lanes(Lanes),
+    /// Up to four channels, in f32, unless both sides are clustered.
+    Lanes {
+        lanes: Lanes,
+        /// Whether f32 will do for the other side, too, whatever that is.
+        compact: bool,
+    },
     /// In f64, where f32 does not hold the samples well enough.
     Careful,
     /// By definition.
@@ -102,16 +106,18 @@ impl<'a> QuerySet<'a> {
         let (way, zz) = if precision == Precision::Oracle {
             (Way::Plain, 0.0)
         } else if set.dims() == 1 && many {
-            let line = set.with_channel(|points| LineSum::new(points, set.centre[0], sigma));
-            let zz = set.with_channel(|points| line.sum(points, 0.0));
+            let line = set.line(sigma);
+            let zz = set.sum_on_line(&line, 0.0);
             (Way::Line(line), zz)
-        } else if set.fits_lanes(sigma) {
-            let mut lanes = Lanes::default();
-            set.fill_lanes(&mut lanes, sigma, &set.centre);
-            let zz = lane_self_sum(&lanes, Quality::Quick);
-            (Way::Lanes(lanes), zz)
         } else {
-            (Way::Careful, 0.0)
+            let zz = set.self_sum_at(sigma, &mut Scratch::default());
+            if set.fits_lanes(sigma) {
+                let mut lanes = Lanes::default();
+                set.fill_lanes(&mut lanes, sigma, &set.centre);
+                (Way::Lanes { lanes, compact: set.is_compact(sigma) }, zz)
+            } else {
+                (Way::Careful, zz)
+            }
         };
         Self { set, align_mean, way, zz, careful: OnceLock::new() }
     }
@@ -134,24 +140,20 @@ impl<'a> QuerySet<'a> {
         if let Some(sums) = self.few_sums(y, &shift) {
             return score(sums);
         }
-        if let Some(sums) = self.fast_sums(y, &shift, scratch) {
-            let score = score(sums);
-            if score >= F64_BELOW {
-                return score;
-            }
+        let fast = score(self.fast_sums(y, &shift, scratch));
+        if fast >= F64_BELOW {
+            return fast;
         }
         score(self.careful_sums(y, &shift, scratch))
     }
 
     fn few_sums(&self, y: &SampleSet, shift: &dyn Fn(usize) -> f64) -> Option<CrossSums> {
         let sigma = self.set.sigma;
-        let (shift, none): (Vec<f64>, _) =
-            ((0..y.dims()).map(shift).collect(), vec![0.0; y.dims()]);
-        Some(CrossSums {
-            yz: self.set.few_sum(y, sigma, &shift)?,
-            yy: y.few_sum(y, sigma, &none)?,
-            zz: self.set.few_sum(self.set, sigma, &none)?,
-        })
+        let none = vec![0.0; y.dims()];
+        let shift: Vec<f64> = (0..y.dims()).map(shift).collect();
+        let yz = self.set.few_sum(y, sigma, &shift)?;
+        let [yy, zz] = [y, self.set].map(|set| set.few_sum(set, sigma, &none));
+        Some(CrossSums { yz, yy: yy?, zz: zz? })
     }
 
     fn fast_sums(
@@ -159,19 +161,25 @@ impl<'a> QuerySet<'a> {
         y: &SampleSet,
         shift: &dyn Fn(usize) -> f64,
         scratch: &mut Scratch,
-    ) -> Option<CrossSums> {
+    ) -> CrossSums {
         let sigma = self.set.sigma;
+        let clusters = [self.set, y].map(|set| set.is_clustered_at(sigma));
         let yz = match &self.way {
-            Way::Line(line) => y.with_channel(|points| line.sum(points, shift(0))),
-            Way::Lanes(lanes) if y.fits_lanes(sigma) => {
-                let origin: Vec<f64> =
-                    self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect();
-                y.fill_lanes(&mut scratch.lanes, sigma, &origin);
-                lane_sum(&scratch.lanes, lanes, Quality::Quick)
+            Way::Line(line) => y.sum_on_line(line, shift(0)),
+            Way::Lanes { lanes: z_lanes, compact }
+                if (*compact || y.fits_lanes(sigma)) && clusters != [true, true] =>
+            {
+                y.fill_lanes(&mut scratch.lanes, sigma, &self.origin(shift));
+                let quality =
+                    if clusters == [false, false] { Quality::Quick } else { Quality::Fine };
+                lane_sum(&scratch.lanes, z_lanes, quality)
             }
-            _ => return None,
+            _ => {
+                y.fill_careful(&mut scratch.careful, sigma, &self.origin(shift));
+                careful_sum(&scratch.careful, &self.in_f64().0)
+            }
         };
-        Some(CrossSums { yy: y.self_sum_at(sigma, scratch), zz: self.zz, yz })
+        CrossSums { yy: y.self_sum_at(sigma, scratch), zz: self.zz, yz }
     }
 
     fn careful_sums(
@@ -181,19 +189,27 @@ impl<'a> QuerySet<'a> {
         scratch: &mut Scratch,
     ) -> CrossSums {
         let sigma = self.set.sigma;
-        let (z_points, zz) = self.careful.get_or_init(|| {
-            let mut points = CarefulPoints::default();
-            self.set.fill_careful(&mut points, sigma, &self.set.centre);
-            let zz = careful_sum(&points, &points);
-            (points, zz)
-        });
-        let origin: Vec<f64> =
-            self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect();
+        let (z_points, zz) = self.in_f64();
         let points = &mut scratch.careful;
-        y.fill_careful(points, sigma, &origin);
+        y.fill_careful(points, sigma, &self.origin(shift));
         let yz = careful_sum(points, z_points);
         y.fill_careful(points, sigma, &y.centre);
-        CrossSums { yy: careful_sum(points, points), zz: *zz, yz }
+        CrossSums { yy: careful_self_sum(points), zz: *zz, yz }
+    }
+
+    /// z's centre, from where the shifted y is seen.
+    fn origin(&self, shift: &dyn Fn(usize) -> f64) -> Vec<f64> {
+        self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect()
+    }
+
+    /// The points, and zz, in f64.
+    fn in_f64(&self) -> &(CarefulPoints, f64) {
+        self.careful.get_or_init(|| {
+            let mut points = CarefulPoints::default();
+            self.set.fill_careful(&mut points, self.set.sigma, &self.set.centre);
+            let zz = careful_self_sum(&points);
+            (points, zz)
+        })
     }
 
     /// By definition, for the oracle.

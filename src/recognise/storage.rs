@@ -2,8 +2,8 @@
 //!
 //! Little-endian. A trial: number of sources; of each its name, its rate and frames (a rate of 0
 //! stands for an image), number of sets; of each set: channels, samples, width of a value in bytes
-//! (4 or 8), σ, coarseness, mean and centre by channel, whether there is a table (1 or 0) and the
-//! table, then the values. Counts are u32, other numbers f64. Errors: anything that does not fit
+//! (4 or 8), σ, coarseness, mean and centre by channel, whether it is clustered and whether there
+//! is a table (1 or 0), the table, then the values. Counts are u32, other numbers f64. Errors: anything that does not fit
 //! gives no trial; the cache's checksum guards the rest.
 
 use super::prepared::{PreparedTrial, StoredSource};
@@ -11,6 +11,9 @@ use super::samples::{SampleSet, Values};
 use crate::kernel::{NODES, SelfMean};
 use crate::library::Entry;
 use crate::scene::SourceId;
+
+/// Changes whenever the bytes mean something else.
+pub(super) const VERSION: u32 = 2;
 
 /// A trial as bytes.
 pub(super) fn encode(trial: &PreparedTrial) -> Vec<u8> {
@@ -37,6 +40,7 @@ fn encode_set(out: &mut Vec<u8>, set: &SampleSet) {
     put(out, &[set.sigma, set.coarseness]);
     put(out, &set.mean);
     put(out, &set.centre);
+    put_count(out, usize::from(set.clustered));
     put_count(out, usize::from(set.table.is_some()));
     if let Some((middle, values)) = set.table.as_ref().map(SelfMean::parts) {
         put(out, &[middle]);
@@ -76,6 +80,7 @@ fn decode_set(from: &mut Reader<'_>) -> Option<SampleSet> {
     let (dims, n, width) = (from.count()?, from.count()?, from.count()?);
     let [sigma, coarseness] = from.numbers()?;
     let (mean, centre) = (from.list(dims)?, from.list(dims)?);
+    let clustered = from.count()? != 0;
     let table = match from.count()? {
         0 => None,
         _ => {
@@ -92,7 +97,7 @@ fn decode_set(from: &mut Reader<'_>) -> Option<SampleSet> {
         8 => Values::Double(from.list(count)?.into()),
         _ => return None,
     };
-    Some(SampleSet::from_parts(values, mean, centre, sigma, coarseness, table))
+    Some(SampleSet::from_parts(values, mean, centre, sigma, coarseness, clustered, table))
 }
 
 /// What is left to read.

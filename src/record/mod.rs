@@ -3,8 +3,12 @@
 //! A trial is written into a folder that readers pass over and renamed when it is whole: after a
 //! crash there are whole trials and perhaps an unfinished folder, never half a trial.
 
+mod date;
 mod folder_name;
+pub mod mcap;
 mod wav;
+
+pub use date::utc;
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -15,7 +19,7 @@ use image::ImageEncoder;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
-use crate::trial::{Image, Series, Signal, Trial};
+use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// What is written beside a trial's data, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,9 +78,9 @@ pub fn write_trial(
         let problem = "a trial needs the name of its surface and of its user; one of them is empty";
         return Err(LibraryError::file(dir, problem));
     }
+    let folder = trial_folder(dir, key);
     let surface = dir.join(folder_name::encode(&key.surface));
-    let name = format!("{}-{:02}", folder_name::encode(&key.user), key.number);
-    let folder = surface.join(&name);
+    let name = trial_name(key);
     let taken = || {
         LibraryError::file(
             &folder,
@@ -114,6 +118,15 @@ pub fn write_trial(
         sync_folder(dir)?;
     }
     Ok(folder)
+}
+
+/// The folder that a trial of this name is written into.
+pub fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
+    dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
+}
+
+fn trial_name(key: &TrialKey) -> String {
+    format!("{}-{:02}", folder_name::encode(&key.user), key.number)
 }
 
 fn write_files(

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Select};
 
 use super::cut::cut;
-use super::live::Live;
+use super::live::{Cue, Live};
 use super::mark::Marked;
 use super::outbox::Outbox;
 use super::progress::{self, Told};
@@ -37,6 +37,7 @@ pub(super) struct Collector {
     pub begun: u32,
     /// Sets marks where the devices set none.
     pub live: Option<Live>,
+    pub cues: Receiver<Cue>,
 }
 
 impl Collector {
@@ -53,6 +54,9 @@ impl Collector {
                 self.heed(report);
             }
             self.listen(Live::listen);
+            while let Ok(cue) = self.cues.try_recv() {
+                self.cue(cue);
+            }
             self.tell_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
                 && Instant::now() >= next_trace
@@ -113,17 +117,40 @@ impl Collector {
 
     /// Follows a mark, which `device` set; its `name` is for people.
     fn mark(&mut self, device: usize, name: &str, mark: Mark) {
-        if let Mark::Begin(begin) = mark {
-            self.abandon(|_| true, "another scan began before it ended");
-            self.begun += 1;
-            return self.scans.push_back(Marked::new(self.begun, device, begin));
+        match mark {
+            Mark::Begin(begin) => {
+                self.abandon(|_| true, "another scan began before it ended");
+                self.begun += 1;
+                return self.scans.push_back(Marked::new(self.begun, device, begin));
+            }
+            Mark::GiveUp { why } => return self.abandon(|_| true, &why),
+            _ => {}
         }
         let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
             return self.outbox.warn(format!("{name}: a mark outside of any scan"));
         };
         let number = scan.number;
+        let part = match &mark {
+            Mark::Open(open) => Some(open.phase).filter(|phase| scan.phase < Some(*phase)),
+            _ => None,
+        };
+        let over = matches!(mark, Mark::End { .. });
         if let Err(problem) = scan.follow(mark, &self.streams) {
-            self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+            return self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+        }
+        if over || part.is_some() {
+            scan.phase = part.or(scan.phase);
+            self.outbox.tell(Event::Phase { scan: number, phase: part });
+        }
+    }
+
+    fn cue(&mut self, cue: Cue) {
+        match &mut self.live {
+            Some(live) => {
+                let marks = live.cue(cue, &self.streams);
+                marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
+            }
+            None => self.outbox.warn("a recording says itself when its scans begin and end".into()),
         }
     }
 
@@ -138,8 +165,10 @@ impl Collector {
     /// Gives up the scan that goes on, if it is `of` the kind in question.
     fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
-            self.outbox.warn(format!("scan {} was cut off: {why}", scan.number));
+            let number = scan.number;
             self.scans.pop_back();
+            self.outbox.warn(format!("scan {number} was cut off: {why}"));
+            self.outbox.tell(Event::Phase { scan: number, phase: None });
         }
     }
 

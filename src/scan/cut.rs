@@ -25,7 +25,7 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     let (ended_at, _) = marked.ended?;
     let mut signals = BTreeMap::new();
     let mut lost_by_source = BTreeMap::new();
-    let mut spoiled = Vec::new();
+    let mut spoiled = marked.spoiled;
     for (source, cut) in &marked.cuts {
         let piece = cut_source(source, cut, &streams[cut.stream]);
         lost_by_source.insert(source.clone(), piece.lost);

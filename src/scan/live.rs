@@ -5,24 +5,25 @@
 //! marks. Its times become indexes of the other streams through their [`Clock`]s, and the constant
 //! offset between two devices, which arrival times cannot show, through the tap that both felt.
 
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use super::clock::Clock;
-use super::detect::{Detector, Feel, Found, HOP_S, Level, Limits, onset_in};
+use super::detect::{Feel, Found, HOP_S, Limits, onset_in};
+use super::group::Group;
 use super::stream::{Intake, Stream};
 use crate::device::{Begin, Mark, Open};
 use crate::scene::{Phase, SourceId};
 
 /// A stream that brought nothing for so long is not listened to, in seconds.
 const SILENT_S: f64 = 0.5;
+/// A drag of which nothing was heard for so long is over, in seconds: longer than any machine keeps
+/// a driver waiting.
+const GONE_S: f64 = 3.0;
 /// The largest offset between two devices that a tap can show, in seconds.
 const LARGEST_OFFSET_S: f64 = 0.3;
 /// A tap's source begins so long before its onset, in seconds, and lasts as in LMT108.
 const BEFORE_TAP_S: f64 = 0.02;
 const TAP_S: f64 = 10_501.0 / 44_100.0;
-/// Levels that are kept: 10 s.
-const KEPT_HOPS: usize = 2_000;
 
 /// What to listen to, and what to cut.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,20 +50,20 @@ pub struct CutFrom {
     pub channels: usize,
 }
 
-/// The streams of one device that show contact.
-struct Group {
-    /// Indexes of the streams, and their levels.
-    ears: Vec<(usize, Level)>,
-    rate_hz: f64,
-    detector: Detector,
-    /// Index of the first frame of hop 0, and of the next frame.
-    base: u64,
-    next: u64,
-    /// Highest level of each hop, the latest ones; the first is hop `first`.
-    levels: VecDeque<f64>,
-    first: u64,
-    /// Seconds by which its times are later than those of the leading group.
-    offset_s: f64,
+/// A command of a person or a program, which a detector does not overrule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cue {
+    /// A drag begins now; if one goes on that was found, it ends by command alone.
+    Begin,
+    /// The scan that goes on ends now.
+    End,
+}
+
+/// What a group found, in its hops.
+struct Contact {
+    lead: usize,
+    tap: Option<(u64, u64)>,
+    start: u64,
 }
 
 /// Follows the streams of a session.
@@ -73,45 +74,29 @@ pub(super) struct Live {
     /// Index after the last frame of each stream, and when it came, in seconds.
     ends: Vec<(u64, f64)>,
     groups: Vec<Group>,
-    /// The group whose drag goes on, and the sources that were opened for it.
-    leading: Option<(usize, Vec<CutFrom>)>,
+    /// The scan that goes on.
+    scan: Option<Running>,
 }
 
-fn rate_hz(stream: &Stream) -> f64 {
-    match stream.intake() {
-        Intake::Series { rate_hz, .. } => *rate_hz,
-        Intake::Images { .. } => 0.0,
-    }
+/// A scan that goes on.
+struct Running {
+    /// The group that found it; none if a command began it.
+    lead: Option<usize>,
+    /// The sources that were opened for its drag.
+    opened: Vec<CutFrom>,
 }
 
 impl Live {
     pub fn new(plan: Detection, streams: &[Stream]) -> Self {
-        let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
-        let groups = plan.groups.iter().filter_map(|ears| {
-            let found: Vec<(usize, Feel)> =
-                ears.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
-            let rate_hz = rate_hz(&streams[found.first()?.0]);
-            let level = |&(at, feel): &(usize, Feel)| {
-                (at, Level::new(feel, streams[at].channels(), rate_hz))
-            };
-            Some(Group {
-                ears: found.iter().map(level).collect(),
-                rate_hz,
-                detector: Detector::new(plan.limits),
-                base: 0,
-                next: 0,
-                levels: VecDeque::new(),
-                first: 0,
-                offset_s: 0.0,
-            })
-        });
+        let group = |ears: &Vec<_>| Group::new(ears, &plan, streams);
+        let groups = plan.groups.iter().filter_map(group).collect();
         Self {
-            groups: groups.collect(),
+            groups,
             begin: Instant::now(),
-            clocks: streams.iter().map(|stream| Clock::new(rate_hz(stream))).collect(),
+            clocks: streams.iter().map(|stream| Clock::new(stream.rate_hz())).collect(),
             ends: vec![(0, f64::NEG_INFINITY); streams.len()],
             plan,
-            leading: None,
+            scan: None,
         }
     }
 
@@ -128,8 +113,13 @@ impl Live {
         for at in 0..self.groups.len() {
             let alive = |stream: usize| now_s - self.ends[stream].1 <= SILENT_S;
             let mut found = self.groups[at].listen(streams, alive);
-            if !self.groups[at].ears.iter().any(|(stream, _)| alive(*stream)) {
-                found.extend(self.groups[at].detector.finish());
+            let gone = |stream: usize| now_s - self.ends[stream].1 > GONE_S;
+            if self.groups[at].ears.iter().all(|(stream, _)| gone(*stream)) {
+                let last = self.groups[at].detector.finish();
+                if self.leads(at) && last.is_some_and(|last| self.groups[at].cut_off(last)) {
+                    marks.push(Mark::Spoil { why: "its data stopped before it was over".into() });
+                }
+                found.extend(last);
             }
             for found in found {
                 self.heed(at, found, streams, now_s, &mut marks);
@@ -138,16 +128,53 @@ impl Live {
         marks
     }
 
-    /// Ends a drag that goes on.
+    /// Begins or ends a scan, whatever the detectors say.
+    pub fn cue(&mut self, cue: Cue, streams: &[Stream]) -> Vec<Mark> {
+        let now_s = self.begin.elapsed().as_secs_f64();
+        let mut marks = Vec::new();
+        match (cue, &mut self.scan) {
+            (Cue::Begin, Some(scan)) => scan.lead = None,
+            (Cue::Begin, None) => {
+                marks.push(Mark::Begin(Begin::default()));
+                let opened = self.open(None, streams, now_s, &mut marks);
+                self.scan = Some(Running { lead: None, opened });
+            }
+            (Cue::End, None) => {}
+            (Cue::End, Some(_)) => self.end_now(streams, now_s, &mut marks),
+        }
+        marks
+    }
+
+    /// Ends the scan that goes on: nothing more will come.
     pub fn finish(&mut self, streams: &[Stream]) -> Vec<Mark> {
         let now_s = self.begin.elapsed().as_secs_f64();
         let mut marks = Vec::new();
-        if let Some((at, _)) = self.leading
-            && let Some(found) = self.groups[at].detector.finish()
-        {
-            self.heed(at, found, streams, now_s, &mut marks);
+        match self.scan.as_ref().map(|scan| scan.lead) {
+            None => return marks,
+            Some(None) => self.end_now(streams, now_s, &mut marks),
+            Some(Some(at)) => {
+                if let Some(found) = self.groups[at].detector.finish() {
+                    self.heed(at, found, streams, now_s, &mut marks);
+                }
+            }
+        }
+        // What has not come by now is not lost, but was never taken.
+        for mark in &mut marks {
+            let Mark::Close { source, end } = mark else { continue };
+            let cut = self.plan.cuts.iter().find(|cut| cut.source == *source);
+            let stream = cut.and_then(|cut| streams.iter().find(|s| s.id() == &cut.stream));
+            *end = stream.map_or(*end, |stream| stream.end().min(*end));
         }
         marks
+    }
+
+    fn leads(&self, group: usize) -> bool {
+        self.scan.as_ref().is_some_and(|scan| scan.lead == Some(group))
+    }
+
+    /// Whether a stream brought something lately.
+    fn alive(&self, stream: usize, now_s: f64) -> bool {
+        now_s - self.ends[stream].1 <= SILENT_S
     }
 
     fn heed(
@@ -158,34 +185,79 @@ impl Live {
         now_s: f64,
         marks: &mut Vec<Mark>,
     ) {
-        let leads = self.leading.as_ref().is_some_and(|(leader, _)| *leader == at);
         match found {
             Found::Drag { tap, start } => {
-                let alive = |group: &Group| {
-                    group.ears.iter().any(|(stream, _)| now_s - self.ends[*stream].1 <= SILENT_S)
-                };
-                if self.leading.is_some() || self.groups[..at].iter().any(alive) {
+                let first =
+                    |group: &Group| group.ears.iter().any(|(stream, _)| self.alive(*stream, now_s));
+                if self.scan.is_some() || self.groups[..at].iter().any(first) {
                     return;
                 }
                 if let Some((onset, _)) = tap {
                     self.align(at, onset);
                 }
-                let opened = self.open(at, tap, start, streams, now_s, marks);
-                self.leading = Some((at, opened));
+                marks.push(Mark::Begin(Begin::default()));
+                let contact = Contact { lead: at, tap, start };
+                let opened = self.open(Some(&contact), streams, now_s, marks);
+                self.scan = Some(Running { lead: Some(at), opened });
             }
-            Found::End { end } if leads => {
-                let (_, opened) = self.leading.take().unwrap_or_default();
-                for cut in opened.iter().filter(|cut| cut.phase == Phase::Drag) {
+            Found::End { end } if self.leads(at) => {
+                let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
+                for cut in opened {
                     if let Some(end) = self.index(at, end, &cut.stream, streams) {
-                        marks.push(Mark::Close { source: cut.source.clone(), end });
+                        marks.push(Mark::Close { source: cut.source, end });
                     }
                 }
+                self.pictures(streams, marks);
                 let ended_s = self.time_s(at, end).unwrap_or(now_s).clamp(0.0, now_s);
                 marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(ended_s) });
             }
-            Found::Room if leads => self.leading = None,
+            Found::Room if self.leads(at) => {
+                self.scan = None;
+                let why = "what stirred for so long was the room, not a drag";
+                marks.push(Mark::GiveUp { why: why.into() });
+            }
             Found::End { .. } | Found::Room => {}
         }
+    }
+
+    /// Ends the scan that goes on at this moment.
+    fn end_now(&mut self, streams: &[Stream], now_s: f64, marks: &mut Vec<Mark>) {
+        let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
+        for cut in opened {
+            let Some(at) = streams.iter().position(|s| s.id() == &cut.stream) else { continue };
+            marks.push(Mark::Close { source: cut.source, end: self.index_now(at, streams, now_s) });
+        }
+        self.pictures(streams, marks);
+        marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(now_s) });
+    }
+
+    /// Takes the latest pictures, however long ago they were taken: when a scan begins, and once
+    /// more when it ends, since one with flash is taken during the drag.
+    fn pictures(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
+        for cut in &self.plan.cuts {
+            let Some(stream) = streams.iter().find(|stream| stream.id() == &cut.stream) else {
+                continue;
+            };
+            if let Intake::Images { history, .. } = stream.intake()
+                && let Some((latest, _)) = history.latest()
+            {
+                marks.push(Mark::Open(Open {
+                    source: cut.source.clone(),
+                    stream: cut.stream.clone(),
+                    start: *latest,
+                    phase: cut.phase,
+                    rate_hz: 1.0,
+                    channels: cut.channels,
+                }));
+                marks.push(Mark::Close { source: cut.source.clone(), end: latest + 1 });
+            }
+        }
+    }
+
+    /// Index in stream number `at` of the frame that is taken now.
+    fn index_now(&self, at: usize, streams: &[Stream], now_s: f64) -> u64 {
+        let by_clock = self.clocks[at].index_at(now_s).filter(|_| self.alive(at, now_s));
+        by_clock.unwrap_or_else(|| streams[at].end())
     }
 
     /// When a hop of a group began.
@@ -215,7 +287,8 @@ impl Live {
     fn index(&self, lead: usize, hop: u64, stream: &SourceId, streams: &[Stream]) -> Option<u64> {
         let at = streams.iter().position(|other| other.id() == stream)?;
         let group = &self.groups[lead];
-        if group.ears.iter().any(|(ear, _)| *ear == at) {
+        let heard = &streams[group.ears[0].0];
+        if streams[at].device == heard.device && streams[at].rate_hz() == heard.rate_hz() {
             return Some(group.frame(hop));
         }
         let offset_s = (self.groups.iter())
@@ -224,22 +297,22 @@ impl Live {
         self.clocks[at].index_at(self.time_s(lead, hop)? + offset_s)
     }
 
+    /// Opens the sources of a scan: those of `contact`, or without it a drag that begins now.
     fn open(
         &self,
-        lead: usize,
-        tap: Option<(u64, u64)>,
-        start: u64,
+        contact: Option<&Contact>,
         streams: &[Stream],
         now_s: f64,
         marks: &mut Vec<Mark>,
     ) -> Vec<CutFrom> {
-        marks.push(Mark::Begin(Begin::default()));
+        self.pictures(streams, marks);
         let mut opened = Vec::new();
         for cut in &self.plan.cuts {
             let Some(at) = streams.iter().position(|stream| stream.id() == &cut.stream) else {
                 continue;
             };
             let stream = &streams[at];
+            let rate_hz = stream.rate_hz();
             let open = |start: u64, rate_hz: f64| {
                 Mark::Open(Open {
                     source: cut.source.clone(),
@@ -251,117 +324,33 @@ impl Live {
                 })
             };
             let close = |end| Mark::Close { source: cut.source.clone(), end };
-            let rate_hz = match stream.intake() {
-                // The latest picture, however long ago it was taken.
-                Intake::Images { history, .. } => {
-                    if let Some((latest, _)) = history.latest() {
-                        marks.extend([open(*latest, 1.0), close(latest + 1)]);
-                    }
-                    continue;
-                }
-                Intake::Series { rate_hz, .. } => *rate_hz,
-            };
-            if now_s - self.ends[at].1 > SILENT_S {
+            if !self.alive(at, now_s) {
                 continue;
             }
-            let frames = |seconds: f64| (seconds * rate_hz).round() as u64;
-            match (cut.phase, tap) {
-                (Phase::Tap, Some((onset, _))) => {
-                    let begin = self.index(lead, onset, &cut.stream, streams);
-                    let drag = self.index(lead, start, &cut.stream, streams);
-                    if let (Some(begin), Some(drag)) = (begin, drag) {
+            let index = |lead, hop| self.index(lead, hop, &cut.stream, streams);
+            match (cut.phase, contact) {
+                (Phase::Tap, Some(Contact { lead, tap: Some((onset, _)), start })) => {
+                    if let (Some(begin), Some(drag)) = (index(*lead, *onset), index(*lead, *start))
+                    {
+                        let frames = |seconds: f64| (seconds * rate_hz).round() as u64;
                         let begin = begin.saturating_sub(frames(BEFORE_TAP_S));
                         let end = (begin + frames(TAP_S)).min(drag).max(begin);
                         marks.extend([open(begin, rate_hz), close(end)]);
                     }
                 }
-                (Phase::Drag, _) => {
-                    if let Some(begin) = self.index(lead, start, &cut.stream, streams) {
+                (Phase::Drag, Some(Contact { lead, start, .. })) => {
+                    if let Some(begin) = index(*lead, *start) {
                         marks.push(open(begin, rate_hz));
                         opened.push(cut.clone());
                     }
+                }
+                (Phase::Drag, None) => {
+                    marks.push(open(self.index_now(at, streams, now_s), rate_hz));
+                    opened.push(cut.clone());
                 }
                 _ => {}
             }
         }
         opened
-    }
-}
-
-impl Group {
-    /// Index of the first frame of a hop.
-    fn frame(&self, hop: u64) -> u64 {
-        self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
-    }
-
-    /// The hop that holds a frame.
-    fn hop(&self, frame: u64) -> u64 {
-        (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
-    }
-
-    /// Takes what all the streams that are `alive` have.
-    fn listen(&mut self, streams: &[Stream], alive: impl Fn(usize) -> bool) -> Vec<Found> {
-        let kept = |at: usize| match streams[at].intake() {
-            Intake::Series { history, .. } => history.start(),
-            Intake::Images { .. } => 0,
-        };
-        let ears = || self.ears.iter().map(|(at, _)| *at).filter(|at| alive(*at));
-        let from = ears().map(kept).max().unwrap_or(0);
-        let Some(end) = ears().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
-        else {
-            return Vec::new();
-        };
-        if from > self.next {
-            // A gap longer than any scan: what goes on ends, and the next turn begins behind it.
-            let found = self.detector.finish();
-            if found.is_none() {
-                self.start_anew(from);
-            }
-            return found.into_iter().collect();
-        }
-        let held = self.detector.in_contact();
-        let mut fresh: Vec<f64> = Vec::new();
-        for (at, level) in &mut self.ears {
-            let Intake::Series { history, .. } = streams[*at].intake() else { continue };
-            if !alive(*at) {
-                continue;
-            }
-            let (_, samples) = history.frames(self.next..end);
-            let mut hop = 0;
-            level.feed(samples, held, |x| {
-                match fresh.get_mut(hop) {
-                    Some(highest) => *highest = highest.max(x),
-                    None => fresh.push(x),
-                }
-                hop += 1;
-            });
-        }
-        self.next = end;
-        // A stream that was away for a while may finish its hops a little off the others: how
-        // many there are is for the counter to say.
-        let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
-        let so_far = self.first + self.levels.len() as u64;
-        fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
-        let mut found = Vec::new();
-        for level in fresh {
-            self.levels.push_back(level);
-            if self.levels.len() > KEPT_HOPS {
-                self.levels.pop_front();
-                self.first += 1;
-            }
-            found.extend(self.detector.hop(level));
-        }
-        if found.contains(&Found::Room) {
-            self.ears.iter_mut().for_each(|(_, level)| level.relearn());
-        }
-        found
-    }
-
-    /// Begins to count at frame `base`.
-    fn start_anew(&mut self, base: u64) {
-        (self.base, self.next, self.first) = (base, base, 0);
-        self.levels.clear();
-        self.detector = Detector::new(self.detector.limits());
-        self.ears.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

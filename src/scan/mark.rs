@@ -19,6 +19,10 @@ pub(super) struct Marked {
     pub ended: Option<(Instant, Instant)>,
     /// How many steps of progress were told.
     pub steps: u64,
+    /// For people: what spoils it beside what its data show.
+    pub spoiled: Vec<String>,
+    /// The part that it has come to.
+    pub phase: Option<Phase>,
 }
 
 /// The span of one source in its stream.
@@ -51,7 +55,16 @@ impl Cut {
 
 impl Marked {
     pub fn new(number: u32, device: usize, begin: Begin) -> Self {
-        Self { number, begin, device, cuts: BTreeMap::new(), ended: None, steps: 0 }
+        Self {
+            number,
+            begin,
+            device,
+            cuts: BTreeMap::new(),
+            ended: None,
+            steps: 0,
+            spoiled: Vec::new(),
+            phase: None,
+        }
     }
 
     /// Whether every ring has delivered up to the marks.
@@ -65,8 +78,9 @@ impl Marked {
     /// With what does not fit together, for people.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
-            // A begin makes a scan and never reaches one.
-            Mark::Begin(_) => {}
+            // These make and unmake a scan, and never reach one.
+            Mark::Begin(_) | Mark::GiveUp { .. } => {}
+            Mark::Spoil { why } => self.spoiled.push(why),
             Mark::Open(open) => self.open(open, streams)?,
             Mark::Close { source, end } => match self.cuts.get_mut(&source) {
                 Some(cut) if end >= cut.start => cut.end = Some(end),

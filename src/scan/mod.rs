@@ -7,6 +7,7 @@ pub mod clock;
 mod collect;
 mod cut;
 pub mod detect;
+mod group;
 mod history;
 mod live;
 mod mark;
@@ -16,7 +17,7 @@ mod session;
 mod stream;
 
 pub use history::{ImageHistory, SeriesHistory};
-pub use live::{CutFrom, Detection};
+pub use live::{Cue, CutFrom, Detection};
 pub use progress::{Fresh, Progress, SoFar, Trace};
 pub use session::{Options, Session, SessionError, StreamMeter};
 
@@ -25,7 +26,7 @@ use std::time::Instant;
 
 use crate::device::DeviceState;
 use crate::ring::Counts;
-use crate::scene::SourceId;
+use crate::scene::{Phase, SourceId};
 use crate::trial::{Trial, TrialKey};
 
 /// One interaction, as it came out of the rings.
@@ -57,6 +58,13 @@ pub struct Scan {
 pub enum Event {
     /// A scan is complete.
     Scan(Box<Scan>),
+    /// A scan has come to a part, or has ended; its data may still be under way.
+    Phase {
+        /// number of the scan
+        scan: u32,
+        /// the part; `None` when it is over
+        phase: Option<Phase>,
+    },
     /// A scan goes on: what is new in it.
     Progress(Progress),
     /// What is new in the streams, scan or not.

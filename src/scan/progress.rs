@@ -32,6 +32,8 @@ pub struct Fresh {
 pub struct Progress {
     /// Number of the scan.
     pub number: u32,
+    /// As [`super::Scan::truth`].
+    pub truth: Option<TrialKey>,
     /// Seconds of drag that the snapshots hold so far.
     pub scan_s: f64,
     /// New frames, a source each.
@@ -126,7 +128,8 @@ pub(super) fn next(
         }
     }
     let scan_s = step as f64 * every_s;
-    let mut progress = Progress { number: marked.number, scan_s, fresh: vec![], images: vec![] };
+    let (number, truth) = (marked.number, marked.begin.truth.clone());
+    let mut progress = Progress { number, truth, scan_s, fresh: vec![], images: vec![] };
     for (source, cut) in &marked.cuts {
         match streams[cut.stream].intake() {
             Intake::Series { history, .. } => {

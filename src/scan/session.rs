@@ -10,11 +10,11 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
-use super::live::{Detection, Live};
+use super::live::{Cue, Detection, Live};
 use super::outbox::Outbox;
 use super::stream::Stream;
 use super::{Event, Totals};
-use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind};
+use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind, StreamSpec};
 use crate::ring::{self, Bell, Counts, Meter, Sink, Stop};
 use crate::scene::SourceId;
 
@@ -112,6 +112,7 @@ impl StreamMeter {
 #[derive(Debug)]
 pub struct Session {
     events: Receiver<Event>,
+    cues: Sender<Cue>,
     stop: Stop,
     bell: Bell,
     meters: Vec<StreamMeter>,
@@ -131,17 +132,18 @@ impl Session {
         let (bell, woken) = Bell::new();
         let (report, reports) = crossbeam_channel::bounded(REPORTS);
         let (tell, events) = crossbeam_channel::bounded(options.events.max(1));
+        let (cues, cued) = crossbeam_channel::unbounded();
         let waits = devices.iter().all(|device| device.waits());
         let outbox = Outbox::new(tell, stop.clone(), waits);
         let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
         let mut ready = Vec::new();
-        for device in devices {
+        for (number, device) in devices.into_iter().enumerate() {
             let mut sinks = Vec::new();
             for spec in device.streams() {
                 if !names.insert(spec.id.clone()) {
                     return Err(SessionError::SameStream(spec.id));
                 }
-                let (sink, stream) = join(spec.id.clone(), spec.kind, &options, bell.clone());
+                let (sink, stream) = join(&spec, number, &options, bell.clone());
                 let (device, meter) = (device.name().to_string(), stream.meter().clone());
                 meters.push(StreamMeter { id: spec.id, device, meter });
                 sinks.push(sink);
@@ -162,6 +164,7 @@ impl Session {
             scans: VecDeque::new(),
             begun: 0,
             live,
+            cues: cued,
         };
         let collector = spawn("collector", move || {
             // However it ends, no device may wait for it any more.
@@ -169,7 +172,7 @@ impl Session {
             collector.run()
         })?;
         let mut session =
-            Self { events, stop, bell, meters, devices: vec![], collector: Some(collector) };
+            Self { events, cues, stop, bell, meters, devices: vec![], collector: Some(collector) };
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
             let control = Control::new(index, session.stop.clone(), report.clone());
@@ -189,6 +192,13 @@ impl Session {
     /// What each stream carries.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
+    }
+
+    /// Begins or ends a scan by command.
+    pub fn cue(&self, cue: Cue) {
+        // Fails only when the session has ended, and with it every scan.
+        let _ = self.cues.send(cue);
+        self.bell.ring();
     }
 
     /// Asks all devices to end, without waiting for it; events go on until the last.
@@ -262,16 +272,17 @@ fn check(options: &Options) -> Result<(), SessionError> {
     Ok(())
 }
 
-fn join(id: SourceId, kind: StreamKind, options: &Options, bell: Bell) -> (Sink, Stream) {
-    match kind {
+fn join(spec: &StreamSpec, device: usize, options: &Options, bell: Bell) -> (Sink, Stream) {
+    let id = spec.id.clone();
+    match spec.kind {
         StreamKind::Series { channels, rate_hz } => {
             let capacity = (options.ring_s * rate_hz).ceil() as usize;
             let (sink, tap) = ring::series(channels, capacity, bell);
-            (Sink::Series(sink), Stream::series(id, tap, rate_hz))
+            (Sink::Series(sink), Stream::series(id, device, tap, rate_hz))
         }
         StreamKind::Images => {
             let (sink, tap) = ring::images(options.ring_images, bell);
-            (Sink::Images(sink), Stream::images(id, tap))
+            (Sink::Images(sink), Stream::images(id, device, tap))
         }
     }
 }

@@ -14,6 +14,8 @@ const MOST_IMAGES: usize = 64;
 /// One stream.
 pub(super) struct Stream {
     id: SourceId,
+    /// Number of its device: streams of one device and one rate share one sample counter.
+    pub device: usize,
     intake: Intake,
     /// Index after what was told as traces.
     pub traced: u64,
@@ -25,14 +27,14 @@ pub(super) enum Intake {
 }
 
 impl Stream {
-    pub fn series(id: SourceId, tap: SeriesTap, rate_hz: f64) -> Self {
+    pub fn series(id: SourceId, device: usize, tap: SeriesTap, rate_hz: f64) -> Self {
         let history = SeriesHistory::new(tap.channels());
-        Self { id, intake: Intake::Series { tap, history, rate_hz }, traced: 0 }
+        Self { id, device, intake: Intake::Series { tap, history, rate_hz }, traced: 0 }
     }
 
-    pub fn images(id: SourceId, tap: ImageTap) -> Self {
+    pub fn images(id: SourceId, device: usize, tap: ImageTap) -> Self {
         let history = ImageHistory::default();
-        Self { id, intake: Intake::Images { tap, history }, traced: 0 }
+        Self { id, device, intake: Intake::Images { tap, history }, traced: 0 }
     }
 
     pub fn id(&self) -> &SourceId {
@@ -41,6 +43,14 @@ impl Stream {
 
     pub fn intake(&self) -> &Intake {
         &self.intake
+    }
+
+    /// Nominal rate in Hz; of pictures, 0.
+    pub fn rate_hz(&self) -> f64 {
+        match &self.intake {
+            Intake::Series { rate_hz, .. } => *rate_hz,
+            Intake::Images { .. } => 0.0,
+        }
     }
 
     pub fn meter(&self) -> &Arc<Meter> {

@@ -68,9 +68,10 @@ enum DomainName {
     Image,
 }
 
+/// What a file said of one source.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct SourceBlock {
+pub(crate) struct SourceBlock {
     #[serde(skip_serializing_if = "Option::is_none")]
     what: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -116,8 +117,19 @@ pub(super) fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
         let line = line_of(file.format.span().end);
         return Err(SceneError::Format { line, found: *file.format.get_ref() });
     }
+    let scene = scene(file.name.unwrap_or_default(), file.sources, text)?;
+    Ok((scene, file.synthetic))
+}
+
+/// A scene of what a file with this `text` said of each source.
+pub(crate) fn scene(
+    name: String,
+    blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
+    text: &str,
+) -> Result<Scene, SceneError> {
+    let line_of = |at: usize| text[..at].lines().count().max(1);
     let mut sources = BTreeMap::new();
-    for (name, block) in file.sources {
+    for (name, block) in blocks {
         let line = line_of(block.span().end.min(text.len()));
         let fail = |problem: String| SceneError::Source {
             line: line_of(block.span().start + 1).min(line),
@@ -128,7 +140,7 @@ pub(super) fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
         let spec = block.get_ref().resolve(id.clone()).map_err(fail)?;
         sources.insert(id, spec);
     }
-    Ok((Scene { name: file.name.unwrap_or_default(), sources }, file.synthetic))
+    Ok(Scene { name, sources })
 }
 
 impl SourceBlock {

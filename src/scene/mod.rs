@@ -3,7 +3,7 @@
 //! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
 //! works with.
 
-mod config;
+pub(crate) mod config;
 
 pub use config::SceneError;
 
@@ -91,16 +91,18 @@ pub enum Colour {
     Value,
 }
 
-/// The part of a scan that a source is cut from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+/// The part of a scan that a source is cut from, in their order.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
+    /// No part: a picture.
+    Still,
     /// The tap that opens a scan.
     Tap,
     /// The drag that follows.
     Drag,
-    /// No part: a picture.
-    Still,
 }
 
 /// One source: what it is and how it is compared.

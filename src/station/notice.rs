@@ -1,13 +1,15 @@
 //! What a station tells, and what it can be told to do.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde::Serialize;
 
 use crate::device::DeviceState;
+use crate::library::Entry;
 use crate::recognise::RankedSurface;
-use crate::scan::{Totals, Trace};
+use crate::scan::{StreamMeter, Totals, Trace};
 use crate::scene::{Phase, SourceId};
 
 /// A scan that has ended, and its name: one line of JSON.
@@ -49,6 +51,8 @@ pub struct Answer {
     pub spoiled: Vec<String>,
     /// Scan duration that 400 samples T* apart need on the named surface, in seconds.
     pub needed_s: Option<f64>,
+    /// For people: what is not perfect about the scan, a line each.
+    pub remarks: Vec<String>,
 }
 
 /// A surface and its probability.
@@ -75,8 +79,15 @@ pub struct Guess {
     pub needed_s: Option<f64>,
 }
 
+impl Guess {
+    /// A scan of which nothing can be said yet.
+    pub fn nothing(scan: u32, scan_s: f64) -> Self {
+        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None }
+    }
+}
+
 /// The library that scans are compared with.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LibraryState {
     /// Its name, or its folder's.
     pub name: String,
@@ -88,6 +99,24 @@ pub struct LibraryState {
     pub synthetic: bool,
     /// For people: why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
+}
+
+impl LibraryState {
+    /// The state of a library of these trials.
+    pub fn of(name: &str, entries: &[Entry], synthetic: bool) -> Self {
+        let (mut surfaces, mut sources) = (BTreeMap::new(), BTreeSet::new());
+        for entry in entries {
+            *surfaces.entry(entry.key.surface.clone()).or_insert(0) += 1;
+            sources.extend(entry.sources.iter().cloned());
+        }
+        Self {
+            name: name.to_string(),
+            surfaces: surfaces.into_iter().collect(),
+            sources: sources.into_iter().collect(),
+            synthetic,
+            problem: None,
+        }
+    }
 }
 
 /// A scan was kept as a trial of a library, or refused.
@@ -110,6 +139,9 @@ pub struct Enrolled {
 /// What a station tells.
 #[derive(Clone, Debug)]
 pub enum Notice {
+    /// The session has begun, and this is what its streams carry, now and at any time; the first
+    /// notice.
+    Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
         /// its name
@@ -138,8 +170,17 @@ pub enum Notice {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work went on.
     Warning(String),
+    /// The station's loop turns; the answer to [`Order::Ping`].
+    Alive,
     /// The station has ended; the last notice.
     Finished(Arc<Totals>),
+}
+
+impl Answer {
+    /// How much longer the drag should have been, in seconds, if so.
+    pub fn more_s(&self) -> Option<f64> {
+        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
+    }
 }
 
 /// What a station can be told to do.
@@ -149,7 +190,7 @@ pub enum Order {
     Start,
     /// End the scan that goes on.
     Stop,
-    /// Keep the next `trials` scans as trials of `surface`.
+    /// Keep the next `trials` good scans as trials of `surface`.
     Enroll {
         /// the label
         surface: String,
@@ -158,16 +199,37 @@ pub enum Order {
         /// how many
         trials: u32,
     },
+    /// Keep all scans that follow, good or not.
+    Record {
+        /// the label
+        surface: String,
+        /// who drags
+        user: String,
+    },
     /// Keep no more scans.
     EndEnroll,
+    /// Give a sign of life.
+    Ping,
     /// Read the library and the plan anew, without dropping a sample.
     Reload,
     /// End the scan that goes on, and then all.
     Quit,
 }
 
-/// Who is told what happens. Called on the station's own thread: must not wait.
-pub trait Listener: Send {
+/// Who is told what happens. Called on the thread that runs the station: must not wait.
+pub trait Listener {
     /// Something happened.
     fn notice(&mut self, notice: &Notice);
+}
+
+impl<L: Listener + ?Sized> Listener for &mut L {
+    fn notice(&mut self, notice: &Notice) {
+        (**self).notice(notice);
+    }
+}
+
+impl<L: Listener + ?Sized> Listener for Box<L> {
+    fn notice(&mut self, notice: &Notice) {
+        (**self).notice(notice);
+    }
 }

@@ -2,9 +2,18 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
+pub mod http;
+pub mod replayed;
+pub mod scripted;
+#[cfg(feature = "microphone")]
+pub mod sound;
+pub mod stylus;
+
 use std::path::{Path, PathBuf};
 
-use surfaced::library::{Library, LibraryError};
+use surfaced::dataset;
+use surfaced::evaluate::{self, Fold, Protocol};
+use surfaced::library::{Entry, Library, LibraryError};
 use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
 
@@ -37,6 +46,20 @@ pub fn shared(relative: &str) -> Option<PathBuf> {
 /// The real recordings, see [`shared`].
 pub fn shared_lmt108() -> Option<PathBuf> {
     shared("data/LMT_108_SurfaceMaterials_Database")
+}
+
+/// Entries of the real sounds, and the first folds of leave-one-trial-out; see [`shared`].
+pub fn real_sounds(folds: usize) -> Option<(Scene, Vec<Entry>, Vec<Fold>)> {
+    let library = dataset::open(&shared_lmt108()?, &Scene::lmt108()).unwrap();
+    let scene = library.scene.clone().only(&[id("mi2")]).unwrap();
+    let entries: Vec<Entry> = (library.entries.into_iter())
+        .map(|entry| entry.within(&scene))
+        .filter(|entry| !entry.sources.is_empty())
+        .collect();
+    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let mut all = evaluate::folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
+    all.truncate(folds);
+    Some((scene, entries, all))
 }
 
 /// A source's name.

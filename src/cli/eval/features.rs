@@ -61,6 +61,8 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
             data: tables.name.clone(),
             synthetic: false,
             query_seconds: None,
+            settled: None,
+            unknown: None,
             predictions: predictions.into_iter().map(Answer::from).collect(),
         },
     )

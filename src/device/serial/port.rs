@@ -7,6 +7,9 @@ use std::time::Duration;
 
 use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
 
+use crate::device::OpenError;
+use crate::device::list::permission_hint;
+
 /// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
 pub const BAUD: u32 = 3_000_000;
 /// The longest that a read or a write waits.
@@ -29,39 +32,7 @@ pub trait OpenPort: Send {
     ///
     /// # Errors
     /// If it is not there, or not to be had.
-    fn open(&mut self) -> Result<(Box<dyn Port>, String), PortError>;
-}
-
-/// Why a line cannot be opened.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum PortError {
-    /// it is not plugged in, or has another name
-    #[error("{0} is not there; plug it in, or look at `surfaced devices`")]
-    Absent(String),
-    /// there are several that it could be
-    #[error(
-        "it could be any of {0}; name one in the configuration, port = \"/dev/serial/by-id/…\""
-    )]
-    Several(String),
-    /// another program has it
-    #[error("{0} is in use by another program; end that one, or name another port")]
-    Busy(String),
-    /// the user may not use it
-    #[error(
-        "permission denied on {0}; add yourself to its group (sudo usermod -aG dialout $USER, then \
-         log in again), or let udev allow it: write SUBSYSTEM==\"tty\", ATTRS{{idVendor}}==\"0403\", \
-         TAG+=\"uaccess\" to /etc/udev/rules.d/60-stylus.rules and run sudo udevadm control --reload \
-         && sudo udevadm trigger"
-    )]
-    Denied(String),
-    /// anything else that the system said
-    #[error("{path}: {problem}")]
-    Failed {
-        /// which port
-        path: String,
-        /// what the system said
-        problem: String,
-    },
+    fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError>;
 }
 
 /// Which port is the stylus's.
@@ -123,7 +94,7 @@ impl Selector {
     }
 
     /// The one port of `ports` that fits.
-    fn choose(&self, ports: &[SerialPortInfo]) -> Result<String, PortError> {
+    fn choose(&self, ports: &[SerialPortInfo]) -> Result<String, OpenError> {
         let fits = |port: &&SerialPortInfo| match &port.port_type {
             SerialPortType::UsbPort(usb) => self.fits(usb),
             _ => false,
@@ -132,9 +103,13 @@ impl Selector {
             ports.iter().filter(fits).map(|port| port.port_name.as_str()).collect();
         found.sort_unstable();
         match found[..] {
-            [] => Err(PortError::Absent(self.to_string())),
+            [] => Err(OpenError::Absent(self.to_string())),
             [port] => Ok(port.to_string()),
-            _ => Err(PortError::Several(found.join(", "))),
+            _ => Err(OpenError::Failed(format!(
+                "it could be any of {}; name one in the configuration, port = \
+                 \"/dev/serial/by-id/…\"",
+                found.join(", ")
+            ))),
         }
     }
 }
@@ -160,12 +135,12 @@ impl OpenPort for Selector {
         }
     }
 
-    fn open(&mut self) -> Result<(Box<dyn Port>, String), PortError> {
+    fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
         let path = match self {
             Self::Path(path) => path.display().to_string(),
             // The crate relies on this folder, which a container may lack.
             _ if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() => {
-                return Err(PortError::Absent(self.to_string()));
+                return Err(OpenError::Absent(self.to_string()));
             }
             _ => {
                 let ports = serialport::available_ports()
@@ -181,16 +156,18 @@ impl OpenPort for Selector {
 }
 
 /// The crate tells a port that is locked as `NoDevice`, and one that is gone as several others.
-fn failed(path: &str, error: &serialport::Error) -> PortError {
-    let there = Path::new(path).exists();
-    let path = path.to_string();
+fn failed(path: &str, error: &serialport::Error) -> OpenError {
+    let node = Path::new(path);
+    let device = path.to_string();
     match error.kind() {
-        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => PortError::Denied(path),
-        ErrorKind::NoDevice if there => PortError::Busy(path),
-        ErrorKind::NoDevice | ErrorKind::Io(std::io::ErrorKind::NotFound) => {
-            PortError::Absent(path)
+        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => {
+            OpenError::Denied { device, hint: permission_hint(node, "dialout") }
         }
-        _ => PortError::Failed { path, problem: error.to_string() },
+        ErrorKind::NoDevice if node.exists() => OpenError::Busy(device),
+        ErrorKind::NoDevice | ErrorKind::Io(std::io::ErrorKind::NotFound) => {
+            OpenError::Absent(device)
+        }
+        _ => OpenError::Failed(format!("{path}: {error}")),
     }
 }
 
@@ -214,9 +191,9 @@ mod tests {
         let choose = |text: &str, ports: &[_]| text.parse::<Selector>().unwrap().choose(ports);
         assert_eq!(choose("auto", &ports), Ok("/dev/ttyUSB0".into()));
         assert_eq!(choose("usb:1a86:7523", &ports), Ok("/dev/ttyUSB1".into()));
-        assert!(matches!(choose("usb:0403:6001", &ports), Err(PortError::Absent(_))));
+        assert!(matches!(choose("usb:0403:6001", &ports), Err(OpenError::Absent(_))));
         let two = [ports[1].clone(), port("/dev/ttyUSB5", 0x0403, 0x6014, "A2")];
-        assert!(matches!(choose("auto", &two), Err(PortError::Several(_))));
+        assert!(matches!(choose("auto", &two), Err(OpenError::Failed(_))));
         assert_eq!(choose("usb:0403:6014:A2", &two), Ok("/dev/ttyUSB5".into()));
     }
 
@@ -230,8 +207,8 @@ mod tests {
     fn denied_busy_and_absent_are_told_apart() {
         let of = |kind, path: &str| failed(path, &serialport::Error::new(kind, ""));
         let denied = of(ErrorKind::Io(std::io::ErrorKind::PermissionDenied), "/dev/null");
-        assert!(denied.to_string().contains("ATTRS{idVendor}==\"0403\""), "{denied}");
-        assert!(matches!(of(ErrorKind::NoDevice, "/dev/null"), PortError::Busy(_)));
-        assert!(matches!(of(ErrorKind::NoDevice, "/dev/none/x"), PortError::Absent(_)));
+        assert!(denied.to_string().contains("usermod -aG dialout"), "{denied}");
+        assert!(matches!(of(ErrorKind::NoDevice, "/dev/null"), OpenError::Busy(_)));
+        assert!(matches!(of(ErrorKind::NoDevice, "/dev/none/x"), OpenError::Absent(_)));
     }
 }

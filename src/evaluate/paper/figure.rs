@@ -1,9 +1,9 @@
 //! The paper's two figures of results: bars, and the confusion of surfaces grouped by material.
 
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::report::{Report, ReportRow};
+use crate::draw::{Area, Drawn, FigureError, drawing, put, svg};
 use crate::evaluate::Confusion;
 
 const OURS: RGBColor = RGBColor(0, 90, 160);
@@ -26,38 +26,16 @@ const MATERIALS: [&str; 9] = [
     "textiles",
 ];
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), String>;
-
-fn error(error: impl std::fmt::Display) -> String {
-    format!("the figure cannot be drawn: {error}")
-}
-
-fn drawing(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        area.fill(&WHITE).map_err(error)?;
-        draw(&area)?;
-        area.present().map_err(error)?;
-    }
-    Ok(svg)
-}
-
-fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size: i32) -> Drawn {
-    area.draw(&Text::new(text.into(), at, ("sans-serif", size))).map_err(error)
-}
-
 /// Accuracies of all settings that were run, ours (bars) and the paper's (marks), with standard
 /// deviations over folds, as SVG.
 ///
 /// # Errors
 /// If the drawing fails.
-pub fn bars(report: &Report) -> Result<String, String> {
+pub fn bars(report: &Report) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();
     let height = 90 + ROW * shown.len() as i32;
-    drawing((WIDTH, height as u32), |area| {
+    svg((WIDTH, height as u32), |area| {
         let mark = if report.synthetic { " · synthetic data, no test of the method" } else { "" };
         put(area, format!("Accuracy in percent: {}{mark}", report.data), (20, 14), 18)?;
         let key = "bars: ours; marks: the paper; whiskers: standard deviation over folds";
@@ -67,7 +45,7 @@ pub fn bars(report: &Report) -> Result<String, String> {
         for percent in (0..=100).step_by(20) {
             let at = x(f64::from(percent));
             let line = PathElement::new([(at, 60), (at, height - 24)], BLACK.mix(0.12));
-            area.draw(&line).map_err(error)?;
+            area.draw(&line).map_err(drawing)?;
             put(area, percent.to_string(), (at - 8, height - 20), 12)?;
         }
         for (at, row) in shown.iter().enumerate() {
@@ -89,15 +67,15 @@ fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Dr
     let whisker = |y: i32, mean: f64, std: f64, colour: RGBColor| {
         let line =
             PathElement::new([(x(mean - std), y), (x(mean + std), y)], colour.stroke_width(1));
-        area.draw(&line).map_err(error)
+        area.draw(&line).map_err(drawing)
     };
     let box_of = [(x(0.0), top + 2), (x(ours), top + 12)];
-    area.draw(&Rectangle::new(box_of, OURS.mix(0.6).filled())).map_err(error)?;
+    area.draw(&Rectangle::new(box_of, OURS.mix(0.6).filled())).map_err(drawing)?;
     whisker(top + 7, ours, std, BLACK)?;
     if let Some(published) = row.published {
         let at = x(published.accuracy);
         let mark = Rectangle::new([(at - 2, top + 1), (at + 2, top + 17)], PAPER.filled());
-        area.draw(&mark).map_err(error)?;
+        area.draw(&mark).map_err(drawing)?;
         whisker(top + 15, published.accuracy, published.std.unwrap_or(0.0), PAPER)?;
     }
     put(area, format!("{ours:.1}"), (WIDTH as i32 - RIGHT + 10, top + 2), 12)
@@ -116,7 +94,7 @@ fn material(surface: &str) -> usize {
 ///
 /// # Errors
 /// If the drawing fails.
-pub fn confusion(confusion: &Confusion) -> Result<String, String> {
+pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
     // All of LMT108 in about 860 pixels; few surfaces larger, but no larger than they need.
@@ -124,11 +102,11 @@ pub fn confusion(confusion: &Confusion) -> Result<String, String> {
     let (left, top) = (340, 190);
     let side = cell * order.len() as i32;
     let size = ((left + side + 30).max(640) as u32, (top + side + 40) as u32);
-    drawing(size, |area| {
+    svg(size, |area| {
         put(area, "Truth (rows) against answer (columns), by material", (20, 14), 18)?;
         put(area, "blue: right; orange: wrong; the darker, the more often", (20, 40), 12)?;
         let frame = Rectangle::new([(left, top), (left + side, top + side)], BLACK.mix(0.5));
-        area.draw(&frame).map_err(error)?;
+        area.draw(&frame).map_err(drawing)?;
         for (row, &truth) in order.iter().enumerate() {
             let y = top + cell * row as i32;
             put(area, confusion.labels[truth].as_str(), (150, y), cell.min(12))?;
@@ -141,7 +119,7 @@ pub fn confusion(confusion: &Confusion) -> Result<String, String> {
                     let x = left + cell * column as i32;
                     let of_cell = [(x, y), (x + cell, y + cell)];
                     let shade = colour.mix(0.25 + 0.75 * share).filled();
-                    area.draw(&Rectangle::new(of_cell, shade)).map_err(error)?;
+                    area.draw(&Rectangle::new(of_cell, shade)).map_err(drawing)?;
                 }
             }
         }
@@ -166,12 +144,12 @@ fn groups(
         put(area, name, (10, top + offset), 11)?;
         let upright = ("sans-serif", 11).into_font().transform(FontTransform::Rotate270);
         let text = Text::new(name, (left + offset, top - 6), upright.into_text_style(area));
-        area.draw(&text).map_err(error)?;
+        area.draw(&text).map_err(drawing)?;
         for line in [
             [(left, top + offset), (left + side, top + offset)],
             [(left + offset, top), (left + offset, top + side)],
         ] {
-            area.draw(&PathElement::new(line, BLACK.mix(0.5))).map_err(error)?;
+            area.draw(&PathElement::new(line, BLACK.mix(0.5))).map_err(drawing)?;
         }
     }
     Ok(())

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::report::{Cell, MethodReport, Report};
-use crate::evaluate::chart_figure::{Area, COLOURS, ChartError, drawing};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing};
 
 const PANEL: (u32, u32) = (300, 230);
 const COLUMNS: usize = 4;
@@ -42,12 +42,12 @@ impl Measure {
 ///
 /// # Errors
 /// If nothing was run, or no method has the measure.
-pub fn figure(report: &Report, measure: Measure) -> Result<String, ChartError> {
+pub fn figure(report: &Report, measure: Measure) -> Result<String, FigureError> {
     let shown: Vec<(usize, &MethodReport)> =
         report.methods.iter().enumerate().filter(|(_, m)| measure.of(&m.clean).is_some()).collect();
     let panels = shown.first().map_or(0, |(_, m)| m.disturbances.len());
     if panels == 0 {
-        return Err(ChartError(format!("there is nothing to draw of: {}", measure.title())));
+        return Err(FigureError(format!("there is nothing to draw of: {}", measure.title())));
     }
     // One more for the legend.
     let rows = (panels + 1).div_ceil(COLUMNS);
@@ -79,12 +79,7 @@ fn colour(index: usize) -> RGBColor {
     COLOURS[index % COLOURS.len()]
 }
 
-fn panel(
-    area: &Area<'_>,
-    shown: &[(usize, &MethodReport)],
-    at: usize,
-    measure: Measure,
-) -> Result<(), ChartError> {
+fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: Measure) -> Drawn {
     let axis = &shown[0].1.disturbances[at];
     let places = axis.levels.len() as f64;
     let mut chart = ChartBuilder::on(area)
@@ -129,7 +124,7 @@ fn panel(
     Ok(())
 }
 
-fn legend(area: &Area<'_>, shown: &[(usize, &MethodReport)]) -> Result<(), ChartError> {
+fn legend(area: &Area<'_>, shown: &[(usize, &MethodReport)]) -> Drawn {
     for (line, (index, method)) in shown.iter().enumerate() {
         let y = 24 + 20 * line as i32;
         let stroke = PathElement::new([(44, y), (74, y)], colour(*index).stroke_width(3));

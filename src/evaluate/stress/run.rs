@@ -208,7 +208,7 @@ impl<M: Method> Models<M> {
         let named = |ranking: Ranking| Named {
             right: ranking.surface() == truth,
             margin: ranking.margin,
-            confidence: method.confidence(&ranking),
+            confidence: ranking.confidence,
         };
         let rank = |model| method.rank(model, &prepared).ok().map(named);
         let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));

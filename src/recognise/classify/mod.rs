@@ -272,11 +272,10 @@ impl<C: Classifier> Method for OnFeatures<C> {
             Scores::Surfaces(log_scores) => (by_surface(training, &log_scores, row.view()), 1),
         };
         // A library has trials, and each is a candidate or its surface has one.
-        Ok(rank(candidates, k, sources).expect("at least one candidate"))
-    }
-
-    fn confidence(&self, ranking: &Ranking) -> Option<f64> {
-        self.classifier.states_probabilities().then(|| ranking.ranked[0].score.recip())
+        let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
+        ranking.confidence =
+            self.classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
+        Ok(ranking)
     }
 }
 

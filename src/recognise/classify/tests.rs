@@ -33,7 +33,7 @@ fn check<C: Classifier>(classifier: C) {
         assert_eq!(ranking.ranked.len(), 4);
         assert_eq!(ranking.nearest.surface, query.key.surface);
         assert!(ranking.ranked.is_sorted_by(|a, b| a.score <= b.score));
-        if let Some(p) = method.confidence(&ranking) {
+        if let Some(p) = ranking.confidence {
             let sum: f64 = ranking.ranked.iter().map(|r| r.score.recip()).sum();
             assert!(
                 (sum - 1.0).abs() < 1e-6 && p > 0.5 && p <= 1.0,

@@ -12,22 +12,29 @@
 pub mod calibrate;
 pub mod circle;
 pub mod discriminant;
+mod follower;
+mod left_out;
 pub mod linear;
 mod source;
 mod train;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
 use self::calibrate::{HeldOut, best_temperature, log_posterior};
 use self::discriminant::SHRINKAGE;
+use self::follower::Follower;
+use self::left_out::{LeftOut, drag_s};
 use self::source::{Window, squared_distance};
 use self::train::{Labels, SourceModel, train};
+use super::follow::{Follow, FollowOptions};
 use super::framed::{FramedSource, FramedTrial, check_rates, nothing_in_common, sorted_library};
 use super::merge::{SourceScores, merge};
 use super::rank::{Candidate, Ranking, rank};
+use super::settle::Settling;
+use super::unknown::{Conformity, Rejection, RejectionError, strangeness};
 use super::{Method, RecogniseError};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
@@ -80,6 +87,10 @@ pub struct EmbeddingModel {
     temperature: f64,
     /// Combined distances of left-out library trials, with their classes.
     held_out: Vec<HeldOut>,
+    /// How strange left-out library trials look.
+    conformity: Conformity,
+    /// The stop rule that was asked for first: scans are followed by one again and again.
+    calibrated: OnceLock<(FollowOptions, Settling)>,
     /// For people: what the library was too small for.
     remarks: Vec<String>,
 }
@@ -95,19 +106,36 @@ pub struct Posterior {
     pub log_posterior: Vec<f64>,
     /// The sources that were used.
     pub sources: Vec<SourceId>,
+    /// As [`Ranking::fit`]: told where the query has all sources that the model was trained on.
+    pub fit: Option<f64>,
+}
+
+/// How far a query is from each surface by one source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceDistances {
+    /// The source.
+    pub source: SourceId,
+    /// Whether it has a discriminant.
+    pub trained: bool,
+    /// w·d/τ for each surface; of an untrained source w·ln d² to the surface's nearest trial.
+    pub distances: Vec<f64>,
 }
 
 impl Posterior {
     /// Index of the most probable surface; the first of equal ones.
     pub fn best(&self) -> usize {
-        let mut best = 0;
-        for (i, p) in self.log_posterior.iter().enumerate() {
-            if *p > self.log_posterior[best] {
-                best = i;
-            }
-        }
-        best
+        most_probable(&self.log_posterior)
     }
+}
+
+fn most_probable(log_posterior: &[f64]) -> usize {
+    let mut best = 0;
+    for (i, p) in log_posterior.iter().enumerate() {
+        if *p > log_posterior[best] {
+            best = i;
+        }
+    }
+    best
 }
 
 impl EmbeddingModel {
@@ -134,6 +162,29 @@ impl EmbeddingModel {
     pub fn posterior(&self, query: &FramedTrial) -> Result<Option<Posterior>, RecogniseError> {
         let vectors = self.embed(query)?;
         Ok(self.posterior_of(query, &vectors))
+    }
+
+    /// What each of the query's sources says alone. Where some of a set of sources are trained,
+    /// the distances of a model with that set alone are the sums over those.
+    ///
+    /// # Errors
+    /// As [`EmbeddingModel::posterior`].
+    pub fn by_source(&self, query: &FramedTrial) -> Result<Vec<SourceDistances>, RecogniseError> {
+        let vectors = self.embed(query)?;
+        let trained = self.terms(query, &vectors).into_iter();
+        let trained =
+            trained.map(|(source, distances)| SourceDistances { source, trained: true, distances });
+        let untrained = vectors.iter().filter(|v| v.model.discriminant.is_none()).map(|v| {
+            let mut distances = vec![f64::INFINITY; self.surfaces.len()];
+            for (of_trial, &class) in v.model.vectors.iter().zip(&self.labels.class) {
+                let Some(of_trial) = of_trial else { continue };
+                let d2 = squared_distance(&v.vector, of_trial).max(DISTANCE_FLOOR);
+                distances[class] = distances[class].min(v.model.spec.weight * d2.ln());
+            }
+            let source = v.model.spec.id.clone();
+            SourceDistances { source, trained: false, distances }
+        });
+        Ok(trained.chain(untrained).collect())
     }
 
     fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
@@ -164,18 +215,38 @@ impl EmbeddingModel {
         vectors: &[EmbeddedSource<'_>],
     ) -> Option<Posterior> {
         let mut distances = vec![0.0; self.surfaces.len()];
-        let mut sources = Vec::new();
-        for EmbeddedSource { model, vector } in vectors {
-            let Some(discriminant) = &model.discriminant else { continue };
-            let tau = model.temperature.at(query.sources[&model.spec.id].duration_s);
-            add_source(&mut distances, discriminant.distances(vector), model.spec.weight / tau);
-            sources.push(model.spec.id.clone());
-        }
-        if sources.is_empty() {
+        let terms = self.terms(query, vectors);
+        if terms.is_empty() {
             return None;
         }
+        for (_, of_source) in &terms {
+            distances.iter_mut().zip(of_source).for_each(|(sum, term)| *sum += term);
+        }
+        let sources: Vec<SourceId> = terms.into_iter().map(|(id, _)| id).collect();
+        let trained = self.sources.values().filter(|model| model.discriminant.is_some()).count();
+        let fit = || {
+            let scan_s = drag_s(&self.sources, query).unwrap_or(f64::INFINITY);
+            self.conformity.fit(scan_s, strangeness(&distances)?)
+        };
+        let fit = if sources.len() == trained { fit() } else { None };
         let log_posterior = log_posterior(&distances, self.temperature);
-        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources })
+        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, fit })
+    }
+
+    /// w·d/τ of each source that has a discriminant.
+    fn terms(
+        &self,
+        query: &FramedTrial,
+        vectors: &[EmbeddedSource<'_>],
+    ) -> Vec<(SourceId, Vec<f64>)> {
+        let term = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
+            let tau = model.temperature.at(query.sources[&model.spec.id].duration_s);
+            let mut term = vec![0.0; self.surfaces.len()];
+            let distances = model.discriminant.as_ref()?.distances(vector);
+            add_source(&mut term, distances, model.spec.weight / tau);
+            Some((model.spec.id.clone(), term))
+        };
+        vectors.iter().filter_map(term).collect()
     }
 
     /// Squared distances to library trials, as logarithms, source by source.
@@ -256,50 +327,53 @@ impl Method for Embedding {
                 sources.insert(spec.id.clone(), train(spec, &trials, &labels, &self.options));
             }
         }
-        let held_out = combined_held_out(&library, &labels, &sources);
+        let left_out = LeftOut { library: &library, labels: &labels, sources: &sources };
+        let (held_out, conformity) = (left_out.whole(), left_out.conformity());
+        sources.values_mut().for_each(|model| model.held_out = Vec::new());
         let temperature = if held_out.is_empty() { 1.0 } else { best_temperature(&held_out) };
         let remarks = if self.options.discriminant { remarks(&sources) } else { Vec::new() };
-        Ok(EmbeddingModel { library, surfaces, labels, sources, temperature, held_out, remarks })
+        Ok(EmbeddingModel {
+            library,
+            surfaces,
+            labels,
+            sources,
+            temperature,
+            held_out,
+            conformity,
+            calibrated: OnceLock::new(),
+            remarks,
+        })
     }
 
     fn rank(&self, model: &EmbeddingModel, query: &FramedTrial) -> Result<Ranking, RecogniseError> {
         let vectors = model.embed(query)?;
-        let (candidates, sources) = match model.posterior_of(query, &vectors) {
-            Some(posterior) => (model.candidates(&posterior, &vectors), posterior.sources),
+        let posterior = model.posterior_of(query, &vectors);
+        let (candidates, sources) = match &posterior {
+            Some(posterior) => (model.candidates(posterior, &vectors), posterior.sources.clone()),
             None => {
                 let ids = vectors.iter().map(|source| source.model.spec.id.clone()).collect();
                 (merge(&model.log_distances(&vectors), &model.library), ids)
             }
         };
         // There is a candidate: every surface has a trial, and some trial has a shared source.
-        Ok(rank(candidates, 1, sources).expect("at least one candidate"))
+        let mut ranking = rank(candidates, 1, sources).expect("at least one candidate");
+        ranking.confidence = posterior.as_ref().map(|p| p.log_posterior[p.best()].exp());
+        ranking.fit = posterior.and_then(|posterior| posterior.fit);
+        Ok(ranking)
     }
 
-    fn confidence(&self, ranking: &Ranking) -> Option<f64> {
-        // Where nothing could be trained, scores are distances, whose inverses sum up to anything.
-        let sum: f64 = ranking.ranked.iter().map(|r| r.score.recip()).sum();
-        ((sum - 1.0).abs() < 1e-6).then(|| ranking.ranked[0].score.recip())
+    fn follow(
+        &self,
+        model: &Arc<EmbeddingModel>,
+        options: &FollowOptions,
+    ) -> Option<Box<dyn Follow>> {
+        let trained = model.sources.values().any(|source| source.discriminant.is_some());
+        trained.then(|| Box::new(Follower::new(&self.scene, model, options)) as Box<dyn Follow>)
     }
-}
 
-/// Sums over sources for library trials that were left out of training.
-fn combined_held_out(
-    library: &[Arc<FramedTrial>],
-    labels: &Labels,
-    sources: &BTreeMap<SourceId, SourceModel>,
-) -> Vec<HeldOut> {
-    let of_trial = |i: usize| {
-        let mut sum = vec![0.0; labels.classes];
-        for (id, source) in &library[i].sources {
-            let Some(model) = sources.get(id).filter(|m| m.discriminant.is_some()) else {
-                continue;
-            };
-            let tau = model.temperature.at(source.duration_s);
-            add_source(&mut sum, model.held_out[i].clone()?, model.spec.weight / tau);
-        }
-        sum.iter().any(|&d| d > 0.0).then_some((sum, labels.class[i]))
-    };
-    (0..library.len()).filter_map(of_trial).collect()
+    fn rejection(&self, model: &EmbeddingModel, rate: f64) -> Result<Rejection, RejectionError> {
+        Rejection::new(model.conformity.trials(), rate)
+    }
 }
 
 fn remarks(sources: &BTreeMap<SourceId, SourceModel>) -> Vec<String> {

@@ -27,12 +27,15 @@ pub(super) struct SourceModel {
     pub vectors: Vec<Option<Vec<f32>>>,
     pub discriminant: Option<Discriminant>,
     pub temperature: Temperature,
-    /// Distances of whole library trials under a model trained without them.
-    pub held_out: Vec<Option<Vec<f64>>>,
+    /// For each group of trials, the discriminant trained without it.
+    pub without: Vec<Option<Discriminant>>,
+    /// Distances of library trials under models trained without them; let go once they are summed
+    /// over sources.
+    pub held_out: Vec<Option<ByPrefix>>,
 }
 
 /// Lengths of a trial's beginnings in seconds, with distances to all classes; the whole comes last.
-type ByPrefix = Vec<(f64, Vec<f64>)>;
+pub(super) type ByPrefix = Vec<(f64, Vec<f64>)>;
 
 /// What training needs to know of a library: its sorted trials' classes and groups.
 pub(super) struct Labels {
@@ -85,6 +88,7 @@ pub(super) fn train(
         vectors: Vec::new(),
         discriminant: None,
         temperature: Temperature::uncalibrated(),
+        without: Vec::new(),
         held_out: vec![None; trials.len()],
         embedder,
     };
@@ -160,7 +164,8 @@ fn train_discriminant(
         })
         .collect();
     model.temperature = temperature(&held_out, labels);
-    model.held_out = held_out.into_iter().map(|of_trial| Some(of_trial?.pop()?.1)).collect();
+    model.held_out = held_out;
+    model.without = without;
 }
 
 fn temperature(held_out: &[Option<ByPrefix>], labels: &Labels) -> Temperature {

@@ -1,9 +1,8 @@
-//! What T* asks of a scan, for commands that name scans: how much longer to drag.
+//! What T* asks of a scan: how much longer to drag.
 
-use super::replay::Stage;
 use crate::duration::{DurationReport, Question, Settings, report};
 use crate::kernel::Threshold;
-use crate::library::Library;
+use crate::library::{Entry, Library};
 use crate::recognise::Ranking;
 use crate::scene::{Domain, Scene, SourceId};
 
@@ -19,19 +18,10 @@ const DRAWS: usize = 100;
 impl Needs {
     /// From the trials that are compared with. A library too small for T*, or without sources of
     /// domain `time`, asks for nothing.
-    pub fn of(stage: &Stage) -> Self {
-        let scene = stage.scene.clone();
-        let mut in_library: Vec<usize> =
-            stage.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
-        in_library.sort_unstable();
-        in_library.dedup();
-        let library = Library {
-            name: String::new(),
-            scene: scene.clone(),
-            entries: in_library.into_iter().map(|i| stage.entries[i].clone()).collect(),
-            synthetic: stage.synthetic,
-            remarks: Vec::new(),
-        };
+    pub fn of(scene: &Scene, entries: Vec<Entry>, synthetic: bool) -> Self {
+        let scene = scene.clone();
+        let (name, remarks) = (String::new(), Vec::new());
+        let library = Library { name, scene: scene.clone(), entries, synthetic, remarks };
         let sources = (scene.sources())
             .filter(|spec| spec.domain == Domain::Time && spec.sigma.is_none())
             .filter(|spec| library.entries.iter().any(|e| e.sources.contains(&spec.id)))
@@ -46,16 +36,21 @@ impl Needs {
         Self { scene, report: report(&library, &question, |_, _| {}).ok() }
     }
 
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
     /// Whether a source is a switch, which rests at one value most of the time.
     pub fn is_switch(&self, id: &SourceId) -> bool {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The longest scan that any source asks for on the surface that was named, in seconds.
-    pub fn scan_s(&self, ranking: &Ranking) -> Option<f64> {
+    /// The longest scan that any of some sources asks for on a surface, in seconds.
+    pub fn scan_s(&self, surface: &str, sources: &[SourceId]) -> Option<f64> {
         let report = self.report.as_ref()?;
-        (ranking.sources.iter())
-            .filter_map(|id| report.need(ranking.surface(), id.as_str()))
+        (sources.iter())
+            .filter_map(|id| report.need(surface, id.as_str()))
             .map(|need| need.scan_s())
             .max_by(f64::total_cmp)
     }

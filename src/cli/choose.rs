@@ -1,0 +1,93 @@
+//! Which trials, sources and folds of some recordings a measurement works with.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use super::{Failure, SourceArgs, shown};
+use crate::evaluate::{self, Fold, Protocol};
+use crate::library::{Entry, Library};
+use crate::scene::{Scene, SourceId};
+use crate::trial::TrialKey;
+
+/// What a measurement works with.
+pub(super) struct Choice {
+    /// The sources that were asked for.
+    pub scene: Scene,
+    /// Trials that hold some of them.
+    pub entries: Vec<Entry>,
+    pub protocol: Protocol,
+    pub folds: Vec<Fold>,
+}
+
+/// Narrows recordings to the sources that were asked for, and splits them into folds: by the
+/// protocol that was named, else users against the expert where the data allow it, else each trial
+/// against the same person's others.
+///
+/// # Errors
+/// If no trial holds any of the sources, or the protocol finds no folds.
+pub(super) fn choose(
+    library: &Library,
+    data: &Path,
+    sources: &SourceArgs,
+    protocol: Option<Protocol>,
+) -> Result<Choice, Failure> {
+    let scene = sources.narrow(library.scene.clone())?;
+    let entries: Vec<Entry> = (library.entries.iter())
+        .map(|entry| entry.clone().within(&scene))
+        .filter(|entry| !entry.sources.is_empty())
+        .collect();
+    if entries.is_empty() {
+        let list = |ids: BTreeSet<&SourceId>| {
+            ids.into_iter().map(SourceId::as_str).collect::<Vec<_>>().join(", ")
+        };
+        let asked = list(scene.sources().map(|spec| &spec.id).collect());
+        let held = list(library.entries.iter().flat_map(|entry| &entry.sources).collect());
+        let held = if held.is_empty() { "none that is known".into() } else { held };
+        return Err(Failure::Failed(format!(
+            "{}: no trial holds {asked}; sources that the data hold: {held}",
+            shown(data)
+        )));
+    }
+    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let folds_of = |protocol| Ok::<_, Failure>((protocol, evaluate::folds(protocol, &keys)?));
+    let (protocol, folds) = match protocol {
+        Some(protocol) => folds_of(protocol)?,
+        None => {
+            folds_of(Protocol::ExpertVsUsers).or_else(|_| folds_of(Protocol::LeaveOneTrialOut))?
+        }
+    };
+    Ok(Choice { scene, entries, protocol, folds })
+}
+
+impl Choice {
+    /// Keeps this many surfaces of those that the folds use, evenly spread over their names, and
+    /// no trial of others.
+    pub fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
+        let all: BTreeSet<&str> = self.surfaces().collect();
+        let kept: BTreeSet<String> = (all.iter().enumerate())
+            .filter(|(i, _)| (i + 1) * most / all.len() > i * most / all.len())
+            .map(|(_, name)| (*name).to_string())
+            .collect();
+        self.entries.retain(|entry| kept.contains(&entry.key.surface));
+        let keys: Vec<TrialKey> = self.entries.iter().map(|entry| entry.key.clone()).collect();
+        self.folds = evaluate::folds(self.protocol, &keys)?;
+        Ok(())
+    }
+
+    /// The surface of each trial in some fold's library.
+    pub fn surfaces(&self) -> impl Iterator<Item = &str> {
+        let of_fold = |fold: &Fold| fold.library.clone();
+        let used: BTreeSet<usize> = self.folds.iter().flat_map(of_fold).collect();
+        used.into_iter().map(|i| self.entries[i].key.surface.as_str())
+    }
+
+    /// The sources that trials of the folds hold, sorted.
+    pub fn held(&self) -> Vec<SourceId> {
+        let of_fold =
+            |fold: &Fold| fold.library.iter().chain(&fold.queries).copied().collect::<Vec<_>>();
+        let used: BTreeSet<usize> = self.folds.iter().flat_map(of_fold).collect();
+        let held: BTreeSet<&SourceId> =
+            used.into_iter().flat_map(|i| &self.entries[i].sources).collect();
+        held.into_iter().cloned().collect()
+    }
+}

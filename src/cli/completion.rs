@@ -1,0 +1,28 @@
+//! `surfaced completion`: what a shell needs to complete commands, made from their definitions.
+
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use super::{Cli, Done};
+
+/// Print what a shell needs to complete commands and options
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced completion bash > surfaced.bash\n  \
+                        surfaced completion zsh > _surfaced\n  \
+                        surfaced completion fish > surfaced.fish\n\n\
+                        For all users: bash, /usr/share/bash-completion/completions/surfaced; zsh, \
+                        /usr/share/zsh/vendor-completions/_surfaced; fish, \
+                        /usr/share/fish/vendor_completions.d/surfaced.fish.")]
+pub struct Args {
+    /// Which shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "surfaced", &mut script);
+    // A reader that has gone away wants no more.
+    Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
+}

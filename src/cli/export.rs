@@ -1,0 +1,46 @@
+//! `surfaced export` and `surfaced import`: recordings as MCAP, and back.
+
+use std::path::PathBuf;
+
+use super::{Done, shown};
+use crate::record::mcap;
+use crate::scene::Scene;
+
+/// Write a recording as MCAP, which Foxglove and other tools open
+///
+/// The file holds each frame and picture as a message to look at, and the recording's own files, so
+/// that `surfaced import` gives them back byte for byte.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
+                        surfaced export my-library/oak/expert-01 oak.mcap")]
+pub struct ExportArgs {
+    /// A library, or one trial of it
+    recording: PathBuf,
+    /// The file to write; it must not be there yet
+    out: PathBuf,
+}
+
+/// Write back a recording that was exported as MCAP
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced import my-library.mcap my-library")]
+pub struct ImportArgs {
+    /// The file
+    mcap: PathBuf,
+    /// The library to make; it must not be there yet
+    library: PathBuf,
+}
+
+/// Runs `surfaced export`.
+pub fn export(args: &ExportArgs) -> Done {
+    let library = mcap::open(&args.recording, &Scene::lmt108())?;
+    let trials = mcap::export(&args.recording, &library, &args.out)?;
+    eprintln!("{trials} trial(s) written to {}", shown(&args.out));
+    Ok(())
+}
+
+/// Runs `surfaced import`.
+pub fn import(args: &ImportArgs) -> Done {
+    let trials = mcap::import(&args.mcap, &args.library)?;
+    eprintln!("{trials} trial(s) written to {}", shown(&args.library));
+    Ok(())
+}

@@ -1,0 +1,199 @@
+//! What the commands share that work with live devices: `run`, `enroll` and `record`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crossbeam_channel::Sender;
+
+use super::answers::AnswerArgs;
+use super::lines::JsonLines;
+use super::method::WithMethod;
+use super::plan::Comparing;
+use super::serve::ServeArgs;
+use super::supervisor::Supervisor;
+use super::terminal::{Keys, Terminal, watch_signals};
+use super::{Done, Failure};
+use crate::dataset;
+use crate::device::serial::Selector;
+use crate::library::Entry;
+use crate::recognise::{LOOK_S, Method, prepare_library};
+use crate::scan::{Options, Totals};
+use crate::scene::Scene;
+use crate::station::config::{StationConfig, StylusConfig};
+use crate::station::{
+    ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
+};
+
+/// Which station.
+#[derive(Clone, Debug, clap::Args)]
+pub struct StationArgs {
+    /// The station's configuration (default: that of configs/stylus.toml)
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The library: a folder of labelled trials
+    #[arg(long, value_name = "LIB")]
+    library: Option<PathBuf>,
+    /// The stylus's port, instead of the configured one: `auto`, `usb:VENDOR:PRODUCT` or a path
+    #[arg(long, value_name = "PORT")]
+    stylus: Option<Selector>,
+    /// Print lines of JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub serve: ServeArgs,
+}
+
+impl StationArgs {
+    /// What the file and the flags say.
+    pub fn config(&self) -> Result<StationConfig, Failure> {
+        let mut config = match &self.config {
+            Some(path) => {
+                StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()))?
+            }
+            None => StationConfig::embedded(),
+        };
+        if let Some(library) = &self.library {
+            config.library = Some(library.clone());
+        }
+        if let Some(port) = &self.stylus {
+            let stylus = config.stylus.take().or(StationConfig::embedded().stylus);
+            config.stylus = stylus.map(|stylus| StylusConfig { port: port.clone(), ..stylus });
+        }
+        Ok(config)
+    }
+}
+
+/// The folder of a station's library.
+pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
+    config.library.clone().ok_or_else(|| {
+        let text = "no library is named; say --library FOLDER, or `library` in the configuration";
+        Failure::Usage(text.into())
+    })
+}
+
+/// Reads a library and makes it ready to name scans, whenever it is asked to.
+pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -> Load {
+    let (path, scene) = (path.to_path_buf(), scene.clone());
+    let (how, answers) = (how.clone(), answers.clone());
+    Arc::new(move || {
+        let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
+        let scene = match how.narrow(library.scene.clone()) {
+            Ok(scene) => scene,
+            Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
+                return Err(text);
+            }
+        };
+        let entries: Vec<Entry> = (library.entries.iter())
+            .map(|entry| entry.clone().within(&scene))
+            .filter(|entry| !entry.sources.is_empty())
+            .collect();
+        let state = LibraryState::of(&library.name, &entries, library.synthetic);
+        let beside = how.method.cache_beside(&path);
+        let fit = Fit { scene: &scene, entries, state, beside, answers: &answers };
+        how.method.apply(&scene, fit)
+    })
+}
+
+struct Fit<'a> {
+    scene: &'a Scene,
+    entries: Vec<Entry>,
+    state: LibraryState,
+    beside: Option<&'a Path>,
+    answers: &'a AnswerArgs,
+}
+
+impl WithMethod for Fit<'_> {
+    type Output = Result<Arc<dyn Recogniser>, String>;
+
+    fn with(self, method: impl Method + 'static) -> Self::Output {
+        let Self { scene, entries, state, beside, answers } = self;
+        let all = (0..entries.len()).collect();
+        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
+            .map_err(|error| error.to_string())?;
+        let trials = prepared.trials.into_iter().flatten().collect();
+        let model = method.fit(trials).map_err(|error| error.to_string())?;
+        let needs = Needs::of(scene, entries, state.synthetic);
+        let mut by = ByMethod::new(method, model, needs, state);
+        answers.apply(&mut by).map_err(|error| error.to_string())?;
+        Ok(Arc::new(by))
+    }
+}
+
+/// Makes a listener that may give orders.
+pub type Listen<'a> = Box<dyn FnOnce(Sender<Order>) -> Box<dyn Listener + 'a> + 'a>;
+
+/// A station at work, as a command wants it.
+pub struct Work<'a> {
+    /// Reads the library, if scans are to be named.
+    pub load: Option<Load>,
+    /// Where enrolled scans go.
+    pub keep: PathBuf,
+    /// What it is told first.
+    pub orders: Vec<Order>,
+    /// Whoever else listens, and may give orders.
+    pub listeners: Vec<Listen<'a>>,
+    /// What a person is to do, while nothing else is to be said.
+    pub hint: String,
+    /// Prints lines of JSON.
+    pub json: bool,
+    /// Whether it is shown on a page.
+    pub serve: ServeArgs,
+}
+
+/// Runs a station until it is told to quit, by a key, a signal or a listener.
+pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
+    let assembled = assemble(config);
+    for what in &assembled.left_out {
+        eprintln!("{what}");
+    }
+    if assembled.devices.is_empty() {
+        return Err(Failure::Usage("no device is configured that this build can use".into()));
+    }
+    let options = Options {
+        detection: Some(config.detection.clone()),
+        progress_every_s: Some(LOOK_S),
+        ..Options::default()
+    };
+    let options = work.serve.options(options);
+    let keep = Keep {
+        folder: work.keep,
+        scene: config.scene.clone(),
+        devices: assembled.device_of,
+        by_t_star: config.by_t_star.clone(),
+    };
+    let mut station = Station::new(assembled.devices, options).keep(keep);
+    let orders = station.orders();
+    if let Some(load) = work.load {
+        station = station.load(load);
+    }
+    if let Some(flasher) = assembled.flasher {
+        station = station.listener(flasher);
+    }
+    if work.json {
+        station = station.listener(JsonLines);
+    }
+    for listen in work.listeners {
+        station = station.listener(listen(orders.clone()));
+    }
+    let supervisor = Supervisor::new(orders.clone())?;
+    let (station, _server) = work.serve.start(station.listener(supervisor), config.serve, true)?;
+    let terminal = Terminal::new(work.json, work.hint);
+    let _keys = Keys::listen(orders.clone(), terminal.scanning());
+    let _signals = watch_signals(orders.clone())?;
+    for order in work.orders {
+        // The station holds the other end.
+        let _ = orders.send(order);
+    }
+    Ok(station.listener(terminal).run()?)
+}
+
+/// How a command with live devices ends.
+pub fn verdict(totals: &Totals) -> Done {
+    if let Some((name, error)) = totals.failed.first() {
+        return Err(Failure::Damaged(format!("{name}: {error}")));
+    }
+    match totals.lost() {
+        0 => Ok(()),
+        lost => Err(Failure::Damaged(format!("{lost} sample(s) were lost, in scans or between"))),
+    }
+}

@@ -1,0 +1,188 @@
+//! `surfaced plan`: the cheapest setting that names a library's surfaces well enough.
+
+use std::path::PathBuf;
+
+use super::choose::choose;
+use super::eval::share;
+use super::method::MethodArgs;
+use super::{Done, Failure, SourceArgs, show};
+use crate::evaluate::Protocol;
+use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
+use crate::library::Library;
+use crate::scene::Scene;
+
+/// Find the cheapest setting that names this library's surfaces well enough
+///
+/// Tries sources, scan times and methods by cross-validation inside the library, and writes what
+/// it found as a file that `surfaced replay --plan` takes.
+#[derive(clap::Args)]
+#[command(after_help = "Example: surfaced plan my-library --target 0.99 --out plan.toml")]
+pub struct Args {
+    /// Recordings: a library, or the LMT108 database
+    lib: PathBuf,
+    /// The share of scans to be named right
+    #[arg(long, default_value_t = 0.99, value_name = "SHARE", value_parser = share)]
+    target: f64,
+    /// File to write the plan to
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// How queries and library are split (default: users against the expert where there are users)
+    #[arg(long, value_enum)]
+    protocol: Option<Protocol>,
+    #[command(flatten)]
+    sources: SourceArgs,
+    /// Print the plan, and what it was found by, as one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// A plan to compare by, for commands that name scans.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlanArgs {
+    /// Compare as this plan says, which `surfaced plan` has written
+    #[arg(long, value_name = "FILE", conflicts_with_all = [
+        "sources", "method", "n", "repetitions", "positions", "neighbours",
+        "halving", "no_discriminant"
+    ])]
+    plan: Option<PathBuf>,
+}
+
+impl PlanArgs {
+    /// What the plan says, if there is one, or else the other arguments; tells people so.
+    ///
+    /// # Errors
+    /// Wrong usage, if the plan cannot be read.
+    pub fn resolve(
+        &self,
+        sources: &SourceArgs,
+        method: &MethodArgs,
+        query_seconds: Option<f64>,
+    ) -> Result<Comparing, Failure> {
+        let sources = sources.clone();
+        let Some(path) = &self.plan else {
+            let method = method.clone();
+            return Ok(Comparing { plan: None, sources, method, query_seconds });
+        };
+        let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
+        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
+        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        eprintln!(
+            "plan for {}: {} by {}{used}",
+            plan.library,
+            names.join(" + "),
+            plan.setting.method().name()
+        );
+        let (method, query_seconds) = (method.planned(plan.setting), plan.scan_s);
+        Ok(Comparing { plan: Some(plan), sources, method, query_seconds })
+    }
+}
+
+/// How scans are compared.
+#[derive(Clone)]
+pub struct Comparing {
+    /// The plan that says so, if one does.
+    pub plan: Option<Plan>,
+    sources: SourceArgs,
+    /// The method.
+    pub method: MethodArgs,
+    /// How much of each drag is used, in seconds, if not all of it.
+    pub query_seconds: Option<f64>,
+}
+
+impl Comparing {
+    /// The scene with the sources that are compared.
+    ///
+    /// # Errors
+    /// Wrong usage, if the scene lacks one.
+    pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        match &self.plan {
+            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
+            None => self.sources.narrow(scene),
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let library = super::open(&args.lib)?;
+    let chosen = choose(&library, &args.lib, &args.sources, args.protocol)?;
+    let protocol = chosen.protocol;
+    let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
+    let steps = show::Steps::new();
+    let options = PlanOptions { target: args.target, protocol, cache: None };
+    let planned = search(&library, options, &|step, done, of| steps.tell(step, done, of))?;
+    drop(steps);
+    let text = planned.plan.to_toml();
+    if let Some(out) = &args.out {
+        std::fs::write(out, &text)
+            .map_err(|error| Failure::Failed(format!("{}: {error}", out.display())))?;
+    }
+    if args.json {
+        show::json(&planned);
+    }
+    tell(&planned);
+    if args.out.is_none() {
+        eprintln!("\n{text}");
+    }
+    verdict(args, &planned)
+}
+
+fn tell(planned: &Planned) {
+    eprintln!("\nsource       alone   latency    scan");
+    for cost in &planned.sources {
+        eprintln!(
+            "{:<8} {:>9} {:>6.2} ms {:>5.1} s",
+            cost.source,
+            show::percent(cost.accuracy),
+            cost.latency_ms,
+            cost.scan_s
+        );
+    }
+    eprintln!();
+    for step in &planned.steps {
+        eprintln!("{step}");
+    }
+    let e = &planned.plan.expected;
+    let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
+    let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
+    eprintln!(
+        "plan: {} by {}, {:.1} s of scan, {:.2} ms",
+        sources.join(" + "),
+        planned.plan.setting.method().name(),
+        e.scan_s,
+        e.latency_ms
+    );
+    eprintln!(
+        "expected accuracy {} of {} queries of {} surfaces, {} (95 % interval {} to {}){mark}",
+        show::percent(e.accuracy),
+        e.queries,
+        e.surfaces,
+        e.protocol,
+        show::percent(e.accuracy_low),
+        show::percent(e.accuracy_high)
+    );
+    if e.reached && !e.shown {
+        eprintln!(
+            "{} queries are too few to show {}, even without a mistake: more trials would",
+            e.queries,
+            show::percent(e.target)
+        );
+    }
+}
+
+/// A target that no setting reaches is a failure, though the best plan was written.
+fn verdict(args: &Args, planned: &Planned) -> Done {
+    let e = &planned.plan.expected;
+    if e.reached {
+        return Ok(());
+    }
+    let written = match &args.out {
+        Some(out) => format!("the best one is in {}", out.display()),
+        None => "the best one is above".into(),
+    };
+    Err(Failure::Failed(format!(
+        "no plan reaches {}; {written}, at {}: enrol more trials, add a sensor, or lower --target",
+        show::percent(e.target),
+        show::percent(e.accuracy)
+    )))
+}

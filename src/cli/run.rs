@@ -1,0 +1,62 @@
+//! `surfaced run`: the station at work, with whatever devices are there.
+
+use super::answers::AnswerArgs;
+use super::live::{StationArgs, Work, library_of, load, verdict, work};
+use super::method::MethodArgs;
+use super::plan::PlanArgs;
+use super::{Done, Failure, SourceArgs, shown};
+
+/// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
+///
+/// Starts with whatever devices are there, and says what it lacks. On a terminal, the space bar
+/// begins and ends a scan by hand; without it, scans are found by their tap and drag.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
+                        surfaced run --config station.toml --json --serve\n  \
+                        surfaced run --library my-library --stylus /dev/ttyUSB0")]
+pub struct Args {
+    #[command(flatten)]
+    station: StationArgs,
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    method: MethodArgs,
+    #[command(flatten)]
+    plan: PlanArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let how = args.plan.resolve(&args.sources, &args.method, None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
+    let library = library_of(&config)?;
+    if !library.is_dir() {
+        return Err(Failure::Failed(format!(
+            "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
+             for each surface, or name another one",
+            shown(&library)
+        )));
+    }
+    let load = load(&library, &config.scene, &how, &args.answers);
+    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
+    let totals = work(
+        &config,
+        Work {
+            load: Some(load),
+            keep: library,
+            orders: Vec::new(),
+            listeners: Vec::new(),
+            hint: format!(
+                "tap a surface, then drag over it{long}; space begins and ends by hand, q ends"
+            ),
+            json: args.station.json,
+            serve: args.station.serve.clone(),
+        },
+    )?;
+    verdict(&totals)
+}

@@ -1,0 +1,108 @@
+//! Serving the page while a station works: `--serve` and its token.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use super::Failure;
+use crate::scan::Options;
+use crate::serve::{PORT, Reporter, ServeError, Server, Settings, Token};
+use crate::station::Station;
+
+/// The environment variable that holds the token.
+const TOKEN: &str = "SURFACED_TOKEN";
+/// How often the page is told what is new, in seconds: 20 times a second.
+const TRACE_EVERY_S: f64 = 0.05;
+/// How often it is told how a scan goes on, in seconds of drag.
+const PROGRESS_EVERY_S: f64 = 0.1;
+
+/// Whether and where the page is served.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ServeArgs {
+    /// Serve the page and the interface for programs, until SIGTERM
+    ///
+    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. Other machines
+    /// reach only an address that is theirs to reach, such as 0.0.0.0, which needs a token of at
+    /// least 16 characters in the environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDR", value_parser = address)]
+    serve: Option<Option<SocketAddr>>,
+}
+
+/// An address with its port, or one of the two.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let local = Ipv4Addr::LOCALHOST.to_string();
+    let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);
+    let port = || text.parse().ok().map(|port| SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port));
+    let ip = || text.parse::<IpAddr>().ok().map(|ip| SocketAddr::new(ip, PORT));
+    text.parse().ok().or_else(ip).or_else(port).ok_or_else(|| {
+        "expected an address such as 127.0.0.1:8080, or a port; where --serve stands before DATA, \
+         write --serve=ADDR, or put it last"
+            .into()
+    })
+}
+
+impl ServeArgs {
+    /// Whether to serve at all.
+    pub fn asked(&self) -> bool {
+        self.serve.is_some()
+    }
+
+    /// Options of a session that is shown, if it is.
+    pub fn options(&self, options: Options) -> Options {
+        if !self.asked() {
+            return options;
+        }
+        Options {
+            trace_every_s: Some(TRACE_EVERY_S),
+            progress_every_s: options.progress_every_s.or(Some(PROGRESS_EVERY_S)),
+            ..options
+        }
+    }
+
+    /// Serves `station`, if that was asked for, and says where on stderr. `default` is where, if
+    /// nothing is said; `enrolls` tells whether the station keeps scans.
+    pub fn start<'a>(
+        &self,
+        station: Station<'a>,
+        default: SocketAddr,
+        enrolls: bool,
+    ) -> Result<(Station<'a>, Option<Server>), Failure> {
+        let Some(address) = self.serve else { return Ok((station, None)) };
+        let usage = |error: ServeError| Failure::Usage(error.to_string());
+        let token = match std::env::var(TOKEN) {
+            Ok(text) => Some(Token::new(&text).map_err(usage)?),
+            Err(_) => None,
+        };
+        let address = address.unwrap_or(default);
+        let settings = Settings { address, token, enrolls, ..Settings::default() };
+        let started: Result<(Server, Reporter), _> = Server::start(&settings, station.orders());
+        let (server, reporter) = started.map_err(|error| match error {
+            ServeError::Open(_) => usage(error),
+            _ => error.into(),
+        })?;
+        eprintln!("http://{}", server.address());
+        Ok((station.listener(reporter), Some(server)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_may_be_short() {
+        for (text, full) in [
+            ("0", "127.0.0.1:0"),
+            ("9000", "127.0.0.1:9000"),
+            ("127.0.0.1", "127.0.0.1:8080"),
+            ("localhost", "127.0.0.1:8080"),
+            ("localhost:1", "127.0.0.1:1"),
+            ("0.0.0.0:80", "0.0.0.0:80"),
+            ("[::1]:80", "[::1]:80"),
+            ("::1", "[::1]:8080"),
+        ] {
+            assert_eq!(address(text), Ok(full.parse().unwrap()), "{text}");
+        }
+        for text in ["", "recordings", "localhosts", "1.2.3", "127.0.0.1:99999"] {
+            assert!(address(text).unwrap_err().contains("--serve=ADDR"), "{text}");
+        }
+    }
+}

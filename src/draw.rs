@@ -1,0 +1,52 @@
+//! Pictures as SVG: what every figure needs.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+/// Why a figure cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("the figure cannot be drawn: {0}")]
+pub struct FigureError(pub(crate) String);
+
+/// Distinct also for the colour-blind (Okabe & Ito 2008).
+pub(crate) const COLOURS: [RGBColor; 10] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(110, 80, 40),
+    RGBColor(0, 0, 0),
+    RGBColor(120, 94, 240),
+    RGBColor(160, 160, 0),
+];
+
+/// A part of a picture.
+pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(crate) type Drawn = Result<(), FigureError>;
+
+/// A drawing library's error.
+pub(crate) fn drawing(error: impl std::fmt::Display) -> FigureError {
+    FigureError(error.to_string())
+}
+
+/// A white picture of so many points, and what `draw` puts on it.
+pub(crate) fn svg(
+    size: (u32, u32),
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
+) -> Result<String, FigureError> {
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        area.fill(&WHITE).map_err(drawing)?;
+        draw(&area)?;
+        area.present().map_err(drawing)?;
+    }
+    Ok(svg)
+}
+
+/// Text with its upper left corner at a point.
+pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size: i32) -> Drawn {
+    area.draw(&Text::new(text.into(), at, ("sans-serif", size))).map_err(drawing)
+}

@@ -1,0 +1,267 @@
+//! `plan.toml`: a plan as people and programs read it.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::Setting;
+use crate::recognise::MethodName;
+use crate::scene::{Scene, SceneError, SourceId};
+
+/// Why a plan cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    /// the file system said no
+    #[error("{path}: {error}")]
+    Io {
+        /// the file
+        path: String,
+        /// what it said
+        error: std::io::Error,
+    },
+    /// not TOML, an unknown key, a missing one, a wrong type, or an impossible value
+    #[error("{path}: {problem}; `surfaced plan` writes such a file")]
+    File {
+        /// the file
+        path: String,
+        /// what is wrong, and where
+        problem: String,
+    },
+    /// sources that the data do not describe
+    #[error("the plan asks for what the data do not have: {0}")]
+    Sources(#[from] SceneError),
+}
+
+/// What a plan promises. Shares are fractions from 0 to 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expected {
+    /// The accuracy that was asked for.
+    pub target: f64,
+    /// Whether cross-validation reaches it.
+    pub reached: bool,
+    /// Whether there were enough queries to show it.
+    pub shown: bool,
+    /// Cross-validated accuracy: share of all queries.
+    pub accuracy: f64,
+    /// Lower end of its 95 % Wilson interval.
+    pub accuracy_low: f64,
+    /// Upper end of that interval.
+    pub accuracy_high: f64,
+    /// Number of queries.
+    pub queries: usize,
+    /// Number of surfaces.
+    pub surfaces: usize,
+    /// How queries and library were split.
+    pub protocol: String,
+    /// From raw samples to the answer, in milliseconds: the median on the machine that planned.
+    pub latency_ms: f64,
+    /// How long a scan lasts, in seconds; 0 where pictures alone are compared.
+    pub scan_s: f64,
+}
+
+/// The setting of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    /// The library that it was made for.
+    pub library: String,
+    /// That library was made by a generator, not recorded.
+    pub synthetic: bool,
+    /// The sources to compare; no other is needed.
+    pub sources: Vec<SourceId>,
+    /// How trials are compared.
+    #[serde(flatten)]
+    pub setting: Setting,
+    /// How much of the drag is used, in seconds; all of it where nothing is said.
+    pub scan_s: Option<f64>,
+    /// What comes of it.
+    pub expected: Expected,
+}
+
+/// What the file said.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlanFile {
+    format: u32,
+    library: String,
+    #[serde(default)]
+    synthetic: bool,
+    sources: Vec<String>,
+    method: MethodName,
+    n: Option<usize>,
+    repetitions: Option<usize>,
+    scan_s: Option<f64>,
+    expected: Expected,
+}
+
+impl Plan {
+    /// Reads a plan.
+    ///
+    /// # Errors
+    /// With line and column, if the file cannot be read, is not TOML, has an unknown key, or says
+    /// what cannot be.
+    pub fn read(path: &Path) -> Result<Self, PlanError> {
+        let shown = || path.display().to_string();
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| PlanError::Io { path: shown(), error })?;
+        Self::from_toml(&text).map_err(|problem| PlanError::File { path: shown(), problem })
+    }
+
+    fn from_toml(text: &str) -> Result<Self, String> {
+        let file: PlanFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        if file.format != 1 {
+            return Err(format!("format = {}, but this program reads format 1", file.format));
+        }
+        if file.sources.is_empty() {
+            return Err("sources = []; expected at least one".into());
+        }
+        let sources = file.sources.iter().map(|name| SourceId::new(name));
+        let sources: Vec<SourceId> =
+            sources.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+        let setting = match (file.method, file.n, file.repetitions) {
+            (MethodName::Reference, Some(n), Some(repetitions)) if n > 0 && repetitions > 0 => {
+                Setting::Reference { n, repetitions }
+            }
+            (MethodName::Reference, _, _) => {
+                return Err("method = \"reference\" needs n and repetitions, 1 or more".into());
+            }
+            (_, Some(_), _) | (_, _, Some(_)) => {
+                return Err("n and repetitions go with method = \"reference\" alone".into());
+            }
+            (MethodName::Joint, None, None) => Setting::Joint,
+            (MethodName::Embedding, None, None) => Setting::Embedding,
+            (other, None, None) => {
+                let name = other.name();
+                return Err(format!(
+                    "method = \"{name}\"; a plan knows reference, joint and embedding"
+                ));
+            }
+        };
+        if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
+            return Err(format!("scan_s = {x}; expected a positive number of seconds"));
+        }
+        let PlanFile { library, synthetic, scan_s, expected, .. } = file;
+        Ok(Self { library, synthetic, sources, setting, scan_s, expected })
+    }
+
+    /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
+    pub fn to_toml(&self) -> String {
+        let e = &self.expected;
+        let percent = |x: f64| format!("{:.1} %", 100.0 * x);
+        let quoted = |text: &str| toml::Value::String(text.into()).to_string();
+        let sources: Vec<String> = self.sources.iter().map(|id| quoted(id.as_str())).collect();
+        let mut out = String::new();
+        let mut line = |text: String| {
+            // Writing to a string cannot fail.
+            let _ = writeln!(out, "{text}");
+        };
+        line(format!(
+            "# The cheapest setting found for {} surfaces{}: `surfaced replay --plan` takes it.",
+            e.surfaces,
+            if self.synthetic { " of a synthetic scene" } else { "" }
+        ));
+        if !e.reached {
+            line(format!("# It does NOT reach the target of {}; no other did.", percent(e.target)));
+        } else if !e.shown {
+            line(format!(
+                "# {} queries are too few to show {}, even without a mistake: more trials would.",
+                e.queries,
+                percent(e.target)
+            ));
+        }
+        line("format = 1".into());
+        line(format!("library = {}", quoted(&self.library)));
+        if self.synthetic {
+            line("synthetic = true".into());
+        }
+        line("\n# Sources to compare; devices for others need not be opened.".into());
+        line(format!("sources = [{}]", sources.join(", ")));
+        line(format!("method = {}", quoted(self.setting.method().name())));
+        if let Setting::Reference { n, repetitions } = self.setting {
+            line("# Samples drawn from a source, and repetitions.".into());
+            line(format!("n = {n}\nrepetitions = {repetitions}"));
+        }
+        match self.scan_s {
+            Some(scan_s) => {
+                line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"))
+            }
+            None if e.scan_s > 0.0 => line("# No scan_s: the whole drag is used.".into()),
+            None => line("# No scan_s: nothing of a drag is used.".into()),
+        }
+        line(format!(
+            "\n# By cross-validation inside the library: {} of {} queries ({} to {}).",
+            percent(e.accuracy),
+            e.queries,
+            percent(e.accuracy_low),
+            percent(e.accuracy_high)
+        ));
+        // Plain numbers, text and booleans: nothing here that TOML cannot express.
+        let expected = toml::to_string(e).expect("plain values");
+        line(format!("[expected]\n{}", expected.trim_end()));
+        out
+    }
+
+    /// The scene with only the sources of the plan.
+    ///
+    /// # Errors
+    /// If the scene lacks one.
+    pub fn narrow(&self, scene: Scene) -> Result<Scene, PlanError> {
+        Ok(scene.only(&self.sources)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(setting: Setting) -> Plan {
+        Plan {
+            library: "a \"quoted\" name".into(),
+            synthetic: true,
+            sources: vec![SourceId::new("ca1").unwrap(), SourceId::new("mi2").unwrap()],
+            setting,
+            scan_s: Some(0.5),
+            expected: Expected {
+                target: 0.99,
+                reached: true,
+                shown: false,
+                accuracy: 1.0,
+                accuracy_low: 0.84,
+                accuracy_high: 1.0,
+                queries: 20,
+                surfaces: 5,
+                protocol: "leave-one-trial-out".into(),
+                latency_ms: 1.25,
+                scan_s: 0.5,
+            },
+        }
+    }
+
+    #[test]
+    fn a_plan_survives_being_written() {
+        for setting in
+            [Setting::Embedding, Setting::Joint, Setting::Reference { n: 100, repetitions: 1 }]
+        {
+            let mut plan = plan(setting);
+            assert_eq!(Plan::from_toml(&plan.to_toml()).unwrap(), plan);
+            (plan.scan_s, plan.synthetic) = (None, false);
+            plan.expected.reached = false;
+            assert_eq!(Plan::from_toml(&plan.to_toml()).unwrap(), plan);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_with_its_place() {
+        let good = plan(Setting::Embedding).to_toml();
+        let error = |from: &str, to: &str| Plan::from_toml(&good.replace(from, to)).unwrap_err();
+        let unknown = error("format = 1", "format = 1\ncolour = 3");
+        assert!(unknown.contains("line 4") && unknown.contains("colour"), "{unknown}");
+        assert!(error("format = 1", "format = 2").contains("reads format 1"));
+        assert!(error("scan_s = 0.5\n\n", "scan_s = -1\n\n").contains("positive"));
+        assert!(error("\"embedding\"", "\"reference\"").contains("needs n"));
+        assert!(error("\"embedding\"", "\"embedding\"\nn = 3").contains("reference"));
+        assert!(error("[\"ca1\", \"mi2\"]", "[]").contains("at least one"));
+        assert!(error("[\"ca1\", \"mi2\"]", "[\"../x\"]").contains("cannot name a source"));
+    }
+}

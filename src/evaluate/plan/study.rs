@@ -1,0 +1,193 @@
+//! What every source tells of every query, fold by fold: enough to know the accuracy of any subset
+//! of sources at any of the scan times, without comparing a trial again.
+
+use std::time::Instant;
+
+use crate::evaluate::run::{Progress, first_seconds, prepare_folds};
+use crate::evaluate::{EvaluateError, Fold};
+use crate::library::Entry;
+use crate::recognise::{Embedding, EmbeddingOptions, Method, RecogniseError, SourceDistances};
+use crate::scene::{Phase, Scene, SourceId};
+use crate::trial::{Image, Signal, Trial};
+
+/// Scan times that are tried, in seconds, beside the whole drag.
+const TIMES_S: [f64; 3] = [0.5, 1.0, 2.0];
+
+/// Queries that a source's latency is the median of, at most.
+const TIMED: usize = 15;
+
+/// One source, as far as its cost goes.
+#[derive(Clone, Debug)]
+pub(super) struct StudiedSource {
+    pub id: SourceId,
+    pub phase: Phase,
+    /// Length of a whole recording in seconds; 0 for pictures.
+    pub whole_s: f64,
+    /// Values of a whole recording.
+    pub values: f64,
+    /// Time to compare it alone, in milliseconds.
+    pub latency_ms: f64,
+}
+
+impl StudiedSource {
+    /// How long a scan must last for it, in seconds.
+    pub fn scan_s(&self, time: Option<f64>) -> f64 {
+        match (self.phase, time) {
+            (Phase::Drag, Some(time)) => time.min(self.whole_s),
+            _ => self.whole_s,
+        }
+    }
+
+    /// Values to work through.
+    pub fn work(&self, time: Option<f64>) -> f64 {
+        if self.whole_s > 0.0 {
+            self.values * self.scan_s(time) / self.whole_s
+        } else {
+            self.values
+        }
+    }
+}
+
+/// One query.
+struct Query {
+    /// Place of its surface among those of its fold's library.
+    truth: usize,
+    surfaces: usize,
+    /// For each time, what each source told, if it told anything.
+    told: Vec<Vec<Option<SourceDistances>>>,
+}
+
+/// See the module.
+pub(super) struct Study {
+    pub sources: Vec<StudiedSource>,
+    /// Scan times; none stands for the whole drag and comes last.
+    pub times: Vec<Option<f64>>,
+    queries: Vec<Query>,
+}
+
+impl Study {
+    pub fn new(
+        scene: &Scene,
+        entries: &[Entry],
+        folds: &[Fold],
+        progress: Progress<'_>,
+    ) -> Result<Self, EvaluateError> {
+        let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
+        let prepared = prepare_folds(&method, entries, folds, None, progress)?.trials;
+        let mut sources = studied(scene, entries)?;
+        let longest =
+            sources.iter().filter(|s| s.phase == Phase::Drag).fold(0.0, |t, s| s.whole_s.max(t));
+        let times = TIMES_S.into_iter().filter(|t| *t < longest - 0.05).map(Some);
+        let times: Vec<Option<f64>> = times.chain([None]).collect();
+        let total = folds.iter().map(|fold| fold.queries.len()).sum();
+        let mut queries = Vec::with_capacity(total);
+        let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
+        for fold in folds {
+            let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
+            let model = method.fit(library)?;
+            for &i in &fold.queries {
+                let entry = &entries[i];
+                let trial = entry.load().map_err(RecogniseError::from)?;
+                let kept = Entry::in_memory(trial.clone());
+                let mut told = Vec::with_capacity(times.len());
+                for &time in &times {
+                    let query = first_seconds(&kept, scene, time);
+                    let query = query.load().map_err(RecogniseError::from)?;
+                    let query = method.prepare(&kept, &query)?;
+                    let mut by_source = model.by_source(&query)?;
+                    let of_source = |source: &StudiedSource| {
+                        let at = by_source.iter().position(|told| told.source == source.id)?;
+                        Some(by_source.swap_remove(at))
+                    };
+                    told.push(sources.iter().map(of_source).collect());
+                }
+                if queries.len() < TIMED {
+                    for (source, latencies) in sources.iter().zip(&mut latencies) {
+                        latencies.extend(time_alone(&method, &model, &trial, &source.id));
+                    }
+                }
+                let surfaces = model.surfaces();
+                // Every query's surface is in its fold's library.
+                let truth = surfaces.iter().position(|s| *s == entry.key.surface).unwrap_or(0);
+                queries.push(Query { truth, surfaces: surfaces.len(), told });
+                progress("trying sources", queries.len(), total);
+            }
+        }
+        for (source, latencies) in sources.iter_mut().zip(&mut latencies) {
+            latencies.sort_by(f64::total_cmp);
+            source.latency_ms = latencies.get(latencies.len() / 2).copied().unwrap_or(0.0);
+        }
+        Ok(Self { sources, times, queries })
+    }
+
+    /// Number of queries.
+    pub fn queries(&self) -> usize {
+        self.queries.len()
+    }
+
+    /// How many queries some sources, by their places, name right at a scan time, by its place.
+    /// Exactly as `embedding` does with these sources, but for several of which none is trained:
+    /// there it takes the nearest trial by all, and this the nearest by each.
+    pub fn right(&self, sources: &[usize], time: usize) -> usize {
+        let is_right = |query: &&Query| {
+            let mut told: Vec<&SourceDistances> =
+                sources.iter().filter_map(|&s| query.told[time][s].as_ref()).collect();
+            if told.iter().any(|told| told.trained) {
+                told.retain(|told| told.trained);
+            }
+            let sum = |surface: usize| told.iter().map(|t| t.distances[surface]).sum::<f64>();
+            let mut best = (f64::INFINITY, None);
+            for surface in 0..query.surfaces {
+                let sum = sum(surface);
+                if sum < best.0 {
+                    best = (sum, Some(surface));
+                }
+            }
+            !told.is_empty() && best.1 == Some(query.truth)
+        };
+        self.queries.iter().filter(is_right).count()
+    }
+}
+
+/// Milliseconds from the raw samples of one source to its answer.
+fn time_alone(
+    method: &Embedding,
+    model: &<Embedding as Method>::Model,
+    trial: &Trial,
+    id: &SourceId,
+) -> Option<f64> {
+    let signal = trial.signals.get(id)?.clone();
+    let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
+    let entry = Entry::in_memory(alone.clone());
+    let start = Instant::now();
+    let query = method.prepare(&entry, &alone).ok()?;
+    method.rank(model, &query).ok()?;
+    Some(start.elapsed().as_secs_f64() * 1e3)
+}
+
+/// The sources that some trial has, by the first such trial.
+fn studied(scene: &Scene, entries: &[Entry]) -> Result<Vec<StudiedSource>, RecogniseError> {
+    let mut sources = Vec::new();
+    for spec in scene.sources() {
+        let Some(entry) = entries.iter().find(|entry| entry.sources.contains(&spec.id)) else {
+            continue;
+        };
+        let alone = scene.clone().only(std::slice::from_ref(&spec.id));
+        // The scene gave the name itself.
+        let Ok(alone) = alone else { continue };
+        let trial = entry.clone().within(&alone).load()?;
+        let (whole_s, values) = match trial.signals.get(&spec.id) {
+            Some(Signal::Series(series)) => (series.duration_s(), series.samples().len()),
+            Some(Signal::Image(_)) => (0.0, Image::ROWS * Image::COLS * 3),
+            None => continue,
+        };
+        sources.push(StudiedSource {
+            id: spec.id.clone(),
+            phase: spec.phase,
+            whole_s,
+            values: values as f64,
+            latency_ms: 0.0,
+        });
+    }
+    Ok(sources)
+}

@@ -1,0 +1,198 @@
+//! Accuracy of answers given as soon as they are settled, and the scan time they take.
+
+use std::sync::Arc;
+
+use rustix::time::{ClockId, clock_gettime};
+
+use super::run::Progress;
+use super::{EvaluateError, Fold, wilson_interval};
+use crate::library::Entry;
+use crate::recognise::{
+    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, Method, RecogniseError, Settling,
+};
+use crate::scene::{Phase, Scene};
+use crate::trial::{Series, Signal, Trial};
+
+/// Answers by the stop rule against answers by the whole scan. Shares are fractions from 0 to 1.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct SettledOutcome {
+    /// Loss of accuracy that was stated.
+    pub stated_loss: f64,
+    /// Share of queries named right where the rule stopped (or by the whole scan, if it did not).
+    pub accuracy: f64,
+    /// Lower end of its 95 % Wilson interval.
+    pub accuracy_low: f64,
+    /// Upper end of that interval.
+    pub accuracy_high: f64,
+    /// Share of queries named right by the whole scan.
+    pub accuracy_whole: f64,
+    /// Queries that the whole scan names right and the rule wrong.
+    pub lost: usize,
+    /// Queries that the rule names right and the whole scan wrong.
+    pub gained: usize,
+    /// Number of queries.
+    pub queries: usize,
+    /// Queries that settled before their end.
+    pub settled: usize,
+    /// Mean scan time used, in seconds.
+    pub scan_s_mean: f64,
+    /// Median scan time used, in seconds.
+    pub scan_s_p50: f64,
+    /// Mean length of the whole scans, in seconds.
+    pub whole_s_mean: f64,
+    /// Processor time of following a scan to its end, ten looks a second, over scan time: 1 is
+    /// one core.
+    pub core_share: f64,
+    /// The rule of each fold, and what it promised.
+    pub rules: Vec<Settling>,
+}
+
+/// One query: where the rule stopped, and what it said.
+struct Stopped {
+    truth: String,
+    whole: String,
+    settled: Option<(String, f64)>,
+    scan_s: f64,
+}
+
+/// Follows every query of every fold. Its frames come in pieces of one look, as from a live scan.
+///
+/// # Errors
+/// If a trial cannot be read or compared, or if the method cannot follow scans.
+pub fn run_settled<M: Method>(
+    method: &M,
+    scene: &Scene,
+    entries: &[Entry],
+    folds: &[Fold],
+    prepared: &[Option<Arc<M::Prepared>>],
+    (loss, false_rejections): (f64, Option<f64>),
+    progress: Progress<'_>,
+) -> Result<SettledOutcome, EvaluateError> {
+    let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
+    let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
+    for fold in folds {
+        let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
+        let model = Arc::new(method.fit(library)?);
+        let rejection = false_rejections.map(|rate| method.rejection(&model, rate)).transpose()?;
+        let mut follower = method
+            .follow(&model, &FollowOptions { loss, rejection })
+            .ok_or(EvaluateError::Follow { method: method.name() })?;
+        rules.push(follower.settling().clone());
+        for &query in &fold.queries {
+            let entry = &entries[query];
+            let trial = entry.load().map_err(RecogniseError::from)?;
+            let scan_s = drag_s(&trial, scene);
+            let begun_s = processor_s();
+            let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
+            busy_s += processor_s() - begun_s;
+            let whole = method.rank(&model, &method.prepare(entry, &trial)?)?;
+            all.push(Stopped {
+                truth: entry.key.surface.clone(),
+                whole: whole.surface().into(),
+                settled: settled.and_then(|guess| guess.settled),
+                scan_s,
+            });
+            progress("following queries", all.len(), total);
+        }
+    }
+    Ok(sum_up(&all, rules, busy_s, loss))
+}
+
+fn sum_up(all: &[Stopped], rules: Vec<Settling>, busy_s: f64, loss: f64) -> SettledOutcome {
+    let by_rule = |s: &Stopped| match &s.settled {
+        Some((label, _)) => *label == s.truth,
+        None => s.whole == s.truth,
+    };
+    let count = |of: &dyn Fn(&Stopped) -> bool| all.iter().filter(|s| of(s)).count();
+    let queries = all.len();
+    let right = count(&by_rule);
+    let mut times: Vec<f64> =
+        all.iter().map(|s| s.settled.as_ref().map_or(s.scan_s, |(_, at)| *at)).collect();
+    times.sort_by(f64::total_cmp);
+    let n = queries.max(1) as f64;
+    let whole_s: f64 = all.iter().map(|s| s.scan_s).sum();
+    let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
+    SettledOutcome {
+        stated_loss: loss,
+        accuracy: right as f64 / n,
+        accuracy_low,
+        accuracy_high,
+        accuracy_whole: count(&|s| s.whole == s.truth) as f64 / n,
+        lost: count(&|s| s.whole == s.truth && !by_rule(s)),
+        gained: count(&|s| s.whole != s.truth && by_rule(s)),
+        queries,
+        settled: count(&|s| s.settled.is_some()),
+        scan_s_mean: times.iter().sum::<f64>() / n,
+        scan_s_p50: times.get(times.len() / 2).copied().unwrap_or(0.0),
+        whole_s_mean: whole_s / n,
+        core_share: busy_s / whole_s.max(LOOK_S),
+        rules,
+    }
+}
+
+/// Follows a recorded trial to its end, piece by piece; gives what was said last.
+///
+/// # Errors
+/// If it cannot be compared.
+pub fn follow(
+    follower: &mut dyn Follow,
+    trial: &Trial,
+    scene: &Scene,
+    scan_s: f64,
+) -> Result<Option<GuessSoFar>, RecogniseError> {
+    follower.begin();
+    let is_drag = |id: &str| scene.get(id).is_some_and(|spec| spec.phase == Phase::Drag);
+    for (id, signal) in &trial.signals {
+        match signal {
+            Signal::Image(picture) => follower.add_picture(id, picture)?,
+            Signal::Series(series) if !is_drag(id.as_str()) => {
+                add(follower, id, series, 0, series.frames())?;
+            }
+            Signal::Series(_) => {}
+        }
+    }
+    let mut last = None;
+    let steps = (scan_s / LOOK_S + 1e-9).floor() as usize;
+    for step in 1..=steps {
+        for (id, signal) in &trial.signals {
+            if let (Signal::Series(series), true) = (signal, is_drag(id.as_str())) {
+                let until = |step: usize| {
+                    let frames = (step as f64 * LOOK_S * series.rate_hz()).ceil() as usize;
+                    frames.min(series.frames())
+                };
+                add(follower, id, series, until(step - 1), until(step))?;
+            }
+        }
+        last = follower.look(step as f64 * LOOK_S)?.or(last);
+    }
+    Ok(last)
+}
+
+fn add(
+    follower: &mut dyn Follow,
+    source: &crate::scene::SourceId,
+    series: &Series,
+    from: usize,
+    to: usize,
+) -> Result<(), RecogniseError> {
+    let channels = series.channels();
+    let samples = &series.samples()[from * channels..to * channels];
+    follower.add(FreshFrames { source, rate_hz: series.rate_hz(), channels, samples })
+}
+
+/// Length of the longest source of a trial's drag, in seconds; 0 without one.
+fn drag_s(trial: &Trial, scene: &Scene) -> f64 {
+    let lengths = trial.signals.iter().filter_map(|(id, signal)| match signal {
+        Signal::Series(series) if scene.get(id.as_str())?.phase == Phase::Drag => {
+            Some(series.duration_s())
+        }
+        _ => None,
+    });
+    lengths.fold(0.0, f64::max)
+}
+
+/// Processor time of this process so far, all threads, in seconds.
+fn processor_s() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}

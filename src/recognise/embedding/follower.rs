@@ -1,0 +1,176 @@
+//! Follows a scan with a trained model, look by look.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::{EmbeddingModel, Posterior};
+use crate::recognise::RecogniseError;
+use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
+use crate::recognise::framed::FramedStream;
+use crate::recognise::settle::{Look, Settling, Watch};
+use crate::recognise::unknown::Rejection;
+use crate::scene::{Phase, Scene, SourceId};
+use crate::trial::{Image, Series, Signal, TrialKey};
+
+/// Surfaces that a guess names, at most.
+const NAMED: usize = 5;
+
+/// See [`Follow`].
+pub(super) struct Follower {
+    scene: Scene,
+    model: Arc<EmbeddingModel>,
+    rejection: Option<Rejection>,
+    settling: Settling,
+    scan: ScanSoFar,
+}
+
+/// What is known of the scan that goes on.
+struct ScanSoFar {
+    stream: FramedStream,
+    waiting: BTreeMap<SourceId, Waiting>,
+    looks: u64,
+    watch: Option<Watch>,
+    /// Something did not fit: nothing more is said of this scan.
+    failed: bool,
+}
+
+/// Frames of a source that no look has reached yet.
+struct Waiting {
+    rate_hz: f64,
+    channels: usize,
+    drag: bool,
+    samples: Vec<f32>,
+    passed_on: u64,
+    /// It had samples that are not numbers.
+    broken: bool,
+}
+
+impl Follower {
+    pub fn new(scene: &Scene, model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
+        let settling = model.settling(options);
+        let scan = ScanSoFar::new(scene, &settling);
+        let (scene, model, rejection) = (scene.clone(), model.clone(), options.rejection.clone());
+        Self { scene, model, rejection, settling, scan }
+    }
+
+    fn guess(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+        let mut so_far = self.scan.stream.so_far();
+        so_far.sources.retain(|id, _| !self.scan.waiting.get(id).is_some_and(|w| w.broken));
+        if so_far.sources.is_empty() {
+            return Ok(None);
+        }
+        let Some(posterior) = self.model.posterior(&so_far)? else { return Ok(None) };
+        let label = posterior.best();
+        let rejection = self.rejection.as_ref();
+        let rejected = posterior.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let probability = posterior.log_posterior[label].exp();
+        let look = Look { scan_s, label, probability, fits: !rejected };
+        let settled = self.scan.watch.as_mut().and_then(|watch| watch.see(look));
+        Ok(Some(GuessSoFar {
+            scan_s,
+            named: named(&posterior),
+            fit: posterior.fit,
+            settled: settled.map(|(label, at)| (posterior.surfaces[label].clone(), at)),
+        }))
+    }
+}
+
+/// The most probable surfaces, the first of equal ones first.
+fn named(posterior: &Posterior) -> Vec<(String, f64)> {
+    let mut order: Vec<usize> = (0..posterior.surfaces.len()).collect();
+    order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
+    let name = |&i: &usize| (posterior.surfaces[i].clone(), posterior.log_posterior[i].exp());
+    order.iter().take(NAMED).map(name).collect()
+}
+
+impl ScanSoFar {
+    fn new(scene: &Scene, settling: &Settling) -> Self {
+        Self {
+            stream: FramedStream::new(scene.clone(), TrialKey::new("", "", 0)),
+            waiting: BTreeMap::new(),
+            looks: 0,
+            watch: settling.rule.map(Watch::new),
+            failed: false,
+        }
+    }
+
+    /// Hands on what each source had by `scan_s` seconds of drag; of taps, all there is.
+    fn pass_on(&mut self, scan_s: f64) -> Result<(), RecogniseError> {
+        for (id, waiting) in self.waiting.iter_mut().filter(|(_, waiting)| !waiting.broken) {
+            let there = waiting.samples.len() / waiting.channels;
+            let frames = if waiting.drag {
+                let due = (scan_s * waiting.rate_hz - 1e-6).ceil() as u64;
+                there.min(due.saturating_sub(waiting.passed_on) as usize)
+            } else {
+                there
+            };
+            if frames == 0 {
+                continue;
+            }
+            let samples: Vec<f32> = waiting.samples.drain(..frames * waiting.channels).collect();
+            waiting.passed_on += frames as u64;
+            match Series::new(waiting.rate_hz, waiting.channels, samples) {
+                Ok(series) => self.stream.push(id, &Signal::Series(series))?,
+                Err(_) => waiting.broken = true,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Follow for Follower {
+    fn begin(&mut self) {
+        self.scan = ScanSoFar::new(&self.scene, &self.settling);
+    }
+
+    fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
+        let Some(model) = self.model.sources.get(fresh.source) else { return Ok(()) };
+        let FreshFrames { source, rate_hz, channels, samples } = fresh;
+        let drag = model.spec.phase == Phase::Drag;
+        let begin = || Waiting {
+            rate_hz,
+            channels,
+            drag,
+            samples: Vec::new(),
+            passed_on: 0,
+            broken: false,
+        };
+        let waiting = self.scan.waiting.entry(source.clone()).or_insert_with(begin);
+        if waiting.channels != channels || channels == 0 {
+            self.scan.failed = true;
+            return Err(RecogniseError::Channels {
+                source_name: source.clone(),
+                found: channels,
+                expected: model.spec.channels,
+                trial: "the scan".into(),
+            });
+        }
+        waiting.samples.extend_from_slice(samples);
+        Ok(())
+    }
+
+    fn add_picture(&mut self, source: &SourceId, picture: &Image) -> Result<(), RecogniseError> {
+        if !self.model.sources.contains_key(source) {
+            return Ok(());
+        }
+        let pushed = self.scan.stream.push(source, &Signal::Image(picture.clone()));
+        self.scan.failed |= pushed.is_err();
+        pushed
+    }
+
+    fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+        let mut said = None;
+        while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
+            self.scan.looks += 1;
+            let at = self.scan.looks as f64 * LOOK_S;
+            let guess = self.scan.pass_on(at).and_then(|()| self.guess(at));
+            self.scan.failed = guess.is_err();
+            said = guess?.or(said);
+        }
+        Ok(said)
+    }
+
+    fn settling(&self) -> &Settling {
+        &self.settling
+    }
+}

@@ -1,0 +1,130 @@
+//! The streams of one device that show contact, heard together on their one sample counter.
+
+use std::collections::VecDeque;
+
+use super::detect::{Detector, Feel, Found, HOP_S, Level};
+use super::live::Detection;
+use super::stream::{Intake, Stream};
+use crate::scene::SourceId;
+
+/// Levels that are kept: 10 s.
+const KEPT_HOPS: usize = 2_000;
+
+/// The streams of one device that show contact.
+pub(super) struct Group {
+    /// Indexes of the streams, and their levels.
+    pub ears: Vec<(usize, Level)>,
+    pub rate_hz: f64,
+    pub detector: Detector,
+    /// Index of the first frame of hop 0, and of the next frame.
+    base: u64,
+    next: u64,
+    /// Highest level of each hop, the latest ones; the first is hop `first`.
+    pub levels: VecDeque<f64>,
+    pub first: u64,
+    /// Seconds by which its times are later than those of the leading group.
+    pub offset_s: f64,
+}
+
+impl Group {
+    /// The group of those of `ears` that are among the streams; none without any.
+    pub fn new(ears: &[(SourceId, Feel)], plan: &Detection, streams: &[Stream]) -> Option<Self> {
+        let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
+        let found: Vec<(usize, Feel)> =
+            ears.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
+        let rate_hz = streams[found.first()?.0].rate_hz();
+        let level =
+            |&(at, feel): &(usize, Feel)| (at, Level::new(feel, streams[at].channels(), rate_hz));
+        Some(Self {
+            ears: found.iter().map(level).collect(),
+            rate_hz,
+            detector: Detector::new(plan.limits),
+            base: 0,
+            next: 0,
+            levels: VecDeque::new(),
+            first: 0,
+            offset_s: 0.0,
+        })
+    }
+
+    /// Whether a drag ended only because nothing more was heard of it.
+    pub fn cut_off(&self, last: Found) -> bool {
+        last == Found::End { end: self.first + self.levels.len() as u64 }
+    }
+
+    /// Index of the first frame of a hop.
+    pub fn frame(&self, hop: u64) -> u64 {
+        self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
+    }
+
+    /// The hop that holds a frame.
+    pub fn hop(&self, frame: u64) -> u64 {
+        (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
+    }
+
+    /// Takes what all the streams that are `alive` have.
+    pub fn listen(&mut self, streams: &[Stream], alive: impl Fn(usize) -> bool) -> Vec<Found> {
+        let kept = |at: usize| match streams[at].intake() {
+            Intake::Series { history, .. } => history.start(),
+            Intake::Images { .. } => 0,
+        };
+        let ears = || self.ears.iter().map(|(at, _)| *at).filter(|at| alive(*at));
+        let from = ears().map(kept).max().unwrap_or(0);
+        let Some(end) = ears().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
+        else {
+            return Vec::new();
+        };
+        if from > self.next {
+            // A gap longer than any scan: what goes on ends, and the next turn begins behind it.
+            let found = self.detector.finish();
+            if found.is_none() {
+                self.start_anew(from);
+            }
+            return found.into_iter().collect();
+        }
+        let held = self.detector.in_contact();
+        let mut fresh: Vec<f64> = Vec::new();
+        for (at, level) in &mut self.ears {
+            let Intake::Series { history, .. } = streams[*at].intake() else { continue };
+            if !alive(*at) {
+                continue;
+            }
+            let (_, samples) = history.frames(self.next..end);
+            let mut hop = 0;
+            level.feed(samples, held, |x| {
+                match fresh.get_mut(hop) {
+                    Some(highest) => *highest = highest.max(x),
+                    None => fresh.push(x),
+                }
+                hop += 1;
+            });
+        }
+        self.next = end;
+        // A stream that was away for a while may finish its hops a little off the others: how
+        // many there are is for the counter to say.
+        let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
+        let so_far = self.first + self.levels.len() as u64;
+        fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
+        let mut found = Vec::new();
+        for level in fresh {
+            self.levels.push_back(level);
+            if self.levels.len() > KEPT_HOPS {
+                self.levels.pop_front();
+                self.first += 1;
+            }
+            found.extend(self.detector.hop(level));
+        }
+        if found.contains(&Found::Room) {
+            self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+        }
+        found
+    }
+
+    /// Begins to count at frame `base`.
+    fn start_anew(&mut self, base: u64) {
+        (self.base, self.next, self.first) = (base, base, 0);
+        self.levels.clear();
+        self.detector = Detector::new(self.detector.limits());
+        self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+    }
+}

@@ -1,0 +1,309 @@
+//! The server's own thread's work: takes in what the station tells, and passes it on.
+//!
+//! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
+//! by their types, run anywhere.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crossbeam_channel::{Sender, TrySendError};
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Interval, MissedTickBehavior, interval};
+
+use super::Settings;
+use super::metrics::{Around, Metrics};
+use super::readers::{Kind, Readers, Reading, Wants, encode};
+use super::spectrum;
+use super::state::{Enrolling, State};
+use super::trace::Tracer;
+use crate::ring::Counts;
+use crate::scan::StreamMeter;
+use crate::scene::{Phase, SourceId};
+use crate::station::{Notice, Order};
+
+/// How often figures of the streams are told.
+const STREAMS_EVERY: Duration = Duration::from_millis(500);
+/// How often spectra are told.
+const SPECTRA_EVERY: Duration = Duration::from_millis(200);
+/// How often something is sent on a line that is silent.
+const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
+
+/// What the handlers of requests share.
+#[derive(Debug)]
+pub struct Hub {
+    inner: Mutex<Inner>,
+    orders: Sender<Order>,
+    missed: Arc<AtomicU64>,
+    most_readers: usize,
+}
+
+/// What is behind the lock.
+#[derive(Debug)]
+pub struct Inner {
+    pub state: State,
+    pub metrics: Metrics,
+    readers: Readers,
+    tracer: Tracer,
+    meters: Vec<StreamMeter>,
+    enrolls: bool,
+}
+
+/// What one stream carries.
+#[derive(Debug, Serialize)]
+struct StreamView {
+    source: SourceId,
+    device: String,
+    #[serde(flatten)]
+    counts: Counts,
+}
+
+#[derive(Serialize)]
+struct StreamsEvent {
+    streams: Vec<StreamView>,
+}
+
+#[derive(Serialize)]
+struct PhaseEvent {
+    scan: u32,
+    phase: Option<Phase>,
+}
+
+/// The whole state, as it is asked for and as a stream of events begins.
+#[derive(Serialize)]
+pub struct Whole<'a> {
+    #[serde(flatten)]
+    state: &'a State,
+    /// Whether the station keeps scans for a library.
+    enrolls: bool,
+    streams: Vec<StreamView>,
+}
+
+fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
+    let view = |meter: &StreamMeter| StreamView {
+        source: meter.id.clone(),
+        device: meter.device.clone(),
+        counts: meter.counts(),
+    };
+    meters.iter().map(view).collect()
+}
+
+impl Inner {
+    /// All that is known now.
+    pub fn whole(&self) -> Whole<'_> {
+        Whole { state: &self.state, enrolls: self.enrolls, streams: views(&self.meters) }
+    }
+
+    /// All figures.
+    pub fn metrics(&self, missed_notices: u64) -> String {
+        self.metrics.text(&Around {
+            state: &self.state,
+            meters: &self.meters,
+            readers: self.readers.count(),
+            dropped_events: self.readers.dropped,
+            missed_notices,
+        })
+    }
+
+    fn tell(&mut self, kind: Kind, data: &impl Serialize) {
+        if self.readers.want(kind) {
+            let event = encode(kind, data);
+            let Self { state, meters, enrolls, readers, .. } = self;
+            let whole = || Whole { state, enrolls: *enrolls, streams: views(meters) };
+            readers.tell(kind, &event, &mut || encode(Kind::State, &whole()));
+        }
+    }
+
+    fn tell_streams(&mut self) {
+        let streams = views(&self.meters);
+        self.tell(Kind::Streams, &StreamsEvent { streams });
+    }
+
+    /// Changes the state, and tells what follows from it.
+    fn change(&mut self, change: impl FnOnce(&mut Self)) {
+        let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
+        change(self);
+        if self.state.enrolling != enrolling {
+            let enrolling = self.state.enrolling.clone();
+            self.tell(Kind::Enrolling, &enrolling);
+        }
+        if self.state.advice != advice {
+            let advice = self.state.advice.clone();
+            self.tell(Kind::Advice, &advice);
+        }
+    }
+
+    fn take(&mut self, notice: &Notice) {
+        self.state.take(notice);
+        match notice {
+            Notice::Streams(meters) => {
+                self.meters.clone_from(meters);
+                self.tell_streams();
+            }
+            Notice::Device { device, .. } => {
+                let view = self.state.devices.iter().find(|view| view.device == *device).cloned();
+                self.tell(Kind::Device, &view);
+            }
+            Notice::Trace(trace) => {
+                let event = self.tracer.add(trace);
+                if !event.streams.is_empty() {
+                    self.tell(Kind::Trace, &event);
+                }
+            }
+            Notice::Phase { scan, phase } => {
+                self.tell(Kind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
+            }
+            Notice::Guess(guess) => self.tell(Kind::Guess, guess),
+            Notice::Answer(answer) => {
+                self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
+                let told = self.state.answer.clone();
+                self.tell(Kind::Answer, &told);
+            }
+            Notice::Enrolled(enrolled) => self.tell(Kind::Enrolled, enrolled),
+            Notice::Alive => {}
+            Notice::Library(_) => {
+                let library = self.state.library.clone();
+                self.tell(Kind::Library, &library);
+            }
+            Notice::Warning(_) => {
+                let warning = self.state.warnings.front().cloned();
+                self.tell(Kind::Warning, &warning);
+            }
+            Notice::Finished(_) => {
+                let counts = self.state.counts;
+                self.tell(Kind::Finished, &counts);
+            }
+        }
+    }
+}
+
+/// Why an order does not reach the station.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Undelivered {
+    /// The station keeps no scans.
+    NoLibrary,
+    /// The station has ended.
+    Ended,
+    /// It has not taken the orders before this one yet.
+    Busy,
+}
+
+impl Hub {
+    /// Nothing is known yet; `missed` counts the notices that found no room.
+    pub fn new(settings: &Settings, orders: Sender<Order>, missed: Arc<AtomicU64>) -> Self {
+        let inner = Inner {
+            state: State::new(),
+            metrics: Metrics::default(),
+            readers: Readers::default(),
+            tracer: Tracer::default(),
+            meters: Vec::new(),
+            enrolls: settings.enrolls,
+        };
+        Self { inner: Mutex::new(inner), orders, missed, most_readers: settings.limits.readers }
+    }
+
+    /// What is behind the lock.
+    pub fn lock(&self) -> MutexGuard<'_, Inner> {
+        // Whoever panicked while holding it left plain figures, usable by themselves.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// All figures.
+    pub fn metrics(&self) -> String {
+        self.lock().metrics(self.missed.load(Ordering::Relaxed))
+    }
+
+    /// Takes in what the station tells. A surface that was enrolled is to be used at once.
+    fn take(&self, notice: &Notice) {
+        let inner = &mut *self.lock();
+        inner.change(|inner| inner.take(notice));
+        if let Notice::Enrolled(enrolled) = notice
+            && enrolled.wanted == 0
+            && inner.state.library.is_some()
+        {
+            // A station that is too busy for it leaves it to the operator.
+            let _ = self.orders.try_send(Order::Reload);
+        }
+    }
+
+    /// One reader more, unless there are too many.
+    pub fn join(&self, wants: Wants) -> Option<Reading> {
+        let inner = &mut *self.lock();
+        if inner.readers.count() >= self.most_readers {
+            return None;
+        }
+        let first = encode(Kind::State, &inner.whole());
+        Some(inner.readers.join(wants, first))
+    }
+
+    /// Sends an order, never waiting for the station.
+    ///
+    /// # Errors
+    /// If it has ended, is busy with the orders before, or cannot do that.
+    pub fn order(&self, order: Order) -> Result<(), Undelivered> {
+        let enrolling = match &order {
+            Order::Enroll { surface, user, trials } => {
+                let (surface, user) = (surface.clone(), Some(user.clone()));
+                Some(Some(Enrolling { surface, user, wanted: *trials }))
+            }
+            Order::EndEnroll => Some(None),
+            _ => None,
+        };
+        let inner = &mut *self.lock();
+        if inner.state.finished {
+            return Err(Undelivered::Ended);
+        }
+        if enrolling.is_some() && !inner.enrolls {
+            return Err(Undelivered::NoLibrary);
+        }
+        self.orders.try_send(order).map_err(|error| match error {
+            TrySendError::Full(_) => Undelivered::Busy,
+            TrySendError::Disconnected(_) => Undelivered::Ended,
+        })?;
+        if let Some(enrolling) = enrolling {
+            inner.change(|inner| inner.state.enroll(enrolling));
+        }
+        Ok(())
+    }
+}
+
+/// Takes in notices and tells what is due, until the station and the server have ended.
+pub async fn run(
+    hub: Arc<Hub>,
+    mut notices: mpsc::Receiver<Notice>,
+    mut stop: watch::Receiver<bool>,
+) {
+    let mut streams = every(STREAMS_EVERY);
+    let mut spectra = every(SPECTRA_EVERY);
+    let mut keep_alive = every(KEEP_ALIVE_EVERY);
+    let mut listening = true;
+    loop {
+        tokio::select! {
+            notice = notices.recv(), if listening => match notice {
+                Some(notice) => hub.take(&notice),
+                None => listening = false,
+            },
+            _ = streams.tick() => hub.lock().tell_streams(),
+            _ = spectra.tick() => {
+                let inner = &mut *hub.lock();
+                if inner.readers.want(Kind::Spectrum) {
+                    let event = spectrum::spectra(&inner.tracer);
+                    inner.tell(Kind::Spectrum, &event);
+                }
+            }
+            _ = keep_alive.tick() => hub.lock().readers.keep_alive(),
+            _ = stop.wait_for(|stop| *stop) => break,
+        }
+    }
+    while let Ok(notice) = notices.try_recv() {
+        hub.take(&notice);
+    }
+    hub.lock().readers.close();
+}
+
+fn every(period: Duration) -> Interval {
+    let mut interval = interval(period);
+    interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    interval
+}

@@ -1,0 +1,217 @@
+//! The figures for Prometheus, in its text format 0.0.4.
+//!
+//! <https://prometheus.io/docs/instrumenting/exposition_formats/>: a few lines of text a metric,
+//! written here rather than kept in a registry, since the figures live in the rings' meters.
+
+use std::fmt::{Display, Write};
+
+use super::state::State;
+use crate::device::DeviceState;
+use crate::scan::StreamMeter;
+
+/// The content type of the format.
+pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// Bounds of scan durations, in seconds.
+const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
+/// Bounds of latencies, in seconds.
+const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
+
+/// How often a value fell below each of some bounds.
+#[derive(Debug)]
+struct Histogram {
+    bounds: &'static [f64],
+    /// One a bound, and one for what lies above all.
+    counts: Vec<u64>,
+    sum: f64,
+}
+
+impl Histogram {
+    fn new(bounds: &'static [f64]) -> Self {
+        Self { bounds, counts: vec![0; bounds.len() + 1], sum: 0.0 }
+    }
+
+    fn observe(&mut self, value: f64) {
+        let at = self.bounds.iter().position(|&bound| value <= bound);
+        self.counts[at.unwrap_or(self.bounds.len())] += 1;
+        self.sum += value;
+    }
+}
+
+/// What is counted here, since nobody else does.
+#[derive(Debug)]
+pub struct Metrics {
+    scan_s: Histogram,
+    latency_s: Histogram,
+    /// Requests that were answered, and those that were refused.
+    pub requests: u64,
+    /// Requests and connections that were refused.
+    pub refused: u64,
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let (scan_s, latency_s) = (Histogram::new(&SCAN_S), Histogram::new(&LATENCY_S));
+        Self { scan_s, latency_s, requests: 0, refused: 0 }
+    }
+}
+
+/// What is counted elsewhere.
+pub struct Around<'a> {
+    pub state: &'a State,
+    pub meters: &'a [StreamMeter],
+    pub readers: usize,
+    pub dropped_events: u64,
+    pub missed_notices: u64,
+}
+
+impl Metrics {
+    /// A scan was named.
+    pub fn scan(&mut self, scan_s: f64, latency_s: f64) {
+        self.scan_s.observe(scan_s);
+        self.latency_s.observe(latency_s);
+    }
+
+    /// All figures.
+    pub fn text(&self, around: &Around<'_>) -> String {
+        let mut page = Page::default();
+        let state = around.state;
+        page.head("surfaced_info", "gauge", "The version of the program.");
+        page.line("surfaced_info", &[("version", state.version)], 1);
+        page.streams(around.meters);
+        page.devices(state);
+        let counts = state.counts;
+        page.head("surfaced_scans_total", "counter", "Scans that were answered.");
+        let named = counts.scans - counts.unknown;
+        page.line("surfaced_scans_total", &[("answer", "named")], named);
+        page.line("surfaced_scans_total", &[("answer", "unknown")], counts.unknown);
+        for (name, help, value) in [
+            ("surfaced_scans_spoiled_total", "Scans that should not be trusted.", counts.spoiled),
+            ("surfaced_scans_enrolled_total", "Scans kept for the library.", counts.enrolled),
+            ("surfaced_warnings_total", "Warnings.", counts.warnings),
+            ("surfaced_http_requests_total", "Requests that were read.", self.requests),
+            ("surfaced_http_refused_total", "Requests and connections refused.", self.refused),
+            (
+                "surfaced_events_dropped_total",
+                "Events that a slow reader missed.",
+                around.dropped_events,
+            ),
+            (
+                "surfaced_notices_missed_total",
+                "Notices that the server missed.",
+                around.missed_notices,
+            ),
+        ] {
+            page.head(name, "counter", help);
+            page.line(name, &[], value);
+        }
+        page.head("surfaced_readers", "gauge", "Readers of the stream of events.");
+        page.line("surfaced_readers", &[], around.readers);
+        page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
+        let help = "From the end of a scan to its name.";
+        page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
+        page.0
+    }
+}
+
+#[derive(Default)]
+struct Page(String);
+
+impl Page {
+    // Writing to a string cannot fail.
+    fn head(&mut self, name: &str, kind: &str, help: &str) {
+        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    }
+
+    fn line(&mut self, name: &str, labels: &[(&str, &str)], value: impl Display) {
+        self.0.push_str(name);
+        for (at, (label, text)) in labels.iter().enumerate() {
+            let text = text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n");
+            let _ = write!(self.0, "{}{label}=\"{text}\"", if at == 0 { '{' } else { ',' });
+        }
+        let close = if labels.is_empty() { "" } else { "}" };
+        let _ = writeln!(self.0, "{close} {value}");
+    }
+
+    fn streams(&mut self, meters: &[StreamMeter]) {
+        let all: Vec<_> = meters.iter().map(|meter| (meter, meter.counts())).collect();
+        type Figure = fn(&crate::ring::Counts) -> u64;
+        let figures: [(&str, &str, &str, Figure); 4] = [
+            ("surfaced_samples_total", "counter", "Frames that came out of the ring.", |c| {
+                c.received
+            }),
+            ("surfaced_lost_samples_total", "counter", "Frames that were lost.", |c| c.lost),
+            ("surfaced_ring_fill", "gauge", "Frames in the ring now.", |c| c.fill),
+            ("surfaced_ring_capacity", "gauge", "Frames that the ring can hold.", |c| c.capacity),
+        ];
+        for (name, kind, help, figure) in figures {
+            self.head(name, kind, help);
+            for (meter, counts) in &all {
+                let labels = [("source", meter.id.as_str()), ("device", meter.device.as_str())];
+                self.line(name, &labels, figure(counts));
+            }
+        }
+    }
+
+    fn devices(&mut self, state: &State) {
+        self.head("surfaced_device_streaming", "gauge", "Whether a device's data arrive.");
+        for device in &state.devices {
+            let streaming = u8::from(device.state == DeviceState::Streaming);
+            self.line("surfaced_device_streaming", &[("device", &device.device)], streaming);
+        }
+        self.head("surfaced_reconnects_total", "counter", "How often a device came back.");
+        for device in &state.devices {
+            let count = state.reconnects.get(&device.device).copied().unwrap_or(0);
+            self.line("surfaced_reconnects_total", &[("device", &device.device)], count);
+        }
+    }
+
+    fn histogram(&mut self, name: &str, help: &str, histogram: &Histogram) {
+        self.head(name, "histogram", help);
+        let mut below = 0;
+        let bucket = format!("{name}_bucket");
+        for (bound, count) in histogram.bounds.iter().zip(&histogram.counts) {
+            below += count;
+            self.line(&bucket, &[("le", &bound.to_string())], below);
+        }
+        let all: u64 = histogram.counts.iter().sum();
+        self.line(&bucket, &[("le", "+Inf")], all);
+        self.line(&format!("{name}_sum"), &[], histogram.sum);
+        self.line(&format!("{name}_count"), &[], all);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::station::Notice;
+
+    #[test]
+    fn buckets_add_up_and_labels_are_escaped() {
+        let mut state = State::new();
+        state.take(&Notice::Device {
+            device: "a \"b\"\\\n".into(),
+            state: DeviceState::Streaming,
+            detail: String::new(),
+        });
+        let mut metrics = Metrics::default();
+        for latency_s in [0.0005, 0.001, 0.003, 99.0] {
+            metrics.scan(1.0, latency_s);
+        }
+        let around =
+            Around { state: &state, meters: &[], readers: 3, dropped_events: 4, missed_notices: 5 };
+        let text = metrics.text(&around);
+        for line in [
+            "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\"} 1",
+            "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",
+            "surfaced_answer_latency_seconds_bucket{le=\"0.005\"} 3",
+            "surfaced_answer_latency_seconds_bucket{le=\"+Inf\"} 4",
+            "surfaced_answer_latency_seconds_count 4",
+            "surfaced_scan_seconds_sum 4",
+            "surfaced_readers 3",
+            "surfaced_scans_total{answer=\"named\"} 0",
+        ] {
+            assert!(text.lines().any(|l| l == line), "{line}\n{text}");
+        }
+    }
+}

@@ -1,0 +1,200 @@
+// Draws the signals: the last seconds of each stream, or its spectrum.
+
+const WINDOW_S = 6;
+const TICKS_HZ = [10, 100, 1000, 10000];
+const streams = new Map();
+let view = "traces";
+let colours = {};
+let due = false;
+let frames = 0;
+
+const place = document.getElementById("plots");
+
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  const of = (name) => style.getPropertyValue(name).trim();
+  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft") };
+  ask();
+}
+
+function stream(source) {
+  let known = streams.get(source);
+  if (known) return known;
+  place.querySelector(".empty")?.remove();
+  const box = document.createElement("figure");
+  box.className = "plot";
+  box.style.margin = "0";
+  const head = document.createElement("div");
+  const name = document.createElement("strong");
+  name.textContent = source;
+  const note = document.createElement("span");
+  const lost = document.createElement("span");
+  lost.className = "lost";
+  const canvas = document.createElement("canvas");
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `signal of ${source}`);
+  canvas.dataset.source = source;
+  head.append(name, note, lost);
+  box.append(head, canvas);
+  known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, fresh: false, range: null };
+  streams.set(source, known);
+  // In order of names, whatever came first.
+  const after = [...place.children].find((other) => other.querySelector("strong").textContent > source);
+  place.insertBefore(box, after ?? null);
+  return known;
+}
+
+// Takes in an event of type `trace`.
+export function trace(event) {
+  for (const { source, bin_s, start_s, min, max } of event.streams) {
+    const s = stream(source);
+    const last = s.bins[s.bins.length - 1];
+    const expected = last ? last.at + bin_s : start_s;
+    if (start_s < expected - 1.5 * bin_s) s.bins = [];
+    else if (start_s > expected + 1.5 * bin_s) s.bins.push({ at: expected, min: null });
+    s.bin_s = bin_s;
+    const count = min[0]?.length ?? 0;
+    for (let i = 0; i < count; i++) {
+      s.bins.push({ at: start_s + i * bin_s, min: min.map((m) => m[i]), max: max.map((m) => m[i]) });
+    }
+    const end = s.bins[s.bins.length - 1].at;
+    const first = s.bins.findIndex((bin) => bin.at > end - WINDOW_S);
+    s.bins.splice(0, first);
+    s.fresh = true;
+  }
+  if (view === "traces") ask();
+}
+
+// Takes in an event of type `spectrum`.
+export function spectrum(event) {
+  for (const bands of event.streams) {
+    const s = stream(bands.source);
+    s.spectrum = bands;
+    if (view === "spectra") s.fresh = true;
+  }
+  if (view === "spectra") ask();
+}
+
+// Shows what was lost.
+export function losses(list) {
+  for (const { source, lost } of list) {
+    const s = streams.get(source);
+    if (!s) continue;
+    s.lost.textContent = lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} lost`;
+    s.lost.dataset.any = String(lost > 0);
+  }
+}
+
+// Changes between traces and spectra.
+export function show(wanted) {
+  view = wanted;
+  for (const s of streams.values()) s.fresh = true;
+  ask();
+}
+
+function ask() {
+  if (due) return;
+  due = true;
+  requestAnimationFrame(() => {
+    due = false;
+    let any = false;
+    for (const s of streams.values()) {
+      if (!s.fresh) continue;
+      s.fresh = false;
+      any = true;
+      draw(s);
+    }
+    if (any) place.dataset.frames = String(++frames);
+  });
+}
+
+function draw(s) {
+  const ratio = window.devicePixelRatio || 1;
+  const { clientWidth, clientHeight, width, height } = s.canvas;
+  const [w, h] = [Math.round(clientWidth * ratio), Math.round(clientHeight * ratio)];
+  if (w !== width || h !== height) [s.canvas.width, s.canvas.height] = [w, h];
+  const pen = s.canvas.getContext("2d");
+  pen.clearRect(0, 0, w, h);
+  if (view === "traces") drawTrace(s, pen, w, h, ratio);
+  else drawSpectrum(s, pen, w, h, ratio);
+}
+
+function drawTrace(s, pen, w, h, ratio) {
+  const bins = s.bins.filter((bin) => bin.min);
+  if (bins.length === 0) return;
+  let low = Infinity, high = -Infinity;
+  for (const bin of bins) {
+    low = Math.min(low, ...bin.min);
+    high = Math.max(high, ...bin.max);
+  }
+  const flat = Math.max(high - low, 1e-6 * Math.max(Math.abs(high), Math.abs(low)), 1e-9);
+  const middle = (low + high) / 2;
+  // The scale widens at once and narrows slowly, so that it does not flicker.
+  const wanted = { low: middle - flat * 0.56, high: middle + flat * 0.56 };
+  const was = s.range ?? wanted;
+  const ease = (from, to) => from + (to - from) * 0.06;
+  s.range = {
+    low: wanted.low < was.low ? wanted.low : ease(was.low, wanted.low),
+    high: wanted.high > was.high ? wanted.high : ease(was.high, wanted.high),
+  };
+  const end = s.bins[s.bins.length - 1].at + s.bin_s;
+  const x = (at) => w * (1 - (end - at) / WINDOW_S);
+  const y = (value) => h * (1 - (value - s.range.low) / (s.range.high - s.range.low));
+  pen.fillStyle = colours.grid;
+  for (let second = Math.ceil(end - WINDOW_S); second < end; second++) pen.fillRect(x(second), 0, ratio, h);
+  const channels = bins[0].min.length;
+  for (let channel = channels - 1; channel >= 0; channel--) {
+    pen.strokeStyle = colours.traces[channel % colours.traces.length];
+    pen.lineWidth = 1.2 * ratio;
+    pen.beginPath();
+    let drawing = false;
+    for (const bin of s.bins) {
+      if (!bin.min) { drawing = false; continue; }
+      const at = x(bin.at);
+      if (drawing) pen.lineTo(at, y(bin.max[channel]));
+      else pen.moveTo(at, y(bin.max[channel]));
+      pen.lineTo(at, y(bin.min[channel]));
+      drawing = true;
+    }
+    pen.stroke();
+  }
+  s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
+}
+
+function drawSpectrum(s, pen, w, h, ratio) {
+  if (!s.spectrum) return;
+  const { from_hz, to_hz, db } = s.spectrum;
+  const x = (hz) => w * Math.log(hz / from_hz) / Math.log(to_hz / from_hz);
+  pen.fillStyle = colours.grid;
+  pen.font = `${11 * ratio}px system-ui`;
+  for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
+    pen.fillRect(x(hz), 0, ratio, h);
+  }
+  // Sixty decibels below the strongest band of late; silence stays empty.
+  const strongest = Math.max(...db, -60);
+  s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
+  const y = (value) => h * (1 - Math.max(0, value - (s.top - 60)) / 64);
+  pen.fillStyle = colours.traces[0];
+  db.forEach((value, band) => {
+    const left = w * band / db.length;
+    pen.fillRect(left, y(value), Math.max(w / db.length - ratio, ratio), h - y(value));
+  });
+  pen.fillStyle = colours.soft;
+  for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
+    pen.fillText(hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`, x(hz) + 3 * ratio, 12 * ratio);
+  }
+  s.note.textContent = `top ${Math.round(s.top)} dB`;
+}
+
+function short(value) {
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 0.01 || size >= 100000)) return value.toExponential(1);
+  return String(Number(value.toPrecision(3)));
+}
+
+readColours();
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  readColours();
+  show(view);
+});
+window.addEventListener("resize", () => show(view));

@@ -1,0 +1,67 @@
+//! The station's end: enters notices into a bounded queue, and never waits.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+
+use crate::station::{Listener, Notice};
+
+/// Notices under way.
+const QUEUE: usize = 1024;
+/// Traces leave this much room for what matters more.
+const KEPT_FREE: usize = 768;
+
+/// Tells the server what the station tells.
+#[derive(Debug)]
+pub struct Reporter {
+    queue: Sender<Notice>,
+    missed: Arc<AtomicU64>,
+}
+
+/// A reporter, and what it tells.
+pub(super) fn pair() -> (Reporter, Receiver<Notice>) {
+    let (queue, notices) = channel(QUEUE);
+    (Reporter { queue, missed: Arc::default() }, notices)
+}
+
+impl Reporter {
+    /// Notices that found no room.
+    pub(super) fn missed(&self) -> Arc<AtomicU64> {
+        self.missed.clone()
+    }
+}
+
+impl Listener for Reporter {
+    fn notice(&mut self, notice: &Notice) {
+        if matches!(notice, Notice::Alive) {
+            return;
+        }
+        let room = self.queue.capacity();
+        let fits = !matches!(notice, Notice::Trace(_)) || room > KEPT_FREE;
+        if !fits || self.queue.try_send(notice.clone()).is_err() {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::Trace;
+
+    #[test]
+    fn a_server_that_does_not_read_holds_up_nothing_and_keeps_room_for_what_matters() {
+        let (mut reporter, mut notices) = pair();
+        let trace = Notice::Trace(Arc::new(Trace { fresh: vec![] }));
+        (0..10 * QUEUE).for_each(|_| reporter.notice(&trace));
+        (0..10).for_each(|n| reporter.notice(&Notice::Warning(n.to_string())));
+        let mut warnings = 0;
+        while let Ok(notice) = notices.try_recv() {
+            warnings += usize::from(matches!(notice, Notice::Warning(_)));
+        }
+        assert_eq!(warnings, 10);
+        let kept = (QUEUE - KEPT_FREE) as u64;
+        assert_eq!(reporter.missed().load(Ordering::Relaxed), 10 * QUEUE as u64 - kept);
+    }
+}

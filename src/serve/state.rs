@@ -1,0 +1,325 @@
+//! What is known of the station: one document, kept up to date notice by notice.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+
+use crate::device::DeviceState;
+use crate::scene::{Phase, SourceId};
+use crate::station::{Answer, Enrolled, Guess, LibraryState, Notice};
+
+/// Scans that are kept for the history.
+const HISTORY: usize = 1000;
+/// Warnings that are kept.
+const WARNINGS: usize = 50;
+/// Devices that are told apart; names come from the hardware, and could be many.
+const DEVICES: usize = 64;
+
+/// Milliseconds since 1970, as programs and browsers like it.
+pub fn unix_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |time| time.as_millis() as u64)
+}
+
+/// What the operator is to do now.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Advice {
+    /// For programs.
+    #[serde(rename = "do")]
+    pub what: What,
+    /// How much longer to drag, in seconds, where that is known.
+    pub more_s: Option<f64>,
+    /// For people: the same in a few words.
+    pub text: String,
+}
+
+/// The kinds of advice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum What {
+    /// No data arrive.
+    Wait,
+    /// The library cannot name anything yet.
+    Enroll,
+    /// Begin a scan.
+    Tap,
+    /// Go on.
+    Drag,
+    /// The scan is long enough.
+    Lift,
+    /// The station has ended.
+    Ended,
+}
+
+/// A device.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeviceView {
+    /// Its name.
+    pub device: String,
+    /// How it is.
+    pub state: DeviceState,
+    /// For people: why, and what to do.
+    pub detail: String,
+    /// Since when.
+    pub since_unix_ms: u64,
+}
+
+/// The library.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LibraryView {
+    /// Its name.
+    pub name: String,
+    /// Its surfaces, sorted.
+    pub surfaces: Vec<SurfaceView>,
+    /// Its sources.
+    pub sources: Vec<SourceId>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// For people: why scans cannot be named with it, if they cannot.
+    pub problem: Option<String>,
+}
+
+/// A surface of the library.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SurfaceView {
+    /// The label.
+    pub surface: String,
+    /// How many trials it has.
+    pub trials: usize,
+}
+
+impl From<&LibraryState> for LibraryView {
+    fn from(library: &LibraryState) -> Self {
+        let LibraryState { name, surfaces, sources, synthetic, problem } = library.clone();
+        let view = |(surface, trials)| SurfaceView { surface, trials };
+        let surfaces = surfaces.into_iter().map(view).collect();
+        Self { name, surfaces, sources, synthetic, problem }
+    }
+}
+
+/// Scans are being kept for the library.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Enrolling {
+    /// As which surface.
+    pub surface: String,
+    /// Who drags; `None` where it was not asked for through this server.
+    pub user: Option<String>,
+    /// How many are still wanted.
+    pub wanted: u32,
+}
+
+/// A scan of the history.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Told {
+    /// When it was named.
+    pub unix_ms: u64,
+    /// The answer.
+    #[serde(flatten)]
+    pub answer: Arc<Answer>,
+}
+
+/// Something that was wrong.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WarningView {
+    /// When.
+    pub unix_ms: u64,
+    /// For people.
+    pub text: String,
+}
+
+/// What has come of the session so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Scans that were named, or found to be unknown.
+    pub scans: u64,
+    /// Those that are none of the library's surfaces.
+    pub unknown: u64,
+    /// Those that should not be trusted.
+    pub spoiled: u64,
+    /// Scans that were kept for the library.
+    pub enrolled: u64,
+    /// Frames and pictures that were lost within scans.
+    pub lost_samples: u64,
+    /// Warnings.
+    pub warnings: u64,
+}
+
+/// All that is known.
+#[derive(Clone, Debug, Serialize)]
+pub struct State {
+    /// Version of this interface.
+    pub api: u32,
+    /// Version of the program.
+    pub version: &'static str,
+    /// When the server was started.
+    pub started_unix_ms: u64,
+    /// Number of the scan that goes on.
+    pub scan: Option<u32>,
+    /// Its part.
+    pub phase: Option<Phase>,
+    /// What to do now.
+    pub advice: Advice,
+    /// How the scan that goes on looks so far.
+    pub guess: Option<Guess>,
+    /// The last scan that was named.
+    pub answer: Option<Arc<Told>>,
+    /// All devices, by name.
+    pub devices: Vec<DeviceView>,
+    /// The library, as soon as there is one.
+    pub library: Option<LibraryView>,
+    /// Whether scans are being kept for the library.
+    pub enrolling: Option<Enrolling>,
+    /// What has come of it so far.
+    pub counts: Counts,
+    /// The last warnings, the newest first.
+    pub warnings: VecDeque<WarningView>,
+    /// Whether the station has ended.
+    pub finished: bool,
+    /// The last scans, the newest first; asked for apart.
+    #[serde(skip)]
+    pub history: VecDeque<Arc<Told>>,
+    /// How often each device came back.
+    #[serde(skip)]
+    pub reconnects: BTreeMap<String, u64>,
+}
+
+impl State {
+    /// Nothing is known yet.
+    pub fn new() -> Self {
+        let advice = Advice { what: What::Wait, more_s: None, text: "wait".into() };
+        let mut state = Self {
+            api: 1,
+            version: env!("CARGO_PKG_VERSION"),
+            started_unix_ms: unix_ms(),
+            scan: None,
+            phase: None,
+            advice,
+            guess: None,
+            answer: None,
+            devices: Vec::new(),
+            library: None,
+            enrolling: None,
+            counts: Counts::default(),
+            warnings: VecDeque::new(),
+            finished: false,
+            history: VecDeque::new(),
+            reconnects: BTreeMap::new(),
+        };
+        state.advice = state.advise();
+        state
+    }
+
+    /// Takes in what the station tells. Traces and figures are none of its
+    /// business.
+    pub fn take(&mut self, notice: &Notice) {
+        match notice {
+            Notice::Device { device, state, detail } => self.device(device, *state, detail),
+            Notice::Phase { scan, phase } => {
+                if self.scan != Some(*scan) {
+                    self.guess = None;
+                }
+                (self.scan, self.phase) = (phase.map(|_| *scan), *phase);
+            }
+            Notice::Guess(guess) => self.guess = Some(guess.clone()),
+            Notice::Answer(answer) => self.answered(answer),
+            Notice::Enrolled(enrolled) => self.enrolled(enrolled),
+            Notice::Library(library) => self.library = Some(library.into()),
+            Notice::Warning(text) => self.warned(text),
+            Notice::Finished(_) => {
+                self.finished = true;
+                (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
+            }
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => {}
+        }
+        self.advice = self.advise();
+    }
+
+    fn device(&mut self, name: &str, state: DeviceState, detail: &str) {
+        let detail = detail.to_string();
+        let since_unix_ms = unix_ms();
+        if let Some(device) = self.devices.iter_mut().find(|device| device.device == name) {
+            if device.state == DeviceState::Lost && state == DeviceState::Streaming {
+                *self.reconnects.entry(name.into()).or_default() += 1;
+            }
+            (device.state, device.detail, device.since_unix_ms) = (state, detail, since_unix_ms);
+        } else if self.devices.len() < DEVICES {
+            self.devices.push(DeviceView { device: name.into(), state, detail, since_unix_ms });
+            self.devices.sort_by(|a, b| a.device.cmp(&b.device));
+        }
+    }
+
+    fn answered(&mut self, answer: &Arc<Answer>) {
+        self.counts.scans += 1;
+        self.counts.unknown += u64::from(answer.surface.is_none());
+        self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
+        self.counts.lost_samples += answer.lost_samples;
+        let told = Arc::new(Told { unix_ms: unix_ms(), answer: answer.clone() });
+        self.history.push_front(told.clone());
+        self.history.truncate(HISTORY);
+        self.answer = Some(told);
+        self.guess = None;
+    }
+
+    fn enrolled(&mut self, enrolled: &Enrolled) {
+        self.counts.enrolled += u64::from(enrolled.trial.is_some());
+        let Enrolled { surface, wanted, .. } = enrolled;
+        let known = self.enrolling.take().filter(|enrolling| enrolling.surface == *surface);
+        if *wanted > 0 {
+            let user = known.and_then(|enrolling| enrolling.user);
+            self.enrolling = Some(Enrolling { surface: surface.clone(), user, wanted: *wanted });
+        }
+    }
+
+    fn warned(&mut self, text: &str) {
+        self.counts.warnings += 1;
+        self.warnings.push_front(WarningView { unix_ms: unix_ms(), text: text.into() });
+        self.warnings.truncate(WARNINGS);
+    }
+
+    /// Scans are to be kept from now on, or no more.
+    pub fn enroll(&mut self, enrolling: Option<Enrolling>) {
+        self.enrolling = enrolling;
+        self.advice = self.advise();
+    }
+
+    fn advise(&self) -> Advice {
+        let say = |what, text: &str| Advice { what, more_s: None, text: text.into() };
+        if self.finished {
+            return say(What::Ended, "the station has ended");
+        }
+        match self.phase {
+            Some(Phase::Drag) => return self.advise_drag(),
+            Some(_) => return say(What::Drag, "drag"),
+            None => {}
+        }
+        if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
+            return say(What::Wait, "wait for the stylus");
+        }
+        let cannot = self.library.as_ref().is_some_and(|library| library.problem.is_some());
+        if cannot && self.enrolling.is_none() {
+            return say(What::Enroll, "enrol a surface");
+        }
+        say(What::Tap, "tap")
+    }
+
+    fn advise_drag(&self) -> Advice {
+        let guess = self.guess.as_ref();
+        let settled = guess.is_some_and(|guess| guess.settled);
+        let more_s = guess.and_then(|guess| Some(guess.needed_s? - guess.scan_s));
+        match more_s {
+            // An answer that will not change any more needs no more.
+            _ if settled => Advice { what: What::Lift, more_s: None, text: "lift".into() },
+            Some(more_s) if more_s > 0.0 => {
+                // In tenths, rounded up: what is asked for is enough. But 1.2 s are not 1.3 s for
+                // the last bit of a difference.
+                let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
+                let text = format!("{more_s:.1} s more");
+                Advice { what: What::Drag, more_s: Some(more_s), text }
+            }
+            Some(_) => Advice { what: What::Lift, more_s: None, text: "lift".into() },
+            None => Advice { what: What::Drag, more_s: None, text: "drag".into() },
+        }
+    }
+}

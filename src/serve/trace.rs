@@ -1,0 +1,221 @@
+//! Makes streams small enough to draw: the least and the greatest sample of each bin of time.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use serde::Serialize;
+
+use crate::scan::{Fresh, Trace};
+use crate::scene::SourceId;
+
+/// Bins a second that a trace aims at.
+const BINS_A_SECOND: f64 = 200.0;
+/// Most bins of one stream in one event: the newest; a player faster than real time makes more.
+const MOST_BINS: usize = 400;
+/// Frames of each stream that are kept for its spectrum.
+pub const RECENT: usize = 4096;
+
+/// What is new in the streams, small enough to draw.
+#[derive(Debug, PartialEq, Serialize)]
+pub struct TraceEvent {
+    /// A stream each.
+    pub streams: Vec<Bins>,
+}
+
+/// New bins of one stream.
+#[derive(Debug, PartialEq, Serialize)]
+pub struct Bins {
+    /// The stream.
+    pub source: SourceId,
+    /// Seconds a bin.
+    pub bin_s: f64,
+    /// When the first bin begins, in seconds from the begin of the stream.
+    pub start_s: f64,
+    /// Least sample of each bin, a list a channel.
+    pub min: Vec<Vec<f32>>,
+    /// Greatest sample of each bin, a list a channel.
+    pub max: Vec<Vec<f32>>,
+}
+
+/// Follows the streams.
+#[derive(Debug, Default)]
+pub struct Tracer {
+    streams: BTreeMap<SourceId, Stream>,
+}
+
+/// One stream: its bin that is not full yet, and its newest frames.
+#[derive(Debug)]
+pub struct Stream {
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Samples a frame.
+    pub channels: usize,
+    /// The newest samples, interleaved; at most [`RECENT`] frames.
+    pub recent: VecDeque<f32>,
+    /// Frames a bin.
+    width: usize,
+    /// Index of the frame that is expected next.
+    next: u64,
+    /// Frames in the bin that is not full.
+    filled: usize,
+    /// Its least and greatest sample so far, a pair a channel.
+    extremes: Vec<(f32, f32)>,
+}
+
+const NONE_YET: (f32, f32) = (f32::INFINITY, f32::NEG_INFINITY);
+
+impl Stream {
+    fn new(fresh: &Fresh) -> Self {
+        Self {
+            rate_hz: fresh.rate_hz,
+            channels: fresh.channels,
+            recent: VecDeque::new(),
+            width: (fresh.rate_hz / BINS_A_SECOND).round().max(1.0) as usize,
+            next: fresh.start,
+            filled: 0,
+            extremes: vec![NONE_YET; fresh.channels],
+        }
+    }
+
+    /// Whether frames continue what was seen.
+    fn continues(&self, fresh: &Fresh) -> bool {
+        (self.next, self.channels, self.rate_hz) == (fresh.start, fresh.channels, fresh.rate_hz)
+    }
+
+    /// Takes new frames, and gives the bins that they fill.
+    fn add(&mut self, fresh: &Fresh) -> Bins {
+        let mut bins = Bins {
+            source: fresh.source.clone(),
+            bin_s: self.width as f64 / self.rate_hz,
+            start_s: (self.next - self.filled as u64) as f64 / self.rate_hz,
+            min: vec![Vec::new(); self.channels],
+            max: vec![Vec::new(); self.channels],
+        };
+        for frame in fresh.samples.chunks_exact(self.channels) {
+            for ((low, high), &sample) in self.extremes.iter_mut().zip(frame) {
+                *low = low.min(sample);
+                *high = high.max(sample);
+            }
+            self.filled += 1;
+            if self.filled == self.width {
+                self.filled = 0;
+                for (channel, extremes) in self.extremes.iter_mut().enumerate() {
+                    bins.min[channel].push(four_digits(extremes.0));
+                    bins.max[channel].push(four_digits(extremes.1));
+                    *extremes = NONE_YET;
+                }
+            }
+        }
+        self.next += (fresh.samples.len() / self.channels) as u64;
+        self.remember(&fresh.samples);
+        bins.newest(MOST_BINS);
+        bins
+    }
+
+    fn remember(&mut self, samples: &[f32]) {
+        let most = RECENT * self.channels;
+        let samples = &samples[samples.len().saturating_sub(most)..];
+        let over = (self.recent.len() + samples.len()).saturating_sub(most);
+        self.recent.drain(..over);
+        self.recent.extend(samples);
+    }
+}
+
+impl Bins {
+    /// Forgets all but the newest `most`.
+    fn newest(&mut self, most: usize) {
+        let over = self.len().saturating_sub(most);
+        self.start_s += over as f64 * self.bin_s;
+        self.min.iter_mut().chain(&mut self.max).for_each(|values| drop(values.drain(..over)));
+    }
+
+    fn len(&self) -> usize {
+        self.min.first().map_or(0, Vec::len)
+    }
+}
+
+impl Tracer {
+    /// Takes what is new, and gives what of it can be drawn. After a gap, or with another rate, a
+    /// stream begins anew.
+    pub fn add(&mut self, trace: &Trace) -> TraceEvent {
+        let mut streams = Vec::new();
+        for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
+            let stream =
+                self.streams.entry(fresh.source.clone()).or_insert_with(|| Stream::new(fresh));
+            if !stream.continues(fresh) {
+                *stream = Stream::new(fresh);
+            }
+            let bins = stream.add(fresh);
+            if bins.len() > 0 {
+                streams.push(bins);
+            }
+        }
+        TraceEvent { streams }
+    }
+
+    /// The streams, by name.
+    pub fn streams(&self) -> impl Iterator<Item = (&SourceId, &Stream)> {
+        self.streams.iter()
+    }
+}
+
+/// A number that is short when printed: about four digits, which is finer than any screen.
+pub fn four_digits(x: f32) -> f32 {
+    if x == 0.0 || !x.is_finite() {
+        return 0.0;
+    }
+    let scale = 10f64.powi(3 - f64::from(x.abs()).log10().floor() as i32);
+    (((f64::from(x) * scale).round() / scale) as f32).clamp(f32::MIN, f32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fresh(start: u64, samples: Vec<f32>) -> Trace {
+        let source = SourceId::new("ir").unwrap();
+        Trace { fresh: vec![Fresh { source, rate_hz: 1000.0, channels: 1, start, samples }] }
+    }
+
+    #[test]
+    fn bins_hold_the_extremes_and_wait_until_they_are_full() {
+        let mut tracer = Tracer::default();
+        let first = tracer.add(&fresh(0, vec![1.0, -2.0, 3.0, 0.0, 0.5, 9.0, 8.0]));
+        let bins = &first.streams[0];
+        assert_eq!((bins.start_s, bins.bin_s), (0.0, 0.005));
+        assert_eq!((&bins.min[0], &bins.max[0]), (&vec![-2.0], &vec![3.0]));
+        let second = tracer.add(&fresh(7, vec![-7.0, 1.0, 1.0]));
+        let bins = &second.streams[0];
+        assert_eq!(bins.start_s, 0.005, "the second bin began with the first frames");
+        assert_eq!((&bins.min[0], &bins.max[0]), (&vec![-7.0], &vec![9.0]));
+    }
+
+    #[test]
+    fn after_a_gap_a_stream_begins_anew_at_its_place() {
+        let mut tracer = Tracer::default();
+        tracer.add(&fresh(0, vec![5.0; 3]));
+        let after = tracer.add(&fresh(1000, vec![1.0; 5]));
+        assert_eq!((after.streams[0].start_s, &after.streams[0].max[0]), (1.0, &vec![1.0]));
+    }
+
+    #[test]
+    fn only_the_newest_bins_of_a_long_stretch_are_told_and_memory_is_bounded() {
+        let mut tracer = Tracer::default();
+        let samples = (0..1_000_000).map(|i| i as f32).collect();
+        let event = tracer.add(&fresh(0, samples));
+        assert_eq!(event.streams[0].len(), MOST_BINS);
+        assert!((event.streams[0].start_s - 998.0).abs() < 1e-9);
+        let (_, stream) = tracer.streams().next().unwrap();
+        assert_eq!(stream.recent.len(), RECENT);
+        assert_eq!(stream.recent.back(), Some(&999_999.0));
+    }
+
+    #[test]
+    fn numbers_are_short_and_close() {
+        for x in [0.0, 1.0, -0.012_345_678, 32_767.3, 1e-30, f32::MAX, f32::MIN_POSITIVE] {
+            let short = four_digits(x);
+            assert!((short - x).abs() <= x.abs() * 6e-4, "{x} became {short}");
+            assert!(serde_json::to_string(&short).unwrap().len() <= 13, "{short}");
+        }
+        assert_eq!(four_digits(f32::NAN), 0.0);
+    }
+}

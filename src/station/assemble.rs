@@ -1,0 +1,135 @@
+//! The devices of a configuration, and what this build leaves out of them.
+
+use std::collections::BTreeMap;
+
+use super::config::{CameraConfig, MicrophoneConfig, StationConfig, StylusConfig};
+use super::notice::{Listener, Notice};
+use crate::device::camera::Shutter;
+use crate::device::serial::{Light, Stylus};
+use crate::device::{Device, OpenError};
+use crate::scene::Phase;
+
+/// Devices, ready to run.
+#[derive(Default)]
+pub struct Assembled {
+    /// The devices.
+    pub devices: Vec<Box<dyn Device>>,
+    /// For people: what was configured but cannot be had, and why.
+    pub left_out: Vec<String>,
+    /// Which device each source comes from.
+    pub device_of: BTreeMap<String, String>,
+    /// Asks for a picture with flash during each drag, if there is a flash.
+    pub flasher: Option<Flasher>,
+}
+
+/// Releases the shutter for a picture with flash once a drag has begun: the scan takes the picture
+/// along when it ends.
+#[derive(Clone, Debug)]
+pub struct Flasher(Shutter);
+
+impl Listener for Flasher {
+    fn notice(&mut self, notice: &Notice) {
+        if let Notice::Phase { phase: Some(Phase::Drag), .. } = notice {
+            self.0.flash();
+        }
+    }
+}
+
+/// Makes the devices of a configuration. None is opened yet.
+pub fn assemble(config: &StationConfig) -> Assembled {
+    let mut all = Assembled::default();
+    let light = config.stylus.as_ref().map(|stylus| all.stylus(stylus));
+    if let Some(microphone) = &config.microphone {
+        match sound(microphone) {
+            Ok(device) => all.add(device),
+            Err(why) => all.left_out.push(format!("microphone {}: {why}", microphone.device)),
+        }
+    }
+    if let Some(camera) = &config.camera {
+        match video(camera, light) {
+            Ok((device, flasher)) => {
+                all.add(device);
+                all.flasher = flasher;
+            }
+            Err(why) => all.left_out.push(format!("camera {}: {why}", camera.device)),
+        }
+    }
+    for cut in &config.detection.cuts {
+        // So far these are streams; several sources may come from one.
+        if let Some(device) = all.device_of.get(cut.stream.as_str()) {
+            let device = device.clone();
+            all.device_of.insert(cut.source.to_string(), device);
+        }
+    }
+    all.device_of.retain(|id, _| config.scene.get(id).is_some());
+    all
+}
+
+impl Assembled {
+    fn add(&mut self, device: Box<dyn Device>) {
+        let name = device.name().to_string();
+        let streams = device.streams().into_iter().map(|spec| spec.id.to_string());
+        self.device_of.extend(streams.map(|id| (id, name.clone())));
+        self.devices.push(device);
+    }
+
+    fn stylus(&mut self, config: &StylusConfig) -> Light {
+        let stylus = Stylus::new(config.port.clone())
+            .rate_hz(config.rate_hz)
+            .streams_of(config.streams.clone());
+        let light = stylus.light();
+        self.add(Box::new(stylus));
+        light
+    }
+}
+
+#[cfg(not(all(feature = "microphone", feature = "camera")))]
+fn not_built(feature: &str) -> OpenError {
+    OpenError::Unfit(format!(
+        "left out of this build; to have it, build with `--features live` or `--features {feature}`"
+    ))
+}
+
+#[cfg(feature = "microphone")]
+fn sound(config: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
+    use crate::device::Microphone;
+    use crate::device::microphone::Alsa;
+    let alsa = Alsa::new(config.device.clone())?;
+    Ok(Box::new(Microphone::new(config.stream.clone(), Box::new(alsa)).pick(config.pick)))
+}
+
+#[cfg(not(feature = "microphone"))]
+fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
+    Err(not_built("microphone"))
+}
+
+type Video = (Box<dyn Device>, Option<Flasher>);
+
+#[cfg(feature = "camera")]
+fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError> {
+    use std::sync::Arc;
+
+    use crate::device::Camera;
+    use crate::device::camera::{Flash, V4l};
+    let video = Arc::new(V4l::new(config.device.clone(), config.turn));
+    let mut camera =
+        Camera::new(config.source.clone(), video).turn(config.turn).every(config.every);
+    if let Some(flash) = &config.flash {
+        let by = match (flash.control, light) {
+            (Some(control), _) => Some(Flash::Control(control)),
+            (None, Some(light)) => Some(Flash::Line(Box::new(light))),
+            (None, None) => None,
+        };
+        if let Some(by) = by {
+            camera = camera.flash(flash.source.clone(), by, flash.settle);
+            let flasher = Flasher(camera.shutter());
+            return Ok((Box::new(camera), Some(flasher)));
+        }
+    }
+    Ok((Box::new(camera), None))
+}
+
+#[cfg(not(feature = "camera"))]
+fn video(_: &CameraConfig, _: Option<Light>) -> Result<Video, OpenError> {
+    Err(not_built("camera"))
+}

@@ -1,0 +1,104 @@
+//! What is kept: under which label, how many more, and whether a scan is good enough for it.
+
+use super::notice::Enrolled;
+use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
+use crate::scan::Scan;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Flaw, Series, Signal, flaws};
+
+/// What a scan is to become.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Wish {
+    pub surface: String,
+    pub user: String,
+    /// Whether a scan that is not good is refused.
+    pub good_only: bool,
+}
+
+/// Scans that are to be kept.
+pub(super) struct Enrolling {
+    wish: Wish,
+    wanted: u32,
+    /// Scans on their way to the disk.
+    under_way: u32,
+}
+
+impl Enrolling {
+    pub fn new(wish: Wish, wanted: u32) -> Self {
+        Self { wish, wanted, under_way: 0 }
+    }
+
+    /// What the scan that has just ended is to become, if one is still wanted.
+    pub fn wish(&mut self) -> Option<Wish> {
+        (self.under_way < self.wanted).then(|| {
+            self.under_way += 1;
+            self.wish.clone()
+        })
+    }
+
+    /// Counts what became of a scan; ends with the last that was wanted.
+    pub fn count(enrolling: &mut Option<Self>, mut kept: Enrolled) -> Enrolled {
+        kept.wanted = 0;
+        if let Some(these) = enrolling
+            && these.wish.surface == kept.surface
+        {
+            these.under_way = these.under_way.saturating_sub(1);
+            these.wanted = these.wanted.saturating_sub(u32::from(kept.trial.is_some()));
+            kept.wanted = these.wanted;
+            if these.wanted == 0 {
+                *enrolling = None;
+            }
+        }
+        kept
+    }
+}
+
+/// Why a scan is no good trial, a line each. `by_t_star` are the sources of which it must hold
+/// enough independent samples.
+pub(super) fn faults(scan: &Scan, scene: &Scene, by_t_star: &[SourceId]) -> Vec<String> {
+    let mut faults = scan.spoiled.clone();
+    if scan.lost_samples > 0 && faults.is_empty() {
+        faults.push(format!("{} sample(s) were lost in it", scan.lost_samples));
+    }
+    for (id, signal) in &scan.trial.signals {
+        let Signal::Series(series) = signal else { continue };
+        // A source with a fixed length scale is a switch, which has two values and rests.
+        if scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()) {
+            let clipped = |flaw: &&Flaw| matches!(flaw, Flaw::Saturated { .. });
+            faults.extend(flaws(series).iter().filter(clipped).map(|flaw| format!("{id}: {flaw}")));
+        }
+        if by_t_star.contains(id) {
+            faults.extend(too_short(id, series));
+        }
+    }
+    faults
+}
+
+/// That a recording holds too few independent samples, by its own T*.
+fn too_short(id: &SourceId, series: &Series) -> Option<String> {
+    let held_s = series.duration_s();
+    let settings =
+        OnlineSettings { window_s: held_s, every_s: f64::INFINITY, ..OnlineSettings::default() };
+    let mut online = OnlineDuration::new(series.rate_hz(), series.channels(), settings);
+    online.push(series.samples()).ok()?;
+    let estimate = online.estimate();
+    let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
+        Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
+        // It never stirred, which is no matter of length.
+        _ if is_constant(series) => return None,
+        _ => f64::INFINITY,
+    };
+    if held_s >= needed_s {
+        return None;
+    }
+    let take = match needed_s.is_finite() {
+        true => format!("{SAMPLES} independent samples take {needed_s:.1} s here"),
+        false => "no two samples in it are seen to be independent".into(),
+    };
+    Some(format!("{id}: {held_s:.1} s are too short: {take}; drag longer, or move faster"))
+}
+
+fn is_constant(series: &Series) -> bool {
+    let samples = series.samples();
+    samples.chunks(series.channels()).all(|frame| *frame == samples[..series.channels()])
+}

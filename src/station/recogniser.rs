@@ -1,0 +1,156 @@
+//! Names scans against a library, whatever the method: its types end here.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::need::Needs;
+use super::notice::LibraryState;
+use crate::library::Entry;
+use crate::recognise::{
+    Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
+    without_flawed,
+};
+use crate::scan::Scan;
+use crate::trial::{Signal, TrialKey, flaws};
+
+/// What a scan was named.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// The library's surfaces, the most alike first.
+    pub ranking: Ranking,
+    /// It is none of them.
+    pub unknown: bool,
+    /// Scan duration that 400 samples T* apart need on the first one, in seconds.
+    pub needed_s: Option<f64>,
+    /// For people: what is not perfect about the scan, a line each.
+    pub remarks: Vec<String>,
+}
+
+/// A library, ready to name scans.
+pub trait Recogniser: Send + Sync {
+    /// Names a scan.
+    ///
+    /// # Errors
+    /// If the scan has no source in common with the library, or does not fit the scene.
+    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError>;
+
+    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
+    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>>;
+
+    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
+    fn needed_s(&self, surface: &str) -> Option<f64>;
+
+    /// For people: what scans are compared with.
+    fn library(&self) -> LibraryState;
+}
+
+/// Reads a library: again and again, if it is told to.
+pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Sync>;
+
+/// A method and the models that it made.
+pub struct ByMethod<M: Method> {
+    method: M,
+    models: Vec<Arc<M::Model>>,
+    model_of: BTreeMap<TrialKey, usize>,
+    /// How scans are followed with each model.
+    following: Vec<FollowOptions>,
+    needs: Needs,
+    library: LibraryState,
+}
+
+impl<M: Method> ByMethod<M> {
+    /// Names scans by one model.
+    pub fn new(method: M, model: M::Model, needs: Needs, library: LibraryState) -> Self {
+        Self::with_folds(method, vec![model], BTreeMap::new(), needs, library)
+    }
+
+    /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
+    ///
+    /// # Panics
+    /// If there is no model, or `model_of` names one that there is not.
+    pub fn with_folds(
+        method: M,
+        models: Vec<M::Model>,
+        model_of: BTreeMap<TrialKey, usize>,
+        needs: Needs,
+        library: LibraryState,
+    ) -> Self {
+        assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
+        let following = vec![FollowOptions::default(); models.len()];
+        let models = models.into_iter().map(Arc::new).collect();
+        Self { method, models, model_of, following, needs, library }
+    }
+
+    /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
+    /// rests on, for each model.
+    ///
+    /// # Errors
+    /// If the method has no measure of fit, or a library has too few trials; no scan is called
+    /// unknown then.
+    pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+        let rejections = self.models.iter().map(|model| self.method.rejection(model, rate));
+        let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
+        for (following, rejection) in self.following.iter_mut().zip(&rejections) {
+            following.rejection = Some(rejection.clone());
+        }
+        Ok(rejections)
+    }
+
+    /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
+    /// scan waits for it. Says what was found; nothing, if the method cannot follow scans.
+    pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
+        self.following.iter_mut().for_each(|following| following.loss = loss);
+        let with_options = self.models.iter().zip(&self.following);
+        let followers = with_options.filter_map(|(m, options)| self.method.follow(m, options));
+        followers.map(|follower| follower.settling().clone()).collect()
+    }
+
+    /// The model of a scan. The truth only says which library it is not part of.
+    fn model(&self, truth: Option<&TrialKey>) -> usize {
+        truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
+    }
+
+    /// Flaws of the scan's channels, and samples closer than T*.
+    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<String> {
+        let mut remarks = Vec::new();
+        for (id, signal) in &scan.trial.signals {
+            // A source with a fixed length scale is a switch, and rests most of the time.
+            if let Signal::Series(series) = signal
+                && !self.needs.is_switch(id)
+            {
+                let left_out =
+                    if ranking.sources.contains(id) { "" } else { "; the source is left out" };
+                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
+            }
+        }
+        remarks.extend(self.needs.warnings(ranking, scan.scan_s));
+        remarks
+    }
+}
+
+impl<M: Method> Recogniser for ByMethod<M> {
+    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
+        let at = self.model(scan.truth.as_ref());
+        // What came out of the rings, and nothing else; less what no comparison should see.
+        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
+        let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
+        let ranking = self.method.rank(&self.models[at], &query)?;
+        let rejection = self.following[at].rejection.as_ref();
+        let unknown = ranking.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
+        Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
+    }
+
+    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+        let at = self.model(truth);
+        self.method.follow(&self.models[at], &self.following[at])
+    }
+
+    fn needed_s(&self, surface: &str) -> Option<f64> {
+        self.needs.scan_s(surface, &self.library.sources)
+    }
+
+    fn library(&self) -> LibraryState {
+        self.library.clone()
+    }
+}

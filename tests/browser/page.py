@@ -1,0 +1,178 @@
+#!/usr/bin/env python3
+"""The operator's page in headless Chromium, on a replay at real speed.
+
+    tests/browser/page.py target/release/surfaced [FOLDER FOR SCREENSHOTS]
+
+Needs chromium and chromedriver (Debian: chromium chromium-driver).
+"""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from webdriver import Browser
+
+# Seconds that each synthetic scan lasts.
+DRAG = "2.0"
+TAB = "\ue004"
+ENTER = "\ue007"
+
+
+def run(*command):
+    subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+
+
+def scene(surfaced, folder):
+    """A library of two surfaces, and recordings of a third by the same hand, to play."""
+    made = folder / "made"
+    run(surfaced, "synth", made, "--surfaces", "3", "--trials", "14", "--users", "1", "--seconds", DRAG)
+    library, data = folder / "library", folder / "data"
+    for part in (library, data):
+        part.mkdir()
+        (part / "library.toml").write_bytes((made / "library.toml").read_bytes())
+    surfaces = sorted(path for path in made.iterdir() if path.is_dir())
+    for surface in surfaces:
+        trials = sorted(surface.glob("expert-*"))
+        place, kept = (data, trials) if surface is surfaces[0] else (library, trials[:3])
+        (place / surface.name).mkdir()
+        for trial in kept:
+            trial.rename(place / surface.name / trial.name)
+    return library, data
+
+
+class Station:
+    """`surfaced replay … --serve` until it is told to end."""
+
+    def __init__(self, surfaced, library, data):
+        command = [surfaced, "replay", data, "--library", library, "--speed", "1.0", "--serve=127.0.0.1:0", "--json",
+                   "--sources", "ac,ir,fr,me,mi2", "--n", "100"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        said = []
+        for line in self.process.stderr:
+            said.append(line)
+            if found := re.fullmatch(r"(http://\S+)\n", line):
+                self.url = found[1]
+                return
+        raise AssertionError("no address on stderr: " + "".join(said))
+
+    def end(self):
+        self.process.send_signal(signal.SIGTERM)
+        out, err = self.process.communicate(timeout=60)
+        return self.process.returncode, [json.loads(line) for line in out.splitlines()], err
+
+
+def requests(browser):
+    """Where the page has asked for anything."""
+    urls = []
+    for entry in browser.log("performance"):
+        message = json.loads(entry["message"])["message"]
+        if message["method"] == "Network.requestWillBeSent":
+            urls.append(message["params"]["request"]["url"])
+    return urls
+
+
+def pixels(browser):
+    script = "return [...document.querySelectorAll('canvas')].map(c => c.toDataURL()).join()"
+    return browser.run(script)
+
+
+def frames(browser):
+    return int(browser.run("return document.getElementById('plots').dataset.frames"))
+
+
+def check(browser, station, shots):
+    browser.resize(1280, 1000)
+    browser.scheme("light")
+    browser.open(station.url + "/")
+
+    # By keyboard alone: `e` goes to the form, Tab from field to field.
+    browser.wait("the form", lambda: browser.run("return document.getElementById('surface').offsetParent !== null"))
+    browser.keys("e")
+    browser.keys("slate" + TAB + TAB + TAB)
+    focused = browser.run("return document.activeElement.id")
+    assert focused == "enroll", f"Tab leads from the fields to the button, not to {focused!r}"
+    outline = browser.run("return getComputedStyle(document.activeElement).outlineStyle")
+    assert outline != "none", "what has the focus can be seen"
+    browser.keys(ENTER)
+    browser.wait("the enrolment", lambda: "slate" in (browser.text("#enrolling-what") or ""))
+    browser.wait("the trial that was kept", lambda: "kept as slate" in (browser.text("#enrolled") or ""))
+    browser.wait("the library read anew", lambda: "slate" in (browser.text("#surfaces") or ""))
+
+    # Traces move at twenty frames a second; a machine that is busy with other things gets less.
+    before, at, looked = frames(browser), time.monotonic(), pixels(browser)
+    browser.wait("forty frames of traces", lambda: frames(browser) >= before + 40)
+    print(f"traces: {40 / (time.monotonic() - at):.1f} frames a second")
+    assert pixels(browser) != looked, "the traces move"
+
+    browser.wait("a name", lambda: browser.text("#name") == "slate", 60)
+    assert "scan" in browser.text("#answer-label")
+    assert browser.run("return document.querySelectorAll('#runners li').length") >= 2
+    assert "slate" in browser.text("#announce"), "a screen reader is told"
+    shot(browser, shots, "light")
+
+    browser.keys("v")
+    pressed = browser.run("return document.getElementById('view-spectra').ariaPressed")
+    assert pressed == "true", "`v` changes to spectra"
+    browser.scheme("dark")
+    ground = browser.run("return getComputedStyle(document.documentElement).backgroundColor")
+    assert max(map(int, re.findall(r"\d+", ground)[:3])) < 64, f"dark: {ground}"
+    time.sleep(1)
+    shot(browser, shots, "dark")
+    browser.keys("v")
+
+    browser.resize(360, 740)
+    browser.scheme("light")
+    wide = browser.run("return document.documentElement.scrollWidth")
+    assert wide <= 360, f"nothing sticks out at 360 px: {wide}"
+    time.sleep(0.5)
+    shot(browser, shots, "narrow")
+    browser.resize(1280, 1000)
+
+    # A label that is refused is said to be, and stays text.
+    browser.type("#surface", "<img src=x onerror=alert(1)>")
+    browser.click("#enroll")
+    browser.wait("a refusal", lambda: "surface" in (browser.text("#problem") or ""))
+    assert browser.run("return document.querySelectorAll('main img').length") == 0
+    refused = [entry for entry in browser.log("browser") if "/api/v1/enroll" not in entry["message"]]
+    assert not refused, f"the console is empty but for the refusal: {refused}"
+
+    # A page that is loaded anew knows what went before.
+    browser.open(station.url + "/")
+    browser.wait("the history", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 1)
+    assert browser.text("#name") not in ("", "—")
+    console = browser.log("browser")
+    assert not console, f"the console stays empty: {console}"
+    # Chromium's own first tab is made of chrome: pages.
+    elsewhere = [url for url in requests(browser) if not url.startswith((station.url, "data:", "chrome:"))]
+    assert not elsewhere, f"nothing is asked of others: {elsewhere}"
+
+
+def shot(browser, shots, name):
+    if shots:
+        browser.screenshot(Path(shots) / f"{name}.png", whole=True)
+
+
+def main():
+    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
+    with tempfile.TemporaryDirectory() as folder:
+        library, data = scene(surfaced, Path(folder))
+        station = Station(surfaced, library, data)
+        try:
+            with Browser() as browser:
+                check(browser, station, shots)
+        finally:
+            code, lines, said = station.end()
+        kept = [line for line in lines if line.get("folder")]
+        assert len(kept) == 1 and (library / "slate").is_dir(), f"one trial was kept: {kept}\n{said}"
+        assert all(line["lost_samples"] == 0 for line in lines if "lost_samples" in line)
+        assert code == 0, f"exit code {code}\n{said}"
+    print("the page works")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+//! `surfaced chart`: what it measures, writes, and draws again.
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::{Value, json};
+
+fn surfaced(args: &[&str]) -> Output {
+    Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
+}
+
+fn told(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn read(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (data, svg, json_path) = (at("scene"), at("chart.svg"), at("chart.json"));
+    let synth = ["synth", &data, "--surfaces", "4", "--trials", "3", "--users", "1"];
+    assert!(surfaced(&[&synth[..], &["--seconds", "0.8"]].concat()).status.success());
+    let said = ["chart", &data, "--sources", "mi2,ir", "--surfaces", "3", "--out", &svg];
+    let output = surfaced(&said);
+    assert!(output.status.success() && output.stdout.is_empty(), "{}", told(&output));
+    assert!(told(&output).contains("to go)"), "it tells how far it is");
+
+    let mut chart = read(Path::new(&json_path));
+    assert_eq!(chart["synthetic"], true);
+    assert_eq!((&chart["surfaces"], &chart["library_trials"]), (&json!(3), &json!(9)));
+    assert_eq!(chart["sources"], json!(["ir", "mi2"]));
+    let points = chart["points"].as_array().unwrap().clone();
+    let with = |key: &str, value: Value| points.iter().filter(|p| p[key] == value).count();
+    for method in ["reference", "joint", "embedding"] {
+        assert!(with("method", json!(method)) >= 3, "{method}");
+    }
+    assert_eq!(with("control", json!(true)), 2);
+    // Four settings are measured on the first half of a second, too.
+    assert_eq!(with("query_seconds", json!(0.5)), 4);
+    assert_eq!(with("sources", json!(["ir"])), 1);
+    for point in &points {
+        let of = |key: &str| point[key].as_f64().unwrap();
+        assert!(of("accuracy_low") <= of("accuracy") && of("accuracy") <= of("accuracy_high"));
+        assert!(of("query_ms_p50") > 0.0 && of("queries") == 3.0);
+    }
+
+    let mut peer = points[0].clone();
+    for (key, value) in [("method", json!("other")), ("peer", json!(true))] {
+        peer[key] = value;
+    }
+    chart["points"].as_array_mut().unwrap().push(peer);
+    std::fs::write(&json_path, chart.to_string()).unwrap();
+    assert!(surfaced(&["chart", &json_path, "--out", &svg]).status.success());
+    let picture = std::fs::read_to_string(&svg).unwrap();
+    assert!(picture.contains("other (a peer)") && picture.contains("SYNTHETIC"));
+    assert_eq!(read(Path::new(&json_path)), chart, "what was joined stays");
+}
+
+#[test]
+fn what_is_no_chart_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("chart.json");
+    std::fs::write(&path, "{}").unwrap();
+    let output = surfaced(&["chart", path.to_str().unwrap(), "--out", "never.svg"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(told(&output).contains("chart.json: missing field"), "{}", told(&output));
+}

@@ -1,0 +1,393 @@
+//! `surfaced run`, `enroll` and `record` as processes, with a stylus on a pseudo-terminal.
+
+mod common;
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use common::scripted::{self, Noise, Sample};
+use common::stylus::Fake;
+use crossbeam_channel::{Receiver, unbounded};
+use serde_json::Value;
+use surfaced::dataset::synth::{self, Parameters};
+use surfaced::library::{Library, recording};
+use surfaced::record::{TrialOptions, write_trial};
+use surfaced::scene::Scene;
+use surfaced::trial::{EXPERT, Trial, TrialKey};
+
+const CHANNELS: [&str; 4] = ["ac", "fr", "ir", "me"];
+
+/// What the stylus samples, one scan after the other; then it rests.
+type Tape = Arc<Mutex<Vec<Sample>>>;
+
+/// A station of a stylus alone.
+struct Bench {
+    dir: tempfile::TempDir,
+    tape: Tape,
+    noise: Noise,
+}
+
+/// The trial of each surface that is scanned, and in no library.
+const SCANNED: u32 = 4;
+
+/// Synthetic surfaces, each with trials for the library and one for a scan.
+fn synthetic(drag_seconds: f64) -> Library {
+    synth::library(&Parameters {
+        surfaces: 3,
+        trials: SCANNED,
+        users: 0,
+        drag_seconds,
+        ..Parameters::default()
+    })
+}
+
+fn trial(library: &Library, surface: usize, number: u32) -> Trial {
+    let key = TrialKey::new(library.surfaces()[surface], EXPERT, number);
+    library.entries.iter().find(|entry| entry.key == key).unwrap().load().unwrap()
+}
+
+impl Bench {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let alone = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n\
+                     [enroll]\nt_star = []\n";
+        std::fs::write(dir.path().join("station.toml"), alone).unwrap();
+        Self { dir, tape: Tape::default(), noise: Noise(1) }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// All trials but those that are scanned, as a library.
+    fn library(&self, library: &Library) -> PathBuf {
+        let path = self.path("library");
+        let options = TrialOptions { durable: false, ..TrialOptions::default() };
+        for entry in library.entries.iter().filter(|entry| entry.key.number != SCANNED) {
+            let mut trial = entry.load().unwrap();
+            trial.signals.retain(|id, _| CHANNELS.contains(&id.as_str()));
+            write_trial(&path, &trial, &library.scene, &options).unwrap();
+        }
+        path
+    }
+
+    /// Plugs a stylus in, with nothing on its tape.
+    fn stylus(&self) -> Fake {
+        self.tape.lock().unwrap().clear();
+        let tape = self.tape.clone();
+        let values = move |index: u64, channel: usize| {
+            let tape = tape.lock().unwrap();
+            let at = usize::try_from(index).unwrap();
+            // Off the tape, a step of noise.
+            tape.get(at).map_or((at * 7919 % 3) as i16, |sample| sample[channel])
+        };
+        let mut fake = Fake::with(&self.path("stylus"), Box::new(values));
+        fake.scales = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0 / 32_767.0];
+        fake
+    }
+
+    /// Puts a scan on the tape, to be sampled from the next sample on; gives its length in seconds.
+    fn play(&mut self, fake: &Fake, trial: &Trial, drag_s: f64) -> f64 {
+        let scan = scripted::scan(trial, drag_s, &mut self.noise);
+        let seconds = scan.len() as f64 / 10_000.0;
+        let mut tape = self.tape.lock().unwrap();
+        tape.resize(fake.next.unwrap_or(0) as usize, [0; 7]);
+        tape.extend(scan);
+        seconds
+    }
+
+    fn surfaced(&self, args: &[&str]) -> Surfaced {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+            .args(args)
+            .args(["--stylus", self.path("stylus").to_str().unwrap()])
+            .args(["--config", self.path("station.toml").to_str().unwrap(), "--json"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (tell, lines) = unbounded();
+        let stdout = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in stdout.lines() {
+                let _ = tell.send(serde_json::from_str(&line.unwrap()).unwrap());
+            }
+        });
+        let said = Arc::<Mutex<String>>::default();
+        let (stderr, saying) = (BufReader::new(child.stderr.take().unwrap()), said.clone());
+        std::thread::spawn(move || {
+            for line in stderr.lines() {
+                saying.lock().unwrap().push_str(&(line.unwrap() + "\n"));
+            }
+        });
+        Surfaced { child, lines, said }
+    }
+}
+
+/// A process of the program.
+struct Surfaced {
+    child: Child,
+    lines: Receiver<Value>,
+    said: Arc<Mutex<String>>,
+}
+
+impl Surfaced {
+    /// The next line of JSON, while the stylus goes on.
+    fn line(&self, fake: &mut Fake) -> Value {
+        let limit = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Ok(line) = self.lines.try_recv() {
+                return line;
+            }
+            assert!(Instant::now() < limit, "no line of JSON; {}", self.said());
+            fake.serve(0.05);
+        }
+    }
+
+    fn said(&self) -> String {
+        self.said.lock().unwrap().clone()
+    }
+
+    /// Waits until it has said this, while the stylus goes on.
+    fn until_said(&self, text: &str, mut fake: Option<&mut Fake>) {
+        let limit = Instant::now() + Duration::from_secs(60);
+        while !self.said().contains(text) {
+            assert!(Instant::now() < limit, "`{text}` was not said in: {}", self.said());
+            match &mut fake {
+                Some(fake) => fake.serve(0.05),
+                None => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+    }
+
+    fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+    }
+
+    /// Waits for its end, while the stylus goes on.
+    fn end(&mut self, fake: &mut Fake) -> ExitStatus {
+        let limit = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(Instant::now() < limit, "it does not end; {}", self.said());
+            fake.serve(0.05);
+        }
+    }
+}
+
+impl Drop for Surfaced {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn opened(path: &Path) -> Library {
+    recording::open(path, &Scene::lmt108()).unwrap()
+}
+
+#[test]
+fn scans_on_the_line_are_named_and_a_signal_ends_the_last_one_whole() {
+    let data = synthetic(2.0);
+    let mut bench = Bench::new();
+    let library = bench.library(&data);
+    let mut run = bench.surfaced(&["run", "--library", library.to_str().unwrap()]);
+    run.until_said("is absent", None);
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    for surface in [1, 0, 2] {
+        let seconds = bench.play(&fake, &trial(&data, surface, SCANNED), 2.0);
+        fake.serve(seconds);
+        let line = run.line(&mut fake);
+        assert_eq!(line["surface"], data.surfaces()[surface], "{line} {}", run.said());
+        assert_eq!(line["ranked"].as_array().unwrap().len(), 3);
+        assert_eq!(line["sources"], serde_json::json!(CHANNELS));
+        assert_eq!(line["lost_samples"], 0, "{}", run.said());
+        assert!((line["scan_s"].as_f64().unwrap() - 2.0).abs() < 0.05, "{line}");
+    }
+    // In the middle of a drag.
+    let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 2.0);
+    fake.serve(seconds - 1.2);
+    run.signal("TERM");
+    let line = run.line(&mut fake);
+    assert_eq!(line["surface"], data.surfaces()[1], "{line}");
+    assert_eq!(line["spoiled"], serde_json::json!([]), "{line}");
+    assert!((1.0..1.8).contains(&line["scan_s"].as_f64().unwrap()), "{line}");
+    assert_eq!(run.end(&mut fake).code(), Some(0), "{}", run.said());
+    for state in ["is absent", "is opening", "is streaming"] {
+        assert_eq!(run.said().matches(state).count(), 1, "{state}: {}", run.said());
+    }
+}
+
+#[test]
+fn what_was_enrolled_names_a_new_scan() {
+    let data = synthetic(1.5);
+    let mut bench = Bench::new();
+    let path = bench.path("mine");
+    let library = path.to_str().unwrap().to_string();
+    let mut fake = bench.stylus();
+    for surface in 0..2 {
+        let label = data.surfaces()[surface].to_string();
+        let args = ["enroll", &label, "--library", &library, "--trials", "2"];
+        let mut enroll = bench.surfaced(&args);
+        fake.wait_for_start();
+        for number in 1..=2 {
+            let seconds = bench.play(&fake, &trial(&data, surface, number), 1.5);
+            fake.serve(seconds);
+            let line = enroll.line(&mut fake);
+            assert_eq!(line["trial"], number, "{line} {}", enroll.said());
+            assert_eq!(line["wanted"], 2 - number);
+        }
+        assert_eq!(enroll.end(&mut fake).code(), Some(0), "{}", enroll.said());
+    }
+    let kept = opened(&path);
+    assert_eq!(kept.entries.len(), 4);
+    assert!(kept.entries.iter().all(|entry| entry.sources.len() == 4), "{:?}", kept.entries);
+    let mut run = bench.surfaced(&["run", "--library", &library]);
+    fake.wait_for_start();
+    for surface in [1, 0] {
+        let seconds = bench.play(&fake, &trial(&data, surface, SCANNED), 1.5);
+        fake.serve(seconds);
+        assert_eq!(run.line(&mut fake)["surface"], data.surfaces()[surface]);
+    }
+    run.signal("INT");
+    assert_eq!(run.end(&mut fake).code(), Some(0), "{}", run.said());
+}
+
+#[test]
+fn a_trial_that_is_too_short_by_its_own_t_star_or_clipped_is_refused() {
+    let data = synthetic(2.0);
+    let mut bench = Bench::new();
+    let strict = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n";
+    std::fs::write(bench.path("station.toml"), strict).unwrap();
+    let path = bench.path("mine");
+    let mut fake = bench.stylus();
+    let mut enroll =
+        bench.surfaced(&["enroll", "felt", "--library", path.to_str().unwrap(), "--trials", "1"]);
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 0, 1), 0.6);
+    fake.serve(seconds);
+    let line = enroll.line(&mut fake);
+    assert_eq!((&line["trial"], &line["wanted"]), (&Value::Null, &1.into()), "{line}");
+    assert!(line["remarks"].to_string().contains("too short"), "{line}");
+    // Half of the drag is at the converter's end.
+    let mut loud = trial(&data, 0, 2);
+    for (id, signal) in &mut loud.signals {
+        if let ("ac", surfaced::trial::Signal::Series(series)) = (id.as_str(), signal) {
+            let samples = series.samples().iter().map(|x| (x * 1e4).clamp(-1.0, 1.0)).collect();
+            *series = surfaced::trial::Series::new(series.rate_hz(), 3, samples).unwrap();
+        }
+    }
+    let seconds = bench.play(&fake, &loud, 2.0);
+    fake.serve(seconds);
+    let line = enroll.line(&mut fake);
+    assert!(line["trial"].is_null() && line["remarks"].to_string().contains("ac: "), "{line}");
+    enroll.signal("TERM");
+    assert_eq!(enroll.end(&mut fake).code(), Some(1), "{}", enroll.said());
+    assert!(enroll.said().contains("0 of 1 trials were recorded"), "{}", enroll.said());
+}
+
+#[test]
+fn a_stylus_that_disappears_spoils_its_scan_and_comes_back() {
+    let data = synthetic(2.0);
+    let mut bench = Bench::new();
+    let library = bench.library(&data);
+    let mut run = bench.surfaced(&["run", "--library", library.to_str().unwrap()]);
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 0, SCANNED), 2.0);
+    fake.serve(seconds - 1.7);
+    drop(fake);
+    run.until_said("is lost", None);
+    let mut fake = bench.stylus();
+    let line = run.line(&mut fake);
+    // As a gap, or cut short, if the new one took its time.
+    assert_ne!(line["spoiled"], serde_json::json!([]), "{line}");
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 2, SCANNED), 2.0);
+    fake.serve(seconds);
+    let line = run.line(&mut fake);
+    assert_eq!(line["surface"], data.surfaces()[2], "{line} {}", run.said());
+    assert_eq!(line["spoiled"], serde_json::json!([]), "{line}");
+    run.signal("TERM");
+    assert_eq!(run.end(&mut fake).code(), Some(3), "{}", run.said());
+}
+
+#[test]
+fn a_killed_enrolment_leaves_whole_trials() {
+    let data = synthetic(1.5);
+    let mut bench = Bench::new();
+    let path = bench.path("mine");
+    let args = ["enroll", "felt", "--library", path.to_str().unwrap(), "--trials", "50"];
+    let mut fake = bench.stylus();
+    let mut enroll = bench.surfaced(&args);
+    fake.wait_for_start();
+    for number in 1..=3 {
+        let seconds = bench.play(&fake, &trial(&data, 0, 1 + number % 2), 1.5);
+        fake.serve(seconds);
+        if number < 3 {
+            let line = enroll.line(&mut fake);
+            assert_eq!(line["trial"], number, "{line} {}", enroll.said());
+        }
+    }
+    // The third may be on its way to the disk, or not.
+    enroll.signal("KILL");
+    enroll.end(&mut fake);
+    let kept = opened(&path);
+    assert!((2..=3).contains(&kept.entries.len()), "{:?}", kept.entries);
+    for entry in &kept.entries {
+        assert_eq!(entry.load().unwrap().signals.len(), 4);
+    }
+    // And the next one goes on where this one was ended.
+    let enroll = bench.surfaced(&args);
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 0, 2), 1.5);
+    fake.serve(seconds);
+    assert_eq!(enroll.line(&mut fake)["trial"], kept.entries.len() + 1);
+}
+
+#[test]
+fn recording_keeps_every_scan_until_it_is_ended() {
+    let data = synthetic(0.8);
+    let mut bench = Bench::new();
+    let path = bench.path("mine");
+    let mut fake = bench.stylus();
+    let mut record = bench.surfaced(&["record", "--library", path.to_str().unwrap()]);
+    fake.wait_for_start();
+    for number in 1..=2 {
+        let seconds = bench.play(&fake, &trial(&data, number as usize, 1), 0.8);
+        fake.serve(seconds);
+        assert_eq!(record.line(&mut fake)["trial"], number);
+    }
+    record.signal("TERM");
+    assert_eq!(record.end(&mut fake).code(), Some(0), "{}", record.said());
+    let kept = opened(&path);
+    assert_eq!(kept.surfaces(), ["unlabelled"]);
+    assert_eq!(kept.entries.len(), 2);
+}
+
+#[test]
+fn a_configuration_or_a_library_that_cannot_be_is_told() {
+    let bench = Bench::new();
+    let said = |args: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_surfaced")).args(args).output().unwrap();
+        assert!(output.stdout.is_empty());
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, text) = said(&["run"]);
+    assert!(code == Some(2) && text.contains("--library"), "{text}");
+    let (code, text) = said(&["run", "--library", "/no/such/folder"]);
+    assert!(code == Some(1) && text.contains("surfaced enroll"), "{text}");
+    let wrong = bench.path("wrong.toml");
+    std::fs::write(&wrong, "format = 1\n[stylus]\nprot = 1\n").unwrap();
+    let (code, text) = said(&["run", "--config", wrong.to_str().unwrap(), "--library", "/"]);
+    assert!(code == Some(2) && text.contains("line 3") && text.contains("prot"), "{text}");
+    let (code, text) = said(&["enroll", " ", "--library", "/"]);
+    assert!(code == Some(2) && text.contains("expected a name"), "{text}");
+}
