@@ -12,7 +12,7 @@ fn library() -> Vec<Arc<FeatureVector>> {
             (surface / 2) as f64 * 300.0 + 30.0 * wobble(2),
             4.0,
         ];
-        of("x", &["a", "b", "c", "d"][surface], number, values)
+        of("x", ["a", "b", "c", "d"][surface], number, values)
     };
     (0..4).flat_map(|s| (1..=6).map(move |n| Arc::new(vector(s, n)))).collect()
 }
