@@ -205,7 +205,8 @@ impl Keys {
         let keys = Self;
         let _ = BEFORE.set(before);
         let read = move || {
-            for key in std::io::stdin().bytes() {
+            // One that has a lock and a buffer of its own.
+            for key in std::io::stdin().lock().bytes() {
                 let order = match key {
                     Ok(b' ') if scanning.load(Ordering::Acquire) => Order::Stop,
                     Ok(b' ') => Order::Start,

@@ -91,7 +91,7 @@ impl Keep {
             remarks: Vec::new(),
             wanted: 0,
         };
-        if !(wish.good_only && !remarks.is_empty()) {
+        if !wish.good_only || remarks.is_empty() {
             match self.write(scan, &wish, numbers) {
                 Ok((number, folder)) => {
                     enrolled.trial = Some(number);

@@ -157,7 +157,7 @@ impl Run<'_> {
                 return;
             }
             // A recording waits until its scans are named; nothing else may be kept waiting.
-            let reads = !finished && !(self.waits && !self.pending.is_empty());
+            let reads = !finished && (!self.waits || self.pending.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
             let told = self.worker.told.clone();
             let kept = self.keeper.as_ref().map_or_else(never, |keeper| keeper.kept.clone());

@@ -25,6 +25,9 @@ use crate::scene::{Phase, Scene, SourceId};
 /// Name of the microphone's stream, from which several sources are cut.
 const SOUND: &str = "sound";
 
+/// Names of sources, with their places in the file.
+type Names = Vec<Spanned<String>>;
+
 /// A file beside the defaults, and how its mistakes are told.
 struct Source<'a> {
     path: &'a Path,
@@ -187,7 +190,7 @@ impl Source<'_> {
         &self,
         said: &MicrophoneBlock,
         default: &MicrophoneBlock,
-    ) -> Result<Option<(MicrophoneConfig, Vec<Spanned<String>>)>, ConfigError> {
+    ) -> Result<Option<(MicrophoneConfig, Names)>, ConfigError> {
         let pick = match &said.channel {
             None => Pick::Mean,
             Some(channel) => match channel.get_ref().checked_sub(1) {
