@@ -36,8 +36,9 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
     assert_eq!(chart["sources"], json!(["ir", "mi2"]));
     let points = chart["points"].as_array().unwrap().clone();
     let with = |key: &str, value: Value| points.iter().filter(|p| p[key] == value).count();
-    for method in ["reference", "joint", "embedding"] {
-        assert!(with("method", json!(method)) >= 3, "{method}");
+    // Of the scan times, half a second alone is shorter than these drags.
+    for (method, least) in [("reference", 3), ("joint", 2), ("embedding", 3)] {
+        assert!(with("method", json!(method)) >= least, "{method}");
     }
     assert_eq!(with("control", json!(true)), 2);
     // Four settings are measured on the first half of a second, too.

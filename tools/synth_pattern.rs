@@ -96,7 +96,7 @@ fn change(d: &mut Difficulty, word: &str) -> Result<(), Box<dyn Error>> {
         acceleration_axis acceleration_slope acceleration_bump acceleration_centre friction_level
         friction_share friction_common friction_swing friction_correlation reflectance_level
         reflectance_width reflectance_skew reflectance_correlation metal_contact hue saturation
-        value contrast accent wavelength grain gloss light warmth flash flash_warmth
+        value contrast accent wavelength grain gloss light warmth flash
     );
     match (effect, values.as_slice(), name) {
         (Some(effect), &[centre, surface, user, trial], _) => {

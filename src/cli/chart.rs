@@ -126,7 +126,8 @@ fn measured(args: &Args) -> Result<Chart, Failure> {
         )));
     }
     let library = super::open(&args.lib)?;
-    let mut choice = choose(&library, &args.lib, &args.sources, args.protocol)?;
+    let scene = args.sources.narrow(library.scene.clone())?;
+    let mut choice = choose(&library, scene, args.protocol)?;
     if let Some(most) = args.surfaces {
         choice.keep_surfaces(most)?;
     }

@@ -1,9 +1,8 @@
 //! Which trials, sources and folds of some recordings a measurement works with.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 
-use super::{Failure, SourceArgs, shown};
+use super::Failure;
 use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
@@ -19,21 +18,13 @@ pub(super) struct Choice {
     pub folds: Vec<Fold>,
 }
 
-/// Narrows recordings to the sources that were asked for, and splits them into folds: by the
-/// protocol that was named, else users against the expert where the data allow it, else each trial
-/// against the same person's others.
+/// The trials of some recordings that hold any source of `scene`, as far as they do.
 ///
 /// # Errors
-/// If no trial holds any of the sources, or the protocol finds no folds.
-pub(super) fn choose(
-    library: &Library,
-    data: &Path,
-    sources: &SourceArgs,
-    protocol: Option<Protocol>,
-) -> Result<Choice, Failure> {
-    let scene = sources.narrow(library.scene.clone())?;
+/// If no trial does.
+pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Failure> {
     let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
+        .map(|entry| entry.clone().within(scene))
         .filter(|entry| !entry.sources.is_empty())
         .collect();
     if entries.is_empty() {
@@ -45,17 +36,26 @@ pub(super) fn choose(
         let held = if held.is_empty() { "none that is known".into() } else { held };
         return Err(Failure::Failed(format!(
             "{}: no trial holds {asked}; sources that the data hold: {held}",
-            shown(data)
+            library.name
         )));
     }
+    Ok(entries)
+}
+
+/// Narrows recordings to a scene, and splits them into folds: by the protocol that was named, else
+/// users against the expert where there are both, else each trial against the same person's others.
+///
+/// # Errors
+/// If no trial holds any of the scene's sources, or the protocol finds no folds.
+pub(super) fn choose(
+    library: &Library,
+    scene: Scene,
+    protocol: Option<Protocol>,
+) -> Result<Choice, Failure> {
+    let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds_of = |protocol| Ok::<_, Failure>((protocol, evaluate::folds(protocol, &keys)?));
-    let (protocol, folds) = match protocol {
-        Some(protocol) => folds_of(protocol)?,
-        None => {
-            folds_of(Protocol::ExpertVsUsers).or_else(|_| folds_of(Protocol::LeaveOneTrialOut))?
-        }
-    };
+    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
+    let folds = evaluate::folds(protocol, &keys)?;
     Ok(Choice { scene, entries, protocol, folds })
 }
 

@@ -264,7 +264,8 @@ pub fn run(args: &Args) -> Done {
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
     };
-    let choice = choose(&library, data, &args.sources, Some(protocol))?;
+    let scene = args.sources.narrow(library.scene.clone())?;
+    let choice = choose(&library, scene, Some(protocol))?;
     let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
     let cache = args.method.cache_beside(data);

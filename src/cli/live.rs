@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crossbeam_channel::Sender;
 
 use super::answers::AnswerArgs;
+use super::choose::within;
 use super::lines::JsonLines;
 use super::method::WithMethod;
 use super::plan::Comparing;
@@ -77,16 +78,17 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
     let (how, answers) = (how.clone(), answers.clone());
     Arc::new(move || {
         let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
-        let scene = match how.narrow(library.scene.clone()) {
-            Ok(scene) => scene,
+        let usable = || {
+            let scene = how.narrow(library.scene.clone())?;
+            let entries = within(&library, &scene)?;
+            Ok((scene, entries))
+        };
+        let (scene, entries) = match usable() {
+            Ok(usable) => usable,
             Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
                 return Err(text);
             }
         };
-        let entries: Vec<Entry> = (library.entries.iter())
-            .map(|entry| entry.clone().within(&scene))
-            .filter(|entry| !entry.sources.is_empty())
-            .collect();
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
         let beside = how.method.cache_beside(&path);
         let fit = Fit { scene: &scene, entries, state, beside, answers: &answers };

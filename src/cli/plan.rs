@@ -16,7 +16,7 @@ use crate::scene::Scene;
 /// Tries sources, scan times and methods by cross-validation inside the library, and writes what
 /// it found as a file that `surfaced replay --plan` takes.
 #[derive(clap::Args)]
-#[command(after_help = "Example: surfaced plan my-library --target 0.99 --out plan.toml")]
+#[command(after_help = "Example:\n  surfaced plan my-library --target 0.99 --out plan.toml")]
 pub struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,
@@ -105,7 +105,8 @@ impl Comparing {
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
-    let chosen = choose(&library, &args.lib, &args.sources, args.protocol)?;
+    let scene = args.sources.narrow(library.scene.clone())?;
+    let chosen = choose(&library, scene, args.protocol)?;
     let protocol = chosen.protocol;
     let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();

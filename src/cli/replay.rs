@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::answers::AnswerArgs;
+use super::choose::{Choice, choose, within};
 use super::lines::JsonLines;
 use super::method::{MethodArgs, WithMethod};
 use super::plan::{Comparing, PlanArgs};
@@ -21,7 +22,6 @@ use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
 use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
-use crate::trial::TrialKey;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -87,24 +87,13 @@ pub fn run(args: &Args) -> Done {
     how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
 }
 
-fn usable(how: &Comparing, library: &Library) -> Result<(Scene, Vec<Entry>), Failure> {
-    let scene = how.narrow(library.scene.clone())?;
-    let entries = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    Ok((scene, entries))
-}
-
 fn by_protocol(
     how: &Comparing,
     data: Library,
     protocol: Option<Protocol>,
 ) -> Result<Stage, Failure> {
-    let (scene, entries) = usable(how, &data)?;
-    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
-    let folds = evaluate::folds(protocol, &keys)?;
+    let scene = how.narrow(data.scene.clone())?;
+    let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
     eprintln!("each trial is named by {}", protocol.name());
     Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
 }
@@ -120,8 +109,9 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
     }
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
-    let (scene, mut entries) = usable(how, &library)?;
-    let (of_data, queries) = usable(how, &data)?;
+    let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
+    let mut entries = within(&library, &scene)?;
+    let queries = within(&data, &of_data)?;
     let fold = Fold {
         name: "library".into(),
         library: (0..entries.len()).collect(),

@@ -2,16 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use super::choose::{Choice, choose};
 use super::method::{MethodArgs, WithMethod, at_least_one};
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, MethodReport, Plan, Report, disturb, figure,
 };
-use crate::evaluate::{self, EvaluateError, Protocol};
-use crate::library::Entry;
+use crate::evaluate::{EvaluateError, Protocol};
 use crate::recognise::{Method, MethodName};
 use crate::scene::SourceSpec;
-use crate::trial::EXPERT;
 
 /// Disturb queries, and the library, until each method breaks
 ///
@@ -68,18 +67,8 @@ impl WithMethod for Run<'_> {
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let scene = args.sources.narrow(library.scene.clone())?;
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(&scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
-    let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let has_users = keys.iter().any(|key| key.user != EXPERT);
-    let protocol = args.protocol.unwrap_or(if has_users {
-        Protocol::ExpertVsUsers
-    } else {
-        Protocol::LeaveOneTrialOut
-    });
-    let folds = Plan::limited(evaluate::folds(protocol, &keys)?, args.queries);
+    let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.protocol)?;
+    let folds = Plan::limited(folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
         .collect();

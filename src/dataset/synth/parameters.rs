@@ -141,8 +141,6 @@ pub struct Difficulty {
     pub warmth: Effect,
     /// ln of the light with flash
     pub flash: Effect,
-    /// warmth of that light, as the camera balances it
-    pub flash_warmth: Effect,
 }
 
 impl Difficulty {
@@ -225,7 +223,6 @@ impl Default for Difficulty {
             light: e(0.0, 0.0, 0.12, 0.03),
             warmth: e(0.0, 0.0, 0.05, 0.01),
             flash: e(0.25, 0.0, 0.15, 0.06),
-            flash_warmth: e(0.0, 0.0, 0.0, 0.0),
         }
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
 /// Light on red, green and blue; 1 is the expert's room.
 fn illumination(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> [f64; 3] {
     let (light, warmth) = if flash {
-        (draws.value("flash", d.flash), draws.value("flash warmth", d.flash_warmth))
+        (draws.value("flash", d.flash), 0.0)
     } else {
         (draws.value("light", d.light), draws.value("warmth", d.warmth))
     };

@@ -23,7 +23,7 @@
 //! |---|---|---|
 //! | LMT108's dragging sounds, 20 surfaces, one person | `mi2`, first 2.0 s | 200 of 200 |
 //! | synthetic, 5 surfaces × 4 trials, all sources | `ca1` | 20 of 20, too few to show 99 % |
-//! | synthetic, 108 surfaces × 3 trials, all sources | `ca1` | 324 of 324 |
+//! | synthetic, 108 surfaces × 3 trials, `ca1` `mi1` `ir` `fr` `me` | `ca1` | 324 of 324 |
 //!
 //! Without its camera, the synthetic scene of 108 surfaces needs several sources; `tests/plan.rs`
 //! says how well they do.
