@@ -92,6 +92,8 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
                     let player = server.client("paplay").arg("-d").arg(SINK).arg(&path).spawn();
                     playing = Some((Instant::now(), player.unwrap()));
                 }
+                // A server that has just started may take a while over its first sound.
+                ReportKind::State { state: DeviceState::Stalled, .. } if playing.is_none() => {}
                 ReportKind::State { state, detail } => panic!("{state}: {detail}"),
                 ReportKind::Warning(text) => warnings.push(text),
                 other => panic!("{other:?}"),
@@ -108,7 +110,9 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     // As much sound as time has passed, but for what the server's buffer held or holds.
     assert!((heard_s - open_s).abs() < 0.5, "{heard_s} s of sound in {open_s} s");
 
-    let (correlation, at) = find(&sound, &heard);
+    // The server's sink may swallow a little while it starts and stops to play.
+    let rim = (0.1 * f64::from(RATE_HZ)) as usize;
+    let (correlation, at) = find(&sound[rim..sound.len() - rim], &heard);
     eprintln!(
         "captured {heard_s:.3} s in {open_s:.3} s, none lost; the sound is at {:.3} s with a \
          correlation of {correlation:.6}; {warnings:?}",

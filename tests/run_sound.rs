@@ -44,7 +44,7 @@ fn dragging_sounds_are_named_against_the_other_trials() {
     std::fs::write(&config, STATION).unwrap();
     let surfaces = library(&data, &to);
     let mut run = Command::new(env!("CARGO_BIN_EXE_surfaced"))
-        .args(["run", "--json", "--library", to.to_str().unwrap()])
+        .args(["run", "--json", "--method", "embedding", "--library", to.to_str().unwrap()])
         .args(["--config", config.to_str().unwrap()])
         .env("ALSA_CONFIG_PATH", server.alsa())
         .env("HOME", dir.path())

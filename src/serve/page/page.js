@@ -39,11 +39,11 @@ function hide(id, hidden) {
   $(id).hidden = hidden;
 }
 
+const times = (ratio) => (ratio >= 1000 ? "> 1000 ×" : `${ratio.toFixed(ratio < 10 ? 1 : 0)} ×`);
+
 // How sure an answer is, in words: by its probability where the method gives one.
 function sureness(answer) {
-  if (answer.confidence !== null) return percent(answer.confidence);
-  const times = Math.exp(answer.margin);
-  return times >= 1000 ? "> 1000 ×" : `${times.toFixed(times < 10 ? 1 : 0)} ×`;
+  return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
 }
 
 function sureText(answer) {
@@ -67,10 +67,13 @@ function runner(name, share, text) {
   return item;
 }
 
+// Scores are inverse probabilities where the method gives these, and else distances.
 function answerRunners(answer) {
   const best = answer.ranked[0]?.score ?? 1;
-  const share = (score) => (score > 0 ? best / score : 1);
-  return answer.ranked.slice(0, 4).map(({ surface, score }) => runner(surface, share(score), percent(share(score))));
+  const share = (score) => (answer.confidence !== null ? 1 / score : score > 0 ? best / score : 1);
+  const text = (score) =>
+    answer.confidence !== null ? percent(1 / score) : score > best ? `${times(score / best)} as far` : "nearest";
+  return answer.ranked.slice(0, 4).map(({ surface, score }) => runner(surface, share(score), text(score)));
 }
 
 function showNow() {
