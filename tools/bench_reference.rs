@@ -216,9 +216,10 @@ fn library(query: bool, halving: bool, cache: bool) {
                 *right += usize::from(*answer == entry.key.surface);
             }
             all += 1;
-            eprint!("\rcomparing {all} of {queries}  ");
+            if all % 50 == 0 {
+                eprintln!("compared {all} of {queries}");
+            }
         }
-        eprintln!();
         println!(
             "halving: the same label in {same} of {all} queries; right: exact {}, halving {}",
             right[0], right[1]

@@ -2,7 +2,7 @@
 
 use super::eval::share;
 use super::show;
-use crate::recognise::{Method, Rejection, RejectionError, Settling};
+use crate::recognise::{AnyMethod, Rejection, RejectionError, Settling};
 use crate::station::ByMethod;
 
 /// When answers are settled, and which scans are called unknown.
@@ -34,7 +34,7 @@ impl AnswerArgs {
     ///
     /// # Errors
     /// If unknown surfaces were asked for that cannot be told.
-    pub fn apply<M: Method>(&self, by: &mut ByMethod<M>) -> Result<Applied, RejectionError> {
+    pub fn apply(&self, by: &mut ByMethod<AnyMethod>) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections() > 0.0 {
             match by.tell_unknown(self.false_rejections()) {

@@ -7,9 +7,10 @@ use clap::Parser;
 
 use super::choose::{Choice, choose};
 use super::eval::{Also, Evaluation};
-use super::method::{MethodArgs, WithMethod, at_least_one};
+use super::method::{MethodArgs, at_least_one};
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, Protocol, figure};
+use crate::recognise::AnyMethod;
 use crate::scene::{Domain, Phase, Scene, SourceId};
 use crate::trial::Signal;
 
@@ -192,7 +193,7 @@ fn measure(choice: &Choice, plan: &Plan) -> Result<Vec<(Outcome, Vec<Prediction>
     };
     let setting = match plan.kind {
         Kind::Loudness => match Loudness::new(&plan.scene) {
-            Some(loudness) => return Ok(evaluation.with(loudness)?.each),
+            Some(loudness) => return Ok(evaluation.of(&AnyMethod::new(loudness))?.each),
             None => return Ok(Vec::new()),
         },
         Kind::Control => SUBSETS_BY,
@@ -200,7 +201,7 @@ fn measure(choice: &Choice, plan: &Plan) -> Result<Vec<(Outcome, Vec<Prediction>
     };
     // The settings above are options of this very program; a test parses them.
     let options = Options::try_parse_from(words(setting))?;
-    Ok(options.method.apply(&plan.scene, evaluation)?.each)
+    Ok(evaluation.of(&options.method.method(&plan.scene)?)?.each)
 }
 
 fn words(setting: &str) -> impl Iterator<Item = &str> {

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose};
-use super::method::{MethodArgs, WithMethod};
+use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
 use crate::evaluate::first_seconds;
@@ -17,7 +17,7 @@ use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
-use crate::recognise::{Method, without_flawed};
+use crate::recognise::{AnyMethod, without_flawed};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -134,7 +134,7 @@ impl From<Prediction> for Answer {
     }
 }
 
-/// An evaluation, for whichever method it is done with.
+/// What a method is evaluated on.
 pub(super) struct Evaluation<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
@@ -165,10 +165,12 @@ pub(super) struct Evaluated {
     pub unknown: Option<UnknownOutcome>,
 }
 
-impl WithMethod for Evaluation<'_> {
-    type Output = Result<Evaluated, EvaluateError>;
-
-    fn with(self, method: impl Method + 'static) -> Self::Output {
+impl Evaluation<'_> {
+    /// Evaluates a method.
+    ///
+    /// # Errors
+    /// If a trial cannot be read or compared.
+    pub fn of(&self, method: &AnyMethod) -> Result<Evaluated, EvaluateError> {
         let steps = show::Steps::new();
         let left_out = LeftOut::default();
         let (scene, seconds) = (self.scene, self.seconds);
@@ -177,7 +179,7 @@ impl WithMethod for Evaluation<'_> {
         };
         let progress = |step, done, of| steps.tell(step, done, of);
         let prepared =
-            evaluate::prepare_folds(&method, self.entries, self.folds, self.cache, &progress)?;
+            evaluate::prepare_folds(method, self.entries, self.folds, self.cache, &progress)?;
         for remark in &prepared.remarks {
             eprintln!("{remark}");
         }
@@ -185,13 +187,13 @@ impl WithMethod for Evaluation<'_> {
         let Also { settle, leave_out, false_rejections } = self.also;
         let settled = settle.map(|loss| {
             let limits = (loss, None);
-            evaluate::run_settled(&method, scene, entries, folds, prepared, limits, &progress)
+            evaluate::run_settled(method, scene, entries, folds, prepared, limits, &progress)
         });
         let settled = settled.transpose()?;
         let unknown = leave_out.map(|groups| {
             let how = (groups, false_rejections);
             evaluate::run_unknown(
-                &method,
+                method,
                 entries,
                 folds,
                 prepared,
@@ -203,7 +205,7 @@ impl WithMethod for Evaluation<'_> {
         let unknown = unknown.transpose()?;
         let variants = seconds.len();
         let each = evaluate::run_variants(
-            &method, entries, folds, prepared, variants, as_query, &progress,
+            method, entries, folds, prepared, variants, as_query, &progress,
         )?;
         drop(steps);
         left_out.tell();
@@ -275,7 +277,7 @@ pub fn run(args: &Args) -> Done {
         false_rejections: args.answers.false_rejections(),
     };
     let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
-    let mut done = args.method.apply(scene, evaluation)?;
+    let mut done = evaluation.of(&args.method.method(scene)?)?;
     // There is one length, so one outcome.
     let (outcome, predictions) = done.each.swap_remove(0);
     let report = Report {

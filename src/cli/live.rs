@@ -8,7 +8,6 @@ use crossbeam_channel::Sender;
 use super::answers::AnswerArgs;
 use super::choose::within;
 use super::lines::JsonLines;
-use super::method::WithMethod;
 use super::plan::Comparing;
 use super::serve::ServeArgs;
 use super::supervisor::Supervisor;
@@ -16,7 +15,6 @@ use super::terminal::{Keys, Terminal, watch_signals};
 use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
-use crate::library::Entry;
 use crate::recognise::{LOOK_S, Method, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::Scene;
@@ -81,9 +79,10 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
         let usable = || {
             let scene = how.narrow(library.scene.clone())?;
             let entries = within(&library, &scene)?;
-            Ok((scene, entries))
+            let method = how.method.method(&scene)?;
+            Ok((scene, entries, method))
         };
-        let (scene, entries) = match usable() {
+        let (scene, entries, method) = match usable() {
             Ok(usable) => usable,
             Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
                 return Err(text);
@@ -91,34 +90,16 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
         };
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
         let beside = how.method.cache_beside(&path);
-        let fit = Fit { scene: &scene, entries, state, beside, answers: &answers };
-        how.method.apply(&scene, fit)
-    })
-}
-
-struct Fit<'a> {
-    scene: &'a Scene,
-    entries: Vec<Entry>,
-    state: LibraryState,
-    beside: Option<&'a Path>,
-    answers: &'a AnswerArgs,
-}
-
-impl WithMethod for Fit<'_> {
-    type Output = Result<Arc<dyn Recogniser>, String>;
-
-    fn with(self, method: impl Method + 'static) -> Self::Output {
-        let Self { scene, entries, state, beside, answers } = self;
         let all = (0..entries.len()).collect();
         let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
         let trials = prepared.trials.into_iter().flatten().collect();
         let model = method.fit(trials).map_err(|error| error.to_string())?;
-        let needs = Needs::of(scene, entries, state.synthetic);
+        let needs = Needs::of(&scene, entries, state.synthetic);
         let mut by = ByMethod::new(method, model, needs, state);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
-        Ok(Arc::new(by))
-    }
+        Ok(Arc::new(by) as Arc<dyn Recogniser>)
+    })
 }
 
 /// Makes a listener that may give orders.

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use crate::evaluate::plan::Setting;
+use super::Failure;
+use crate::evaluate::plan::{Plan, Setting};
 use crate::recognise::classify::{
     AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
 };
-use crate::recognise::features::FeatureVector;
 use crate::recognise::{
-    Embedding, EmbeddingOptions, Joint, Method, MethodName, PositionMode, Precision, Reference,
-    ReferenceOptions, STAGES,
+    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, PositionMode,
+    Precision, Reference, ReferenceOptions, STAGES, metal_detector,
 };
 use crate::scene::Scene;
 
@@ -55,6 +55,9 @@ pub struct MethodArgs {
     /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
+    /// Compare with surfaces of matching conductivity alone, by the metal detector
+    #[arg(long)]
+    by_conductivity: bool,
     /// Do not tabulate library sums: quicker to prepare, slower to compare
     #[arg(long)]
     no_tables: bool,
@@ -68,35 +71,6 @@ pub fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(0) | Err(_) => Err("expected a whole number, 1 or more".into()),
         Ok(number) => Ok(number),
-    }
-}
-
-/// Work that any method can do.
-pub trait WithMethod {
-    /// What comes of it.
-    type Output;
-
-    /// Does the work.
-    fn with(self, method: impl Method + 'static) -> Self::Output;
-}
-
-/// Work that methods on hand-made features can do.
-pub trait WithClassifier {
-    /// What comes of it.
-    type Output;
-
-    /// Does the work.
-    fn with(self, method: impl Method<Prepared = FeatureVector> + 'static) -> Self::Output;
-}
-
-/// Work for any method, done with a classifier.
-struct AnyMethod<W>(W);
-
-impl<W: WithMethod> WithClassifier for AnyMethod<W> {
-    type Output = W::Output;
-
-    fn with(self, method: impl Method<Prepared = FeatureVector> + 'static) -> W::Output {
-        self.0.with(method)
     }
 }
 
@@ -114,57 +88,59 @@ impl MethodArgs {
             harmonics: None,
             no_discriminant: false,
             halving: true,
+            by_conductivity: false,
             no_tables: false,
             no_cache: true,
         }
     }
 
-    /// Does `work` with the method that was asked for, on the sources of `scene`.
-    pub fn apply<W: WithMethod>(&self, scene: &Scene, work: W) -> W::Output {
-        let work = match self.apply_to_features(scene, AnyMethod(work)) {
-            Ok(output) => return output,
-            Err(AnyMethod(work)) => work,
+    /// The method that was asked for, on the sources of a scene.
+    ///
+    /// # Errors
+    /// Wrong usage, if surfaces are to be told apart by a metal detector that the scene lacks.
+    pub fn method(&self, scene: &Scene) -> Result<AnyMethod, Failure> {
+        let method = self.on_all_surfaces(scene);
+        if !self.by_conductivity {
+            return Ok(method);
+        }
+        let Some(detector) = metal_detector(scene) else {
+            let text = "--by-conductivity needs a metal detector among the sources, such as `me`";
+            return Err(Failure::Usage(text.into()));
         };
+        Ok(AnyMethod::new(ByConductivity::new(method, detector.clone())))
+    }
+
+    fn on_all_surfaces(&self, scene: &Scene) -> AnyMethod {
+        let (scene, seed) = (scene.clone(), self.seed);
+        let neighbours =
+            |scene, distance| AnyMethod::new(OnFeatures::new(scene, Neighbours { distance }));
         match self.method {
-            MethodName::Joint => work.with(Joint::new(scene.clone())),
-            MethodName::Embedding => {
-                work.with(Embedding::new(scene.clone(), self.embedding_options()))
+            MethodName::Reference => {
+                AnyMethod::new(Reference::new(scene, self.reference_options()))
             }
-            _ => work.with(Reference::new(scene.clone(), self.reference_options())),
+            MethodName::Joint => AnyMethod::new(Joint::new(scene)),
+            MethodName::Embedding => {
+                AnyMethod::new(Embedding::new(scene, self.embedding_options()))
+            }
+            MethodName::NaiveBayes => AnyMethod::new(OnFeatures::new(scene, NaiveBayes)),
+            MethodName::Svm => AnyMethod::new(OnFeatures::new(scene, Svm)),
+            MethodName::Knn => neighbours(scene, Distance::Euclidean),
+            MethodName::Mahalanobis => neighbours(scene, Distance::Mahalanobis),
+            MethodName::Adaboost => AnyMethod::new(OnFeatures::new(scene, AdaBoost { seed })),
+            MethodName::RandomForest => {
+                AnyMethod::new(OnFeatures::new(scene, RandomForest { seed }))
+            }
         }
     }
 
     /// These settings, but for what a plan says.
-    pub fn planned(&self, setting: Setting) -> Self {
-        let planned = Self { method: setting.method(), ..self.clone() };
-        match setting {
+    pub fn planned(&self, plan: &Plan) -> Self {
+        let (method, by_conductivity) = (plan.setting.method(), plan.by_conductivity);
+        let planned = Self { method, by_conductivity, ..self.clone() };
+        match plan.setting {
             Setting::Reference { n, repetitions } => Self { n, repetitions, ..planned },
             Setting::Joint | Setting::Embedding => planned,
         }
-    }
-
-    /// The same, if the method works on hand-made features; else gives the work back.
-    ///
-    /// # Errors
-    /// The work itself, if the method needs recordings.
-    pub fn apply_to_features<W: WithClassifier>(
-        &self,
-        scene: &Scene,
-        work: W,
-    ) -> Result<W::Output, W> {
-        let seed = self.seed;
-        let neighbours = |distance| OnFeatures::new(scene.clone(), Neighbours { distance });
-        Ok(match self.method {
-            MethodName::NaiveBayes => work.with(OnFeatures::new(scene.clone(), NaiveBayes)),
-            MethodName::Svm => work.with(OnFeatures::new(scene.clone(), Svm)),
-            MethodName::Knn => work.with(neighbours(Distance::Euclidean)),
-            MethodName::Mahalanobis => work.with(neighbours(Distance::Mahalanobis)),
-            MethodName::Adaboost => work.with(OnFeatures::new(scene.clone(), AdaBoost { seed })),
-            MethodName::RandomForest => {
-                work.with(OnFeatures::new(scene.clone(), RandomForest { seed }))
-            }
-            MethodName::Reference | MethodName::Joint | MethodName::Embedding => return Err(work),
-        })
     }
 
     /// The settings of `embedding`.

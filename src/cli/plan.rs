@@ -36,43 +36,46 @@ pub struct Args {
     json: bool,
 }
 
-/// A plan to compare by, for commands that name scans.
-#[derive(Clone, Debug, clap::Args)]
-pub struct PlanArgs {
+/// How to compare, or a plan that says so, for commands that name scans.
+#[derive(clap::Args)]
+pub struct ComparingArgs {
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    method: MethodArgs,
     /// Compare as this plan says, which `surfaced plan` has written
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving", "no_discriminant"
+        "halving", "no_discriminant", "harmonics", "by_conductivity"
     ])]
     plan: Option<PathBuf>,
 }
 
-impl PlanArgs {
+impl ComparingArgs {
     /// What the plan says, if there is one, or else the other arguments; tells people so.
     ///
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
-    pub fn resolve(
-        &self,
-        sources: &SourceArgs,
-        method: &MethodArgs,
-        query_seconds: Option<f64>,
-    ) -> Result<Comparing, Failure> {
-        let sources = sources.clone();
+    pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
+        let sources = self.sources.clone();
         let Some(path) = &self.plan else {
-            let method = method.clone();
+            let method = self.method.clone();
             return Ok(Comparing { plan: None, sources, method, query_seconds });
         };
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
-        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        let mut used =
+            plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        if plan.by_conductivity {
+            used += ", surfaces of matching conductivity alone";
+        }
         eprintln!(
             "plan for {}: {} by {}{used}",
             plan.library,
             names.join(" + "),
             plan.setting.method().name()
         );
-        let (method, query_seconds) = (method.planned(plan.setting), plan.scan_s);
+        let (method, query_seconds) = (self.method.planned(&plan), plan.scan_s);
         Ok(Comparing { plan: Some(plan), sources, method, query_seconds })
     }
 }

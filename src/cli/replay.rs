@@ -1,23 +1,22 @@
 //! `surfaced replay`: plays recordings through the rings as if they were live, and names them.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
 use super::lines::JsonLines;
-use super::method::{MethodArgs, WithMethod};
-use super::plan::{Comparing, PlanArgs};
+use super::plan::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
 use super::terminal::watch_signals;
-use super::{Done, Failure, SourceArgs, live, show};
+use super::{Done, Failure, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{LOOK_S, Method, RecogniseError};
+use crate::recognise::{AnyMethod, AnyModel, LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
@@ -46,11 +45,7 @@ pub struct Args {
     #[arg(long, value_enum, conflicts_with = "library")]
     protocol: Option<Protocol>,
     #[command(flatten)]
-    sources: SourceArgs,
-    #[command(flatten)]
-    method: MethodArgs,
-    #[command(flatten)]
-    plan: PlanArgs,
+    comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
@@ -74,7 +69,7 @@ pub(super) struct Stage {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let how = args.plan.resolve(&args.sources, &args.method, args.query_seconds)?;
+    let how = args.comparing.resolve(args.query_seconds)?;
     let stage = match (&args.data, &args.library) {
         (None, _) => {
             let scene = synth::embedded();
@@ -84,7 +79,7 @@ pub fn run(args: &Args) -> Done {
         (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    how.method.apply(&stage.scene, Player { args, how: &how, stage: &stage })
+    play(args, &how, &stage)
 }
 
 fn by_protocol(
@@ -121,72 +116,75 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
     Ok(Stage { scene: of_data.with(scene), entries, folds: vec![fold], synthetic })
 }
 
-struct Player<'a> {
-    args: &'a Args,
-    how: &'a Comparing,
-    stage: &'a Stage,
+/// Plays the stage's queries, and names them.
+fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
+    let (recogniser, follows) = recogniser(args, how, stage)?;
+    let queries: Vec<Entry> = (stage.queries())
+        .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
+        .collect();
+    let mut tally = Tally::new(!args.json, queries.len());
+    let device = Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
+    let progress_every_s = follows.then_some(LOOK_S);
+    let options = args.serve.options(Options { progress_every_s, ..Options::default() });
+    let mut station = Station::new(vec![Box::new(device)], options)
+        .recogniser(Arc::new(recogniser))
+        .listener(&mut tally);
+    if args.json {
+        station = station.listener(JsonLines);
+    }
+    let library = args.library.as_ref().filter(|_| args.serve.asked());
+    if let Some(folder) = library {
+        let load = live::load(folder, &stage.scene, how, &args.answers);
+        station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+    }
+    let address = Settings::default().address;
+    let (station, server) = args.serve.start(station, address, library.is_some())?;
+    let signals = match &server {
+        Some(_) => Some(watch_signals(station.orders())?),
+        None => None,
+    };
+    let totals = station.run()?;
+    tally.sum_up(stage.synthetic);
+    if let (Some(server), Some(signals)) = (server, signals) {
+        // What is known is shown until somebody says that it is enough.
+        signals.wait();
+        server.stop();
+    }
+    if let Some((name, error)) = totals.failed.first() {
+        return Err(Failure::Failed(format!("{name}: {error}")));
+    }
+    tally.verdict(totals.lost())
 }
 
-impl WithMethod for Player<'_> {
-    type Output = Done;
-
-    fn with(self, method: impl Method + 'static) -> Done {
-        let Self { args, how, stage } = self;
-        let models = models(&method, stage)?;
-        let mut fold_of = BTreeMap::new();
-        let mut queries = Vec::new();
-        for (index, fold) in stage.folds.iter().enumerate() {
-            for &query in &fold.queries {
-                fold_of.insert(stage.entries[query].key.clone(), index);
-                let entry = &stage.entries[query];
-                queries.push(first_seconds(entry, &stage.scene, how.query_seconds));
-            }
-        }
-        let total = queries.len();
-        let device =
-            Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
-        let compared = stage.compared();
-        let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
-        let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-        let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
-        let applied = args.answers.apply(&mut recogniser)?;
-        applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
-        let progress_every_s = applied.follows.then_some(LOOK_S);
-        let options = Options { progress_every_s, ..Options::default() };
-        let mut tally = Tally::new(!args.json, total);
-        let options = args.serve.options(options);
-        let mut station = Station::new(vec![Box::new(device)], options)
-            .recogniser(Arc::new(recogniser))
-            .listener(&mut tally);
-        if args.json {
-            station = station.listener(JsonLines);
-        }
-        let library = args.library.as_ref().filter(|_| args.serve.asked());
-        if let Some(folder) = library {
-            let load = live::load(folder, &stage.scene, how, &args.answers);
-            station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
-        }
-        let address = Settings::default().address;
-        let (station, server) = args.serve.start(station, address, library.is_some())?;
-        let signals = match &server {
-            Some(_) => Some(watch_signals(station.orders())?),
-            None => None,
-        };
-        let totals = station.run()?;
-        tally.sum_up(stage.synthetic);
-        if let (Some(server), Some(signals)) = (server, signals) {
-            // What is known is shown until somebody says that it is enough.
-            signals.wait();
-            server.stop();
-        }
-        if let Some((name, error)) = totals.failed.first() {
-            return Err(Failure::Failed(format!("{name}: {error}")));
-        }
-        tally.verdict(totals.lost())
-    }
+/// What names the queries, each by the library of its fold, and whether it follows scans while they
+/// go on; tells people what its answers rest on.
+fn recogniser(
+    args: &Args,
+    how: &Comparing,
+    stage: &Stage,
+) -> Result<(ByMethod<AnyMethod>, bool), Failure> {
+    let method = how.method.method(&stage.scene)?;
+    let models = models(&method, stage)?;
+    let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
+    let compared = stage.compared();
+    let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
+    let needs = Needs::of(&stage.scene, compared, stage.synthetic);
+    let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+    let applied = args.answers.apply(&mut recogniser)?;
+    applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+    Ok((recogniser, applied.follows))
 }
 
 impl Stage {
+    /// The queries, each with its fold.
+    fn queries(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        let of_fold = |(index, fold): (usize, &'_ Fold)| {
+            fold.queries.clone().into_iter().map(move |query| (index, query))
+        };
+        let all = self.folds.iter().enumerate().flat_map(of_fold);
+        all.map(|(fold, query)| (fold, &self.entries[query]))
+    }
+
     /// The trials that stand in the library of some fold.
     fn compared(&self) -> Vec<Entry> {
         let folds = self.folds.iter();
@@ -195,7 +193,7 @@ impl Stage {
     }
 }
 
-fn models<M: Method>(method: &M, stage: &Stage) -> Result<Vec<M::Model>, RecogniseError> {
+fn models(method: &AnyMethod, stage: &Stage) -> Result<Vec<AnyModel>, RecogniseError> {
     let steps = show::Steps::new();
     let wanted: BTreeSet<usize> = stage.folds.iter().flat_map(|f| f.library.clone()).collect();
     let progress = |step, done, of| steps.tell(step, done, of);

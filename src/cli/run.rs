@@ -2,9 +2,8 @@
 
 use super::answers::AnswerArgs;
 use super::live::{StationArgs, Work, library_of, load, verdict, work};
-use super::method::MethodArgs;
-use super::plan::PlanArgs;
-use super::{Done, Failure, SourceArgs, shown};
+use super::plan::ComparingArgs;
+use super::{Done, Failure, shown};
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
@@ -18,18 +17,14 @@ pub struct Args {
     #[command(flatten)]
     station: StationArgs,
     #[command(flatten)]
-    sources: SourceArgs,
-    #[command(flatten)]
-    method: MethodArgs,
-    #[command(flatten)]
-    plan: PlanArgs,
+    comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let how = args.plan.resolve(&args.sources, &args.method, None)?;
+    let how = args.comparing.resolve(None)?;
     let mut config = args.station.config()?;
     if let Some(plan) = &how.plan {
         config = config.only(&plan.sources);

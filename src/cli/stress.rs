@@ -3,13 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use super::choose::{Choice, choose};
-use super::method::{MethodArgs, WithMethod, at_least_one};
+use super::method::{MethodArgs, at_least_one};
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::stress::{
-    self, Disturbance, Measure, MethodReport, Plan, Report, disturb, figure,
-};
-use crate::evaluate::{EvaluateError, Protocol};
-use crate::recognise::{Method, MethodName};
+use crate::evaluate::Protocol;
+use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
+use crate::recognise::MethodName;
 use crate::scene::SourceSpec;
 
 /// Disturb queries, and the library, until each method breaks
@@ -52,17 +50,6 @@ pub struct Args {
     json: bool,
 }
 
-struct Run<'a>(&'a Plan<'a>);
-
-impl WithMethod for Run<'_> {
-    type Output = Result<MethodReport, EvaluateError>;
-
-    fn with(self, method: impl Method + 'static) -> Self::Output {
-        let steps = show::Steps::new();
-        stress::run(&method, self.0, &|step, done, of| steps.tell(step, done, of))
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
@@ -97,7 +84,11 @@ pub fn run(args: &Args) -> Done {
         if args.methods.is_empty() { MethodName::all() } else { &args.methods };
     for (done, method) in methods.iter().enumerate() {
         eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
-        report.methods.push(MethodArgs::quick(*method).apply(&scene, Run(&plan))?);
+        let method = MethodArgs::quick(*method).method(&scene)?;
+        let steps = show::Steps::new();
+        let told = stress::run(&method, &plan, &|step, done, of| steps.tell(step, done, of))?;
+        drop(steps);
+        report.methods.push(told);
         // What is done stays, should a later method fail or a person lose patience.
         write(&args.out, &report)?;
     }

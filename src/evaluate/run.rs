@@ -105,18 +105,20 @@ pub fn run_variants<M: Method>(
 /// answer.
 ///
 /// # Errors
-/// If a trial cannot be compared.
-pub fn run_features<M: Method<Prepared = FeatureVector>>(
+/// If a trial cannot be compared, or the method needs recordings.
+pub fn run_features<M: Method>(
     method: &M,
-    trials: &[Arc<FeatureVector>],
+    trials: &[FeatureVector],
     folds: &[Fold],
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let prepared: Vec<_> = trials.iter().cloned().map(Some).collect();
+    let prepare = |trial: &FeatureVector| method.of_features(trial.clone()).map(Arc::new);
+    let prepared: Vec<_> = trials.iter().map(prepare).collect();
     let keys = |i: usize| &trials[i].key;
     let mut all = name_queries(method, &keys, folds, &prepared, 1, progress, |model, i, _| {
+        let query = prepared[i].as_ref().ok_or(RecogniseError::NeedsRecordings(method.name()))?;
         let start = Instant::now();
-        Ok((method.rank(model, &trials[i])?, start))
+        Ok((method.rank(model, query)?, start))
     })?;
     Ok(all.swap_remove(0))
 }

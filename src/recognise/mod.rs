@@ -4,9 +4,11 @@
 //! prepared library, and ranks the library's surfaces for a prepared query. [`Reference`] is the
 //! paper's method, exactly.
 
+mod any;
 pub mod classify;
 mod colour;
 mod compare;
+mod conductivity;
 mod domain;
 pub mod embedding;
 pub mod features;
@@ -34,8 +36,10 @@ mod spectrum;
 mod storage;
 mod unknown;
 
+pub use any::{AnyMethod, AnyModel, AnyPrepared};
 pub use colour::hsv;
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
+pub use conductivity::{ByConductivity, metal_detector};
 pub use domain::DomainSamples;
 pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
 pub use flawed::without_flawed;
@@ -59,6 +63,7 @@ pub use unknown::{Conformity, Rejection, RejectionError, strangeness};
 
 use std::sync::Arc;
 
+use self::features::FeatureVector;
 use crate::library::{Entry, LibraryError};
 use crate::scene::SourceId;
 use crate::trial::Trial;
@@ -103,6 +108,12 @@ pub enum RecogniseError {
         /// the library's trial
         trial: String,
     },
+    /// features alone, by a method that compares recordings
+    #[error(
+        "{0} needs recordings; on feature tables use naive-bayes, svm, knn, mahalanobis, adaboost \
+         or random-forest"
+    )]
+    NeedsRecordings(&'static str),
     /// a number of channels that the scene does not describe
     #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
     Channels {
@@ -202,6 +213,12 @@ pub trait Method: Send + Sync {
         trial: &Trial,
     ) -> Result<Self::Prepared, RecogniseError> {
         self.prepare(entry, trial)
+    }
+
+    /// A trial of which hand-made features are all that is known; `None` for a method that needs
+    /// recordings.
+    fn of_features(&self, _features: FeatureVector) -> Option<Self::Prepared> {
+        None
     }
 
     /// A number for all settings that prepared trials depend on, if they can be stored.

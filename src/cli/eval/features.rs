@@ -1,31 +1,13 @@
 //! `surfaced eval` on feature tables: the comparison classifiers alone can use them.
 
-use std::sync::Arc;
-
 use super::{Answer, Args, Report, finish};
-use crate::cli::method::WithClassifier;
 use crate::cli::{Done, Failure, show};
 use crate::dataset::table::FeatureTables;
-use crate::evaluate::{self, EvaluateError, Fold, Outcome, Prediction};
-use crate::recognise::Method;
+use crate::evaluate::{self, EvaluateError};
+use crate::recognise::RecogniseError;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
-
-struct Tables<'a> {
-    trials: &'a [Arc<FeatureVector>],
-    folds: &'a [Fold],
-}
-
-impl WithClassifier for Tables<'_> {
-    type Output = Result<(Outcome, Vec<Prediction>), EvaluateError>;
-
-    fn with(self, method: impl Method<Prepared = FeatureVector> + 'static) -> Self::Output {
-        let steps = show::Steps::new();
-        let progress = |step, done, of| steps.tell(step, done, of);
-        evaluate::run_features(&method, self.trials, self.folds, &progress)
-    }
-}
 
 /// Runs the command.
 pub fn run(args: &Args, tables: &FeatureTables) -> Done {
@@ -44,15 +26,17 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
     );
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
     let folds = evaluate::folds(protocol, &keys)?;
-    let work = Tables { trials: &trials, folds: &folds };
-    let Ok(outcome) = args.method.apply_to_features(&Scene::lmt108(), work) else {
-        return Err(Failure::Usage(
-            "this method needs recordings; on feature tables use --method naive-bayes, svm, knn, \
-             mahalanobis, adaboost or random-forest"
-                .into(),
-        ));
-    };
-    let (outcome, predictions) = outcome?;
+    let method = args.method.method(&Scene::lmt108())?;
+    let steps = show::Steps::new();
+    let progress = |step, done, of| steps.tell(step, done, of);
+    let (outcome, predictions) = evaluate::run_features(&method, &trials, &folds, &progress)
+        .map_err(|error| match error {
+            EvaluateError::Recognise(e @ RecogniseError::NeedsRecordings(_)) => {
+                Failure::Usage(e.to_string())
+            }
+            other => other.into(),
+        })?;
+    drop(steps);
     finish(
         args.json,
         Report {
@@ -69,7 +53,7 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
 }
 
 /// The trials, with those of the tables that were asked for.
-fn vectors(tables: &FeatureTables, asked: &[SourceId]) -> Result<Vec<Arc<FeatureVector>>, Failure> {
+fn vectors(tables: &FeatureTables, asked: &[SourceId]) -> Result<Vec<FeatureVector>, Failure> {
     if let Some(unknown) = asked.iter().find(|id| !tables.sources.contains(id)) {
         let known: Vec<_> = tables.sources.iter().map(SourceId::as_str).collect();
         return Err(Failure::Usage(format!("no table {unknown}; there are {}", known.join(", "))));
@@ -80,7 +64,7 @@ fn vectors(tables: &FeatureTables, asked: &[SourceId]) -> Result<Vec<Arc<Feature
         sources: features(sources, &wanted),
     };
     let trials = tables.trials.iter().map(vector).filter(|trial| !trial.sources.is_empty());
-    Ok(trials.map(Arc::new).collect())
+    Ok(trials.collect())
 }
 
 fn features(

@@ -73,6 +73,8 @@ pub struct Plan {
     /// How trials are compared.
     #[serde(flatten)]
     pub setting: Setting,
+    /// Surfaces of matching conductivity alone are compared.
+    pub by_conductivity: bool,
     /// How much of the drag is used, in seconds; all of it where nothing is said.
     pub scan_s: Option<f64>,
     /// What comes of it.
@@ -91,6 +93,8 @@ struct PlanFile {
     method: MethodName,
     n: Option<usize>,
     repetitions: Option<usize>,
+    #[serde(default)]
+    by_conductivity: bool,
     scan_s: Option<f64>,
     expected: Expected,
 }
@@ -141,8 +145,8 @@ impl Plan {
         if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
         }
-        let PlanFile { library, synthetic, scan_s, expected, .. } = file;
-        Ok(Self { library, synthetic, sources, setting, scan_s, expected })
+        let PlanFile { library, synthetic, by_conductivity, scan_s, expected, .. } = file;
+        Ok(Self { library, synthetic, sources, setting, by_conductivity, scan_s, expected })
     }
 
     /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
@@ -181,6 +185,11 @@ impl Plan {
         if let Setting::Reference { n, repetitions } = self.setting {
             line("# Samples drawn from a source, and repetitions.".into());
             line(format!("n = {n}\nrepetitions = {repetitions}"));
+        }
+        if self.by_conductivity {
+            line(
+                "# Compare surfaces of matching conductivity alone.\nby_conductivity = true".into(),
+            );
         }
         match self.scan_s {
             Some(scan_s) => {
@@ -221,6 +230,7 @@ mod tests {
             synthetic: true,
             sources: vec![SourceId::new("ca1").unwrap(), SourceId::new("mi2").unwrap()],
             setting,
+            by_conductivity: true,
             scan_s: Some(0.5),
             expected: Expected {
                 target: 0.99,

@@ -8,9 +8,30 @@ use crate::evaluate::run::{Progress, first_seconds, prepare_folds, run_prepared}
 use crate::evaluate::{EvaluateError, Fold, Outcome};
 use crate::library::Entry;
 use crate::recognise::{
-    Embedding, EmbeddingOptions, Joint, Method, MethodName, Reference, ReferenceOptions,
+    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, Reference,
+    ReferenceOptions, metal_detector,
 };
-use crate::scene::Scene;
+use crate::scene::{Scene, SourceId};
+
+/// Settings of `reference` that may take the place of `embedding`, the cheapest first.
+const CHEAPER: [Setting; 3] = [
+    Setting::Reference { n: 100, repetitions: 1 },
+    Setting::Reference { n: 400, repetitions: 1 },
+    Setting::Reference { n: 100, repetitions: 10 },
+];
+
+/// Settings that are tried where `embedding` does not reach the target.
+const SHARPER: [Setting; 2] = [Setting::Joint, Setting::Reference { n: 400, repetitions: 10 }];
+
+/// They do where they take at most this share of its time: differences of less are noise.
+const CHEAPER_BY: f64 = 0.25;
+
+/// Surfaces of the other conductivity are passed over where that takes at most this share of the
+/// time.
+const NARROWED_BY: f64 = 0.8;
+
+/// Queries by which a setting's time is first guessed.
+const GLIMPSE: usize = 5;
 
 /// A method and its settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -36,6 +57,8 @@ pub(super) struct Trying<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scan_s: Option<f64>,
+    /// The source by which surfaces of matching conductivity are found, if others are passed over.
+    pub detector: Option<&'a SourceId>,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
 }
@@ -57,21 +80,115 @@ impl Setting {
         progress: Progress<'_>,
     ) -> Result<Outcome, EvaluateError> {
         let scene = on.scene.clone();
-        match self {
-            Self::Embedding => {
-                run(&Embedding::new(scene, EmbeddingOptions::default()), on, progress)
-            }
-            Self::Joint => run(&Joint::new(scene), on, progress),
+        let method = match self {
+            Self::Embedding => AnyMethod::new(Embedding::new(scene, EmbeddingOptions::default())),
+            Self::Joint => AnyMethod::new(Joint::new(scene)),
             Self::Reference { n, repetitions } => {
                 let options = ReferenceOptions { samples: n, repetitions, ..Default::default() };
-                run(&Reference::new(scene, options), on, progress)
+                AnyMethod::new(Reference::new(scene, options))
             }
+        };
+        match on.detector {
+            Some(detector) => {
+                let method = AnyMethod::new(ByConductivity::new(method, detector.clone()));
+                run(&method, on, progress)
+            }
+            None => run(&method, on, progress),
         }
     }
 }
 
-fn run<M: Method>(
-    method: &M,
+/// How many queries were named right.
+pub(super) fn right(outcome: &Outcome) -> usize {
+    outcome.folds.iter().map(|f| (f.accuracy * f.queries as f64).round() as usize).sum()
+}
+
+/// The choice of a method, once sources and scan time are chosen.
+pub(super) struct ChoosingMethod<'a> {
+    pub on: Trying<'a>,
+    /// Whether so many right ones reach the target.
+    pub reaches: &'a dyn Fn(usize) -> bool,
+    /// For people: what was done, a line each.
+    pub told: &'a mut Vec<String>,
+    pub progress: Progress<'a>,
+}
+
+impl ChoosingMethod<'_> {
+    /// The setting, whether surfaces of the other conductivity are passed over, and what it does.
+    pub fn choose(mut self) -> Result<(Setting, bool, Outcome), EvaluateError> {
+        let embedded = Setting::Embedding.run(self.on, self.progress)?;
+        let (setting, outcome) = match self.cheaper(&embedded)? {
+            Some(cheaper) => cheaper,
+            None if (self.reaches)(right(&embedded)) => (Setting::Embedding, embedded),
+            None => self.sharper(embedded)?,
+        };
+        let narrowed = self.narrowed(setting, &outcome)?;
+        Ok((setting, narrowed.is_some(), narrowed.unwrap_or(outcome)))
+    }
+
+    /// A setting that reaches the target and is far cheaper than `embedding`.
+    fn cheaper(&mut self, embedded: &Outcome) -> Result<Option<(Setting, Outcome)>, EvaluateError> {
+        let limit_ms = CHEAPER_BY * embedded.query_ms_p50;
+        for setting in CHEAPER {
+            let mut glimpse = self.on.folds[..1].to_vec();
+            glimpse[0].queries.truncate(GLIMPSE);
+            let glimpse = Trying { folds: &glimpse, ..self.on };
+            // One that cannot compare these sources is no candidate.
+            let Ok(quick) = setting.run(glimpse, self.progress) else { continue };
+            if quick.query_ms_p50 > limit_ms {
+                continue;
+            }
+            let outcome = setting.run(self.on, self.progress)?;
+            if (self.reaches)(right(&outcome)) {
+                self.told.push(format!(
+                    "{setting:?} is as good, and takes {:.2} ms instead of {:.2} ms",
+                    outcome.query_ms_p50, embedded.query_ms_p50
+                ));
+                return Ok(Some((setting, outcome)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The best of `embedding`, which has missed the target, and of what may yet reach it; of
+    /// equals the first.
+    fn sharper(&mut self, embedded: Outcome) -> Result<(Setting, Outcome), EvaluateError> {
+        let mut best = (Setting::Embedding, embedded);
+        for setting in SHARPER {
+            let outcome = setting.run(self.on, self.progress)?;
+            let (found, so_far) = (right(&outcome), right(&best.1));
+            self.told.push(format!("{setting:?} names {found} right, {:?} {so_far}", best.0));
+            if found > so_far {
+                best = (setting, outcome);
+            }
+            if (self.reaches)(right(&best.1)) {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// The same setting on surfaces of matching conductivity alone, where a metal detector is among
+    /// the sources, if it names as many right in clearly less time.
+    fn narrowed(
+        &mut self,
+        setting: Setting,
+        whole: &Outcome,
+    ) -> Result<Option<Outcome>, EvaluateError> {
+        let Some(detector) = metal_detector(self.on.scene) else { return Ok(None) };
+        let outcome = setting.run(Trying { detector: Some(detector), ..self.on }, self.progress)?;
+        let (found, of_whole) = (right(&outcome), right(whole));
+        let (found_ms, whole_ms) = (outcome.query_ms_p50, whole.query_ms_p50);
+        self.told.push(format!(
+            "surfaces of matching conductivity alone: {found} right instead of {of_whole}, \
+             {found_ms:.2} ms instead of {whole_ms:.2} ms"
+        ));
+        Ok((found >= of_whole && found_ms <= NARROWED_BY * whole_ms).then_some(outcome))
+    }
+}
+
+fn run(
+    method: &AnyMethod,
     on: Trying<'_>,
     progress: Progress<'_>,
 ) -> Result<Outcome, EvaluateError> {

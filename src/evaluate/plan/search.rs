@@ -5,26 +5,13 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::file::{Expected, Plan};
-use super::method::{Setting, Trying};
+use super::method::{ChoosingMethod, Trying, right};
 use super::study::Study;
 use crate::evaluate::{EvaluateError, Outcome, Progress, Protocol, folds, wilson_interval};
 use crate::library::{Entry, Library};
 use crate::recognise::jeffreys_quantile;
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
-
-/// Settings of `reference` that may take the place of `embedding`, the cheapest first.
-const CHEAPER: [Setting; 3] = [
-    Setting::Reference { n: 100, repetitions: 1 },
-    Setting::Reference { n: 400, repetitions: 1 },
-    Setting::Reference { n: 100, repetitions: 10 },
-];
-
-/// They do where they take at most this share of its time: differences of less are noise.
-const CHEAPER_BY: f64 = 0.25;
-
-/// Queries by which a setting's time is first guessed.
-const GLIMPSE: usize = 5;
 
 /// What is asked for.
 #[derive(Clone, Copy, Debug)]
@@ -103,15 +90,21 @@ pub fn search(
         entries: &entries,
         folds: &folds,
         scan_s: study.times[choice.time].filter(|_| dragged),
+        detector: None,
         cache: options.cache,
     };
-    let (setting, outcome) = search.settle_method(on, progress)?;
+    let mut told = Vec::new();
+    let reaches = |right| search.reaches(right);
+    let (setting, by_conductivity, outcome) =
+        ChoosingMethod { on, reaches: &reaches, told: &mut told, progress }.choose()?;
+    search.steps.extend(told);
     let expected = search.expected(&outcome, &choice, options.protocol);
     let plan = Plan {
         library: library.name.clone(),
         synthetic: library.synthetic,
         sources: ids,
         setting,
+        by_conductivity,
         scan_s: on.scan_s,
         expected,
     };
@@ -258,35 +251,6 @@ impl<'a> Search<'a> {
         least.map_or_else(|| self.reaches(right), |least| right >= least)
     }
 
-    /// `embedding`, or a setting that is as good and far cheaper.
-    fn settle_method(
-        &mut self,
-        on: Trying<'_>,
-        progress: Progress<'_>,
-    ) -> Result<(Setting, Outcome), EvaluateError> {
-        let embedded = Setting::Embedding.run(on, progress)?;
-        let limit_ms = CHEAPER_BY * embedded.query_ms_p50;
-        for setting in CHEAPER {
-            let mut glimpse = on.folds[..1].to_vec();
-            glimpse[0].queries.truncate(GLIMPSE);
-            let glimpse = Trying { folds: &glimpse, ..on };
-            // One that cannot compare these sources is no candidate.
-            let Ok(quick) = setting.run(glimpse, progress) else { continue };
-            if quick.query_ms_p50 > limit_ms {
-                continue;
-            }
-            let outcome = setting.run(on, progress)?;
-            if self.reaches(right(&outcome)) {
-                self.steps.push(format!(
-                    "{setting:?} is as good, and takes {:.2} ms instead of {:.2} ms",
-                    outcome.query_ms_p50, embedded.query_ms_p50
-                ));
-                return Ok((setting, outcome));
-            }
-        }
-        Ok((Setting::Embedding, embedded))
-    }
-
     fn expected(&self, outcome: &Outcome, choice: &Choice, protocol: Protocol) -> Expected {
         let (right, queries) = (right(outcome), outcome.queries);
         let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
@@ -331,10 +295,6 @@ impl<'a> Search<'a> {
             self.study.queries()
         ));
     }
-}
-
-fn right(outcome: &Outcome) -> usize {
-    outcome.folds.iter().map(|f| (f.accuracy * f.queries as f64).round() as usize).sum()
 }
 
 /// Whether so many queries can show the target at all.

@@ -228,6 +228,10 @@ impl<C: Classifier> Method for OnFeatures<C> {
         FeatureVector::new(&entry.key, trial, &self.scene)
     }
 
+    fn of_features(&self, features: FeatureVector) -> Option<FeatureVector> {
+        Some(features)
+    }
+
     fn fit(&self, mut library: Vec<Arc<FeatureVector>>) -> Result<Self::Model, RecogniseError> {
         library.sort_by(|a, b| a.key.cmp(&b.key));
         let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
