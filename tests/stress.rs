@@ -134,5 +134,5 @@ fn every_classifier_names_surfaces_of_recordings_and_of_feature_tables() {
         "joint",
     ]);
     assert_eq!(refused.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("this method needs recordings"));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("joint needs recordings"));
 }

@@ -45,6 +45,7 @@ impl AnswerArgs {
         }
         let found = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&found));
+        by.remark(&remarks);
         Ok(Applied { follows: !found.is_empty(), remarks })
     }
 }

@@ -122,13 +122,14 @@ impl Terminal {
     }
 
     fn library(&self, library: &LibraryState) {
-        let LibraryState { name, surfaces, synthetic, problem, .. } = library;
+        let LibraryState { name, surfaces, synthetic, problem, remarks, .. } = library;
         if let Some(problem) = problem {
             return self.say(&format!("warning: scans cannot be named: {problem}"));
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();
         let mark = if *synthetic { " (synthetic)" } else { "" };
         self.say(&format!("{name}{mark}: {trials} trials of {} surfaces", surfaces.len()));
+        remarks.iter().for_each(|remark| self.say(remark));
     }
 }
 

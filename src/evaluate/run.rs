@@ -114,11 +114,13 @@ pub fn run_features<M: Method>(
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
     let prepare = |trial: &FeatureVector| method.of_features(trial.clone()).map(Arc::new);
     let prepared: Vec<_> = trials.iter().map(prepare).collect();
+    if prepared.iter().any(Option::is_none) {
+        return Err(RecogniseError::NeedsRecordings(method.name()).into());
+    }
     let keys = |i: usize| &trials[i].key;
     let mut all = name_queries(method, &keys, folds, &prepared, 1, progress, |model, i, _| {
-        let query = prepared[i].as_ref().ok_or(RecogniseError::NeedsRecordings(method.name()))?;
         let start = Instant::now();
-        Ok((method.rank(model, query)?, start))
+        Ok((method.rank(model, prepared[i].as_ref().expect("seen above"))?, start))
     })?;
     Ok(all.swap_remove(0))
 }

@@ -79,6 +79,8 @@ pub struct LibraryView {
     pub synthetic: bool,
     /// For people: why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
+    /// For people: what answers rest on, a line each.
+    pub remarks: Vec<String>,
 }
 
 /// A surface of the library.
@@ -92,10 +94,10 @@ pub struct SurfaceView {
 
 impl From<&LibraryState> for LibraryView {
     fn from(library: &LibraryState) -> Self {
-        let LibraryState { name, surfaces, sources, synthetic, problem } = library.clone();
+        let LibraryState { name, surfaces, sources, synthetic, problem, remarks } = library.clone();
         let view = |(surface, trials)| SurfaceView { surface, trials };
         let surfaces = surfaces.into_iter().map(view).collect();
-        Self { name, surfaces, sources, synthetic, problem }
+        Self { name, surfaces, sources, synthetic, problem, remarks }
     }
 }
 

@@ -99,6 +99,8 @@ pub struct LibraryState {
     pub synthetic: bool,
     /// For people: why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
+    /// For people: what answers rest on, a line each.
+    pub remarks: Vec<String>,
 }
 
 impl LibraryState {
@@ -115,6 +117,7 @@ impl LibraryState {
             sources: sources.into_iter().collect(),
             synthetic,
             problem: None,
+            remarks: Vec::new(),
         }
     }
 }

@@ -105,6 +105,11 @@ impl<M: Method> ByMethod<M> {
         followers.map(|follower| follower.settling().clone()).collect()
     }
 
+    /// Tells people what answers rest on, together with the library.
+    pub fn remark(&mut self, remarks: &[String]) {
+        self.library.remarks.extend_from_slice(remarks);
+    }
+
     /// The model of a scan. The truth only says which library it is not part of.
     fn model(&self, truth: Option<&TrialKey>) -> usize {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)

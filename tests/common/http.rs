@@ -157,6 +157,7 @@ pub fn session() -> Vec<Notice> {
         sources: vec![id("ac"), id("mi2")],
         synthetic: false,
         problem: None,
+        remarks: vec!["answers settle when scans end".into()],
     };
     let device = Notice::Device {
         device: "stylus".into(),
