@@ -211,6 +211,11 @@ fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
     let (code, text) = said(eval(&["--query-seconds", "0"]));
     assert!(code == Some(2) && text.contains("positive number of seconds"), "{text}");
     refused(&["replay", &data, "--library", &data], 2, &["meet itself"]);
+    let mixed = ["replay", &data, "--method", "embedding", "--n", "50"];
+    refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
+    let mixed = ["replay", &data, "--halving", "--harmonics", "2"];
+    refused(&mixed, 2, &["goes with --method embedding alone, not with reference"]);
+    refused(&["replay", &data, "--sources", "ir", "--by-conductivity"], 2, &["metal detector"]);
 }
 
 #[test]

@@ -25,25 +25,25 @@ pub enum Positions {
 /// Settings of a method.
 #[derive(Clone, Debug, clap::Args)]
 pub struct MethodArgs {
-    /// How trials are compared
-    #[arg(long, value_enum, default_value = "reference", value_name = "METHOD")]
-    method: MethodName,
-    /// How sample positions are drawn
-    #[arg(long, value_enum, default_value = "shared")]
-    positions: Positions,
-    /// Samples drawn from a source (n)
-    #[arg(long, default_value_t = 400, value_name = "N", value_parser = at_least_one)]
-    n: usize,
-    /// Repetitions whose scores are averaged (R)
-    #[arg(long, default_value_t = 10, value_name = "R", value_parser = at_least_one)]
-    repetitions: usize,
-    /// Nearest library trials that vote (k)
-    #[arg(long, default_value_t = 1, value_name = "K", value_parser = at_least_one)]
-    neighbours: usize,
+    /// How trials are compared (default: embedding, or the one whose options are given)
+    #[arg(long, value_enum, value_name = "METHOD")]
+    method: Option<MethodName>,
+    /// With `reference`: how sample positions are drawn (default: shared)
+    #[arg(long, value_enum)]
+    positions: Option<Positions>,
+    /// With `reference`: samples drawn from a source, n (default: 400)
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    n: Option<usize>,
+    /// With `reference`: repetitions whose scores are averaged, R (default: 10)
+    #[arg(long, value_name = "R", value_parser = at_least_one)]
+    repetitions: Option<usize>,
+    /// With `reference`: nearest library trials that vote, k (default: 1)
+    #[arg(long, value_name = "K", value_parser = at_least_one)]
+    neighbours: Option<usize>,
     /// Seed of everything that is drawn at random
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
-    /// Sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
+    /// With `reference`: sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
     /// With `embedding`: let the nearest trial win, instead of training a discriminant
@@ -52,13 +52,13 @@ pub struct MethodArgs {
     /// With `embedding`: harmonics of each band, 1 to 4 (default: 4, or 2 for several channels)
     #[arg(long, value_name = "H", value_parser = clap::value_parser!(u8).range(1..=4))]
     harmonics: Option<u8>,
-    /// Compare all trials by one repetition, the best 64 by two, the best 16 by all
+    /// With `reference`: compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
     /// Compare with surfaces of matching conductivity alone, by the metal detector
     #[arg(long)]
     by_conductivity: bool,
-    /// Do not tabulate library sums: quicker to prepare, slower to compare
+    /// With `reference`: do not tabulate library sums: quicker to prepare, slower to compare
     #[arg(long)]
     no_tables: bool,
     /// Neither read nor write the cache of prepared trials beside the library
@@ -78,28 +78,57 @@ impl MethodArgs {
     /// A method with its usual settings, but for `reference` the quick way.
     pub fn quick(method: MethodName) -> Self {
         Self {
-            method,
-            positions: Positions::Shared,
-            n: 400,
-            repetitions: 10,
-            neighbours: 1,
+            method: Some(method),
+            positions: None,
+            n: None,
+            repetitions: None,
+            neighbours: None,
             seed: 1,
             exact: false,
             harmonics: None,
             no_discriminant: false,
-            halving: true,
+            halving: method == MethodName::Reference,
             by_conductivity: false,
             no_tables: false,
             no_cache: true,
         }
     }
 
+    /// The method that was asked for, by name or by options that it alone has.
+    fn name(&self) -> Result<MethodName, Failure> {
+        let counts = [self.n, self.repetitions, self.neighbours];
+        let of_reference = counts.iter().any(Option::is_some)
+            || self.positions.is_some()
+            || self.exact
+            || self.halving
+            || self.no_tables;
+        let of_embedding = self.no_discriminant || self.harmonics.is_some();
+        let by_options =
+            [(of_reference, MethodName::Reference), (of_embedding, MethodName::Embedding)];
+        let mut named = self.method;
+        for (_, its) in by_options.into_iter().filter(|(given, _)| *given) {
+            match named {
+                Some(other) if other != its => {
+                    return Err(Failure::Usage(format!(
+                        "an option was given that goes with --method {} alone, not with {}; see \
+                         --help",
+                        its.name(),
+                        other.name()
+                    )));
+                }
+                _ => named = Some(its),
+            }
+        }
+        Ok(named.unwrap_or(MethodName::Embedding))
+    }
+
     /// The method that was asked for, on the sources of a scene.
     ///
     /// # Errors
-    /// Wrong usage, if surfaces are to be told apart by a metal detector that the scene lacks.
+    /// Wrong usage, if options of different methods are given, or surfaces are to be told apart by a
+    /// metal detector that the scene lacks.
     pub fn method(&self, scene: &Scene) -> Result<AnyMethod, Failure> {
-        let method = self.on_all_surfaces(scene);
+        let method = self.on_all_surfaces(self.name()?, scene);
         if !self.by_conductivity {
             return Ok(method);
         }
@@ -110,11 +139,11 @@ impl MethodArgs {
         Ok(AnyMethod::new(ByConductivity::new(method, detector.clone())))
     }
 
-    fn on_all_surfaces(&self, scene: &Scene) -> AnyMethod {
+    fn on_all_surfaces(&self, name: MethodName, scene: &Scene) -> AnyMethod {
         let (scene, seed) = (scene.clone(), self.seed);
         let neighbours =
             |scene, distance| AnyMethod::new(OnFeatures::new(scene, Neighbours { distance }));
-        match self.method {
+        match name {
             MethodName::Reference => {
                 AnyMethod::new(Reference::new(scene, self.reference_options()))
             }
@@ -135,10 +164,12 @@ impl MethodArgs {
 
     /// These settings, but for what a plan says.
     pub fn planned(&self, plan: &Plan) -> Self {
-        let (method, by_conductivity) = (plan.setting.method(), plan.by_conductivity);
+        let (method, by_conductivity) = (Some(plan.setting.method()), plan.by_conductivity);
         let planned = Self { method, by_conductivity, ..self.clone() };
         match plan.setting {
-            Setting::Reference { n, repetitions } => Self { n, repetitions, ..planned },
+            Setting::Reference { n, repetitions } => {
+                Self { n: Some(n), repetitions: Some(repetitions), ..planned }
+            }
             Setting::Joint | Setting::Embedding => planned,
         }
     }
@@ -159,13 +190,14 @@ impl MethodArgs {
 
     /// The settings of `reference`.
     pub fn reference_options(&self) -> ReferenceOptions {
+        let usual = ReferenceOptions::default();
         ReferenceOptions {
-            samples: self.n,
-            repetitions: self.repetitions,
-            neighbours: self.neighbours,
+            samples: self.n.unwrap_or(usual.samples),
+            repetitions: self.repetitions.unwrap_or(usual.repetitions),
+            neighbours: self.neighbours.unwrap_or(usual.neighbours),
             positions: match self.positions {
-                Positions::Shared => PositionMode::Shared,
-                Positions::PerPair => PositionMode::PerPair,
+                None | Some(Positions::Shared) => PositionMode::Shared,
+                Some(Positions::PerPair) => PositionMode::PerPair,
             },
             seed: self.seed,
             precision: if self.exact { Precision::Oracle } else { Precision::Fast },

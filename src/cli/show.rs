@@ -6,6 +6,7 @@ use std::sync::Mutex;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::library::Library;
+use crate::station::Answer;
 
 /// Says what a library holds, and what was passed over.
 pub fn library(library: &Library) {
@@ -43,6 +44,16 @@ pub fn priority(text: &str) -> &'static str {
 /// A fraction as a percentage.
 pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
+}
+
+/// How sure an answer is: by its probability where the method states one, else by how far the next
+/// surface lies behind.
+pub fn sureness(answer: &Answer) -> String {
+    match answer.confidence {
+        Some(probability) if probability > 0.999 => "over 99.9 %".into(),
+        Some(probability) => percent(probability),
+        None => format!("margin {:.2}", answer.margin),
+    }
 }
 
 /// A progress bar on stderr that appears where a person looks at it, one for each step of a work.

@@ -106,11 +106,11 @@ impl Tally {
         };
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         eprintln!(
-            "{:>4}/{}  {:<28} margin {:<6.2} {:>7.1} ms  {verdict}{}",
+            "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,
             self.total,
             answer.surface.as_deref().unwrap_or("unknown"),
-            answer.margin,
+            show::sureness(answer),
             answer.latency_ms,
             longer.unwrap_or_default()
         );

@@ -88,9 +88,9 @@ impl Terminal {
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         if !self.json {
             self.say(&format!(
-                "scan {:<4} {name:<28} margin {:<6.2} {:.1} s of drag{}",
+                "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
                 answer.scan,
-                answer.margin,
+                show::sureness(answer),
                 answer.scan_s,
                 longer.unwrap_or_default()
             ));
