@@ -96,16 +96,14 @@ impl Followed {
     /// Adds what is new, and says how the scan looks.
     fn guess(&mut self, progress: &Progress, by: &dyn Recogniser) -> Guess {
         if self.scan != progress.number {
-            let follower = by.follow(progress.truth.as_ref());
+            let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
             *self = Self { scan: progress.number, follower, last: None };
         }
         if let Some(follower) = &mut self.follower {
             // A scan that cannot be compared is not followed any more; its naming will say why.
-            let looked =
-                std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut **follower, progress)));
-            match looked {
-                Ok(Ok(guess)) => self.last = guess.or(self.last.take()),
-                Ok(Err(_)) | Err(_) => self.follower = None,
+            match caught(|| look(&mut **follower, progress)) {
+                Some(Ok(guess)) => self.last = guess.or(self.last.take()),
+                Some(Err(_)) | None => self.follower = None,
             }
         }
         let mut told = Guess::nothing(progress.number, progress.scan_s);
@@ -116,7 +114,9 @@ impl Followed {
             };
             told.named = guess.named.iter().map(name).collect();
             told.settled = guess.settled.is_some();
-            told.needed_s = guess.named.first().and_then(|(surface, _)| by.needed_s(surface));
+            let first = guess.named.first();
+            told.needed_s =
+                first.and_then(|(surface, _)| caught(|| by.needed_s(surface)).flatten());
         }
         told
     }
@@ -126,6 +126,11 @@ impl Followed {
         let last = self.last.as_ref().filter(|_| self.scan == scan)?;
         last.settled.as_ref().map(|(_, at)| *at)
     }
+}
+
+/// What `work` gives; `None` if it panicked. One scan must not take the station with it.
+fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
+    std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
 }
 
 fn look(
@@ -143,9 +148,8 @@ fn look(
 }
 
 fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>) -> Named {
-    // One scan that cannot be compared must not take the station with it.
-    let verdict = std::panic::catch_unwind(AssertUnwindSafe(|| by.name(scan)))
-        .map_err(|_| "the method panicked; please report this".to_string())
+    let verdict = caught(|| by.name(scan))
+        .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
         .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
@@ -171,4 +175,133 @@ fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>)
         remarks,
         ranked: ranking.ranked,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::recognise::{RankedSurface, Ranking, Settling};
+    use crate::scene::SourceId;
+    use crate::station::LibraryState;
+    use crate::trial::{Image, Trial, TrialKey};
+
+    /// Finds that everything is oak, but panics in one of its parts.
+    #[derive(Clone, Copy)]
+    struct PanicsIn(&'static str);
+
+    impl PanicsIn {
+        fn reach(self, part: &str) {
+            assert_ne!(self.0, part, "as the test wants it");
+        }
+    }
+
+    impl Recogniser for PanicsIn {
+        fn name(&self, _: &Scan) -> Result<Verdict, RecogniseError> {
+            self.reach("name");
+            let ranking = Ranking {
+                ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
+                margin: 0.0,
+                sources: Vec::new(),
+                nearest: TrialKey::new("oak", "", 1),
+                confidence: None,
+                fit: None,
+            };
+            Ok(Verdict { ranking, unknown: false, needed_s: None, remarks: Vec::new() })
+        }
+
+        fn follow(&self, _: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+            self.reach("follow");
+            Some(Box::new(Follower { by: *self, settling: Settling::choose(&[], 0.01) }))
+        }
+
+        fn needed_s(&self, _: &str) -> Option<f64> {
+            self.reach("needed_s");
+            Some(2.0)
+        }
+
+        fn library(&self) -> LibraryState {
+            LibraryState::default()
+        }
+    }
+
+    struct Follower {
+        by: PanicsIn,
+        settling: Settling,
+    }
+
+    impl Follow for Follower {
+        fn begin(&mut self) {}
+
+        fn add(&mut self, _: FreshFrames<'_>) -> Result<(), RecogniseError> {
+            Ok(())
+        }
+
+        fn add_picture(&mut self, _: &SourceId, _: &Image) -> Result<(), RecogniseError> {
+            Ok(())
+        }
+
+        fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+            self.by.reach("look");
+            let named = vec![("oak".into(), 1.0)];
+            Ok(Some(GuessSoFar { scan_s, named, fit: None, settled: None }))
+        }
+
+        fn settling(&self) -> &Settling {
+            &self.settling
+        }
+    }
+
+    fn scan(number: u32) -> Scan {
+        Scan {
+            number,
+            trial: Trial { key: TrialKey::new("", "", number), signals: BTreeMap::new() },
+            truth: None,
+            synthetic: false,
+            scan_s: 1.0,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        }
+    }
+
+    #[test]
+    fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
+        for (part, guesses, needs, names) in [
+            ("nothing", true, true, true),
+            ("follow", false, false, true),
+            ("look", false, false, true),
+            ("needed_s", true, false, true),
+            ("name", true, true, false),
+        ] {
+            let worker = Worker::start(false).unwrap();
+            let by: Arc<dyn Recogniser> = Arc::new(PanicsIn(part));
+            for number in 1..=2 {
+                let progress = Progress {
+                    number,
+                    truth: None,
+                    scan_s: 0.5,
+                    fresh: Vec::new(),
+                    images: Vec::new(),
+                };
+                for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
+                    worker.work.send(Work { job, by: by.clone() }).unwrap();
+                }
+                let Ok(Told::Guess(guess)) = worker.told.recv() else { panic!("{part}: no guess") };
+                assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
+                assert_eq!(!guess.named.is_empty(), guesses, "{part}");
+                assert_eq!(guess.needed_s, needs.then_some(2.0), "{part}");
+                let Ok(Told::Named(named)) = worker.told.recv() else { panic!("{part}: no name") };
+                match named {
+                    Ok(answer) => assert!(names && answer.scan == number, "{part}"),
+                    Err(problem) => {
+                        assert!(!names && problem.contains("panicked"), "{part}: {problem}");
+                    }
+                }
+            }
+            assert_eq!(worker.finish().count(), 0);
+        }
+    }
 }
