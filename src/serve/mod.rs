@@ -13,6 +13,8 @@
 
 mod accept;
 mod api;
+#[cfg(any(test, fuzzing))]
+pub mod asked;
 mod guard;
 mod hub;
 mod label;

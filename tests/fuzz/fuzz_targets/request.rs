@@ -1,0 +1,13 @@
+//! Any request: no panic, and nothing is ordered that is not allowed. With nightly Rust,
+//!
+//!     mkdir -p tests/fuzz/corpus
+//!     cargo +nightly fuzz run --dev --fuzz-dir tests/fuzz request \
+//!         tests/fuzz/corpus tests/fuzz/seeds -- -close_fd_mask=2
+//!
+//! (`cargo install cargo-fuzz`; the mask silences the log of refusals, `--dev` builds sooner).
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| surfaced::serve::asked::ask(bytes));
