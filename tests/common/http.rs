@@ -20,9 +20,14 @@ use super::id;
 /// How long a test waits for what should come at once.
 pub const SOON: Duration = Duration::from_secs(20);
 
+/// Asks a server, wherever it runs.
+#[derive(Clone, Copy)]
+pub struct Client(pub SocketAddr);
+
 /// A server on a free port, what it is told with, and what it orders.
 pub struct Served {
     pub server: Server,
+    client: Client,
     pub reporter: Reporter,
     pub orders: Receiver<Order>,
 }
@@ -48,16 +53,27 @@ pub fn serve(change: impl FnOnce(&mut Settings)) -> Served {
     change(&mut settings);
     let (send, orders) = crossbeam_channel::bounded(4);
     let (server, reporter) = Server::start(&settings, send).unwrap();
-    Served { server, reporter, orders }
+    let client = Client(server.address());
+    Served { server, client, reporter, orders }
 }
 
 impl Served {
-    pub fn address(&self) -> SocketAddr {
-        self.server.address()
-    }
-
     pub fn tell(&mut self, notices: impl IntoIterator<Item = Notice>) {
         notices.into_iter().for_each(|notice| self.reporter.notice(&notice));
+    }
+}
+
+impl std::ops::Deref for Served {
+    type Target = Client;
+
+    fn deref(&self) -> &Client {
+        &self.client
+    }
+}
+
+impl Client {
+    pub fn address(&self) -> SocketAddr {
+        self.0
     }
 
     /// A connection with nothing sent yet.
@@ -219,7 +235,7 @@ pub struct Events {
 }
 
 impl Events {
-    pub fn open(served: &Served, query: &str) -> Self {
+    pub fn open(served: &Client, query: &str) -> Self {
         let mut stream = served.connect();
         let host = served.address();
         write!(stream, "GET /api/v1/events{query} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();

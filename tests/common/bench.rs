@@ -1,0 +1,198 @@
+//! A station of a stylus alone: `surfaced` as a process, on a pseudo-terminal's stylus.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, unbounded};
+use serde_json::Value;
+use surfaced::dataset::synth::{self, Parameters};
+use surfaced::library::{Library, recording};
+use surfaced::record::{TrialOptions, write_trial};
+use surfaced::scene::Scene;
+use surfaced::trial::{EXPERT, Trial, TrialKey};
+
+use super::scripted::{self, Noise, Sample};
+use super::stylus::Fake;
+
+/// The sources of the stylus.
+pub const CHANNELS: [&str; 4] = ["ac", "fr", "ir", "me"];
+
+/// What the stylus samples, one scan after the other; then it rests.
+type Tape = Arc<Mutex<Vec<Sample>>>;
+
+/// A station of a stylus alone.
+pub struct Bench {
+    dir: tempfile::TempDir,
+    tape: Tape,
+    noise: Noise,
+}
+
+/// The trial of each surface that is scanned, and in no library.
+pub const SCANNED: u32 = 4;
+
+/// Synthetic surfaces, each with trials for the library and one for a scan.
+pub fn synthetic(drag_seconds: f64) -> Library {
+    synth::library(&Parameters {
+        surfaces: 3,
+        trials: SCANNED,
+        users: 0,
+        drag_seconds,
+        ..Parameters::default()
+    })
+}
+
+/// One of its trials.
+pub fn trial(library: &Library, surface: usize, number: u32) -> Trial {
+    let key = TrialKey::new(library.surfaces()[surface], EXPERT, number);
+    library.entries.iter().find(|entry| entry.key == key).unwrap().load().unwrap()
+}
+
+impl Bench {
+    pub fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let alone = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n\
+                     [enroll]\nt_star = []\n";
+        std::fs::write(dir.path().join("station.toml"), alone).unwrap();
+        Self { dir, tape: Tape::default(), noise: Noise(1) }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// All trials but those that are scanned, as a library.
+    pub fn library(&self, library: &Library) -> PathBuf {
+        let path = self.path("library");
+        let options = TrialOptions { durable: false, ..TrialOptions::default() };
+        for entry in library.entries.iter().filter(|entry| entry.key.number != SCANNED) {
+            let mut trial = entry.load().unwrap();
+            trial.signals.retain(|id, _| CHANNELS.contains(&id.as_str()));
+            write_trial(&path, &trial, &library.scene, &options).unwrap();
+        }
+        path
+    }
+
+    /// Plugs a stylus in, with nothing on its tape.
+    pub fn stylus(&self) -> Fake {
+        self.tape.lock().unwrap().clear();
+        let tape = self.tape.clone();
+        let values = move |index: u64, channel: usize| {
+            let tape = tape.lock().unwrap();
+            let at = usize::try_from(index).unwrap();
+            // Off the tape, a step of noise.
+            tape.get(at).map_or((at * 7919 % 3) as i16, |sample| sample[channel])
+        };
+        let mut fake = Fake::with(&self.path("stylus"), Box::new(values));
+        fake.scales = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0 / 32_767.0];
+        fake
+    }
+
+    /// Puts a scan on the tape, to be sampled from the next sample on; gives its length in seconds.
+    pub fn play(&mut self, fake: &Fake, trial: &Trial, drag_s: f64) -> f64 {
+        let scan = scripted::scan(trial, drag_s, &mut self.noise);
+        let seconds = scan.len() as f64 / 10_000.0;
+        let mut tape = self.tape.lock().unwrap();
+        tape.resize(fake.next.unwrap_or(0) as usize, [0; 7]);
+        tape.extend(scan);
+        seconds
+    }
+
+    /// Runs `surfaced` on its stylus.
+    pub fn surfaced(&self, args: &[&str]) -> Surfaced {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+            .args(args)
+            .args(["--stylus", self.path("stylus").to_str().unwrap()])
+            .args(["--config", self.path("station.toml").to_str().unwrap(), "--json"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (tell, lines) = unbounded();
+        let stdout = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in stdout.lines() {
+                let _ = tell.send(serde_json::from_str(&line.unwrap()).unwrap());
+            }
+        });
+        let said = Arc::<Mutex<String>>::default();
+        let (stderr, saying) = (BufReader::new(child.stderr.take().unwrap()), said.clone());
+        std::thread::spawn(move || {
+            for line in stderr.lines() {
+                saying.lock().unwrap().push_str(&(line.unwrap() + "\n"));
+            }
+        });
+        Surfaced { child, lines, said }
+    }
+}
+
+/// A process of the program.
+pub struct Surfaced {
+    child: Child,
+    lines: Receiver<Value>,
+    said: Arc<Mutex<String>>,
+}
+
+impl Surfaced {
+    /// The next line of JSON, while the stylus goes on.
+    pub fn line(&self, fake: &mut Fake) -> Value {
+        let limit = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Ok(line) = self.lines.try_recv() {
+                return line;
+            }
+            assert!(Instant::now() < limit, "no line of JSON; {}", self.said());
+            fake.serve(0.05);
+        }
+    }
+
+    /// All that it has said to people so far.
+    pub fn said(&self) -> String {
+        self.said.lock().unwrap().clone()
+    }
+
+    /// Waits until it has said this, while the stylus goes on.
+    pub fn until_said(&self, text: &str, mut fake: Option<&mut Fake>) {
+        let limit = Instant::now() + Duration::from_secs(60);
+        while !self.said().contains(text) {
+            assert!(Instant::now() < limit, "`{text}` was not said in: {}", self.said());
+            match &mut fake {
+                Some(fake) => fake.serve(0.05),
+                None => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+    }
+
+    /// Waits for its end, while the stylus goes on.
+    pub fn end(&mut self, fake: &mut Fake) -> ExitStatus {
+        let limit = Instant::now() + Duration::from_secs(60);
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(Instant::now() < limit, "it does not end; {}", self.said());
+            fake.serve(0.05);
+        }
+    }
+}
+
+impl Drop for Surfaced {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A library as it is on the disk.
+pub fn opened(path: &Path) -> Library {
+    recording::open(path, &Scene::lmt108()).unwrap()
+}
