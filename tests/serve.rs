@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
-use surfaced::station::{Enrolled, Notice, Order};
+use surfaced::station::{Enrolled, LibraryState, Notice, Order};
 
 /// A server that was told a short session.
 fn told() -> Served {
@@ -137,6 +137,21 @@ fn a_station_that_is_busy_or_gone_is_said_to_be() {
     let ended = served.post("/api/v1/start", "");
     assert_eq!((ended.status, ended.json()["error"].as_str()), (409, Some("ended")));
     assert_eq!(served.get("/healthz").status, 503);
+}
+
+#[test]
+fn a_library_that_is_being_read_is_said_to_be() {
+    let mut served = serve(|_| {});
+    let mut events = Events::open(&served, "");
+    assert_eq!(events.next("state")["reading"], false);
+    served.tell([Notice::Reading]);
+    assert_eq!(events.next("reading"), json!(true));
+    let advice = events.next("advice");
+    assert_eq!((&advice["do"], &advice["text"]), (&json!("wait"), &json!("reading the library")));
+    assert_eq!(served.get("/api/v1/state").json()["reading"], true);
+    served.tell([Notice::Library(LibraryState::default())]);
+    assert_eq!(events.next("advice")["text"], "wait for the stylus");
+    assert_eq!(served.get("/api/v1/state").json()["reading"], false);
 }
 
 #[test]

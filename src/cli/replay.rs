@@ -20,7 +20,7 @@ use crate::recognise::{AnyMethod, AnyModel, LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
-use crate::station::{ByMethod, Keep, LibraryState, Needs, Station};
+use crate::station::{ByMethod, Keep, LibraryState, Needs, Notice, Station};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -118,17 +118,13 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
 
 /// Plays the stage's queries, and names them.
 fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
-    let (recogniser, follows) = recogniser(args, how, stage)?;
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
     let mut tally = Tally::new(!args.json, queries.len());
     let device = Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
-    let progress_every_s = follows.then_some(LOOK_S);
-    let options = args.serve.options(Options { progress_every_s, ..Options::default() });
-    let mut station = Station::new(vec![Box::new(device)], options)
-        .recogniser(Arc::new(recogniser))
-        .listener(&mut tally);
+    let options = args.serve.options(Options::default());
+    let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
         station = station.listener(JsonLines);
     }
@@ -138,7 +134,14 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
         station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
-    let (station, server) = args.serve.start(station, address, library.is_some())?;
+    let (mut station, server) = args.serve.start(station, address, library.is_some())?;
+    // The page is there while the models are made. Until then, a signal ends the program as usual.
+    station.tell(&Notice::Reading);
+    let (recogniser, follows) = recogniser(args, how, stage)?;
+    station = station.recogniser(Arc::new(recogniser));
+    if follows {
+        station = station.progress_every(LOOK_S);
+    }
     let signals = match &server {
         Some(_) => Some(watch_signals(station.orders())?),
         None => None,

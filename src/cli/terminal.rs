@@ -154,7 +154,7 @@ impl Listener for Terminal {
             Notice::Enrolled(enrolled) => self.enrolled(enrolled),
             Notice::Library(library) => self.library(library),
             Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => return,
+            Notice::Trace(_) | Notice::Streams(_) | Notice::Reading | Notice::Alive => return,
             Notice::Finished(totals) => {
                 let stream = |(id, counts): (&SourceId, &Counts)| {
                     format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)

@@ -162,6 +162,7 @@ impl Inner {
             }
             Notice::Enrolled(enrolled) => self.tell(Kind::Enrolled, enrolled),
             Notice::Alive => {}
+            Notice::Reading => self.tell(Kind::Reading, &true),
             Notice::Library(_) => {
                 let library = self.state.library.clone();
                 self.tell(Kind::Library, &library);

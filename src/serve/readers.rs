@@ -28,6 +28,7 @@ pub enum Kind {
     Answer,
     Enrolled,
     Enrolling,
+    Reading,
     Library,
     Warning,
     Streams,
@@ -38,7 +39,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [Self; 15] = [
+    const ALL: [Self; 16] = [
         Self::State,
         Self::Advice,
         Self::Device,
@@ -47,6 +48,7 @@ impl Kind {
         Self::Answer,
         Self::Enrolled,
         Self::Enrolling,
+        Self::Reading,
         Self::Library,
         Self::Warning,
         Self::Streams,
@@ -66,6 +68,7 @@ impl Kind {
             Self::Answer => "answer",
             Self::Enrolled => "enrolled",
             Self::Enrolling => "enrolling",
+            Self::Reading => "reading",
             Self::Library => "library",
             Self::Warning => "warning",
             Self::Streams => "streams",

@@ -171,6 +171,8 @@ pub struct State {
     pub devices: Vec<DeviceView>,
     /// The library, as soon as there is one.
     pub library: Option<LibraryView>,
+    /// Whether it is being read.
+    pub reading: bool,
     /// Whether scans are being kept for the library.
     pub enrolling: Option<Enrolling>,
     /// What has come of it so far.
@@ -202,6 +204,7 @@ impl State {
             answer: None,
             devices: Vec::new(),
             library: None,
+            reading: false,
             enrolling: None,
             counts: Counts::default(),
             warnings: VecDeque::new(),
@@ -227,10 +230,13 @@ impl State {
             Notice::Guess(guess) => self.guess = Some(guess.clone()),
             Notice::Answer(answer) => self.answered(answer),
             Notice::Enrolled(enrolled) => self.enrolled(enrolled),
-            Notice::Library(library) => self.library = Some(library.into()),
+            Notice::Reading => self.reading = true,
+            Notice::Library(library) => {
+                (self.library, self.reading) = (Some(library.into()), false);
+            }
             Notice::Warning(text) => self.warned(text),
             Notice::Finished(_) => {
-                self.finished = true;
+                (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
             Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => {}
@@ -295,6 +301,9 @@ impl State {
             Some(Phase::Drag) => return self.advise_drag(),
             Some(_) => return say(What::Drag, "drag"),
             None => {}
+        }
+        if self.reading && self.library.is_none() {
+            return say(What::Wait, "reading the library");
         }
         if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
             return say(What::Wait, "wait for the stylus");

@@ -169,6 +169,8 @@ pub enum Notice {
     Answer(Arc<Answer>),
     /// A scan was kept for a library, or refused.
     Enrolled(Enrolled),
+    /// The library is being read; scans wait for it.
+    Reading,
     /// Scans are compared with this library from now on.
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work went on.

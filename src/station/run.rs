@@ -66,6 +66,17 @@ impl<'a> Station<'a> {
         self
     }
 
+    /// Tells of scans how they go on, as often as this, in seconds of drag.
+    pub fn progress_every(mut self, seconds: f64) -> Self {
+        self.options.progress_every_s = Some(seconds);
+        self
+    }
+
+    /// Tells all who listen so far, before it runs.
+    pub fn tell(&mut self, notice: &Notice) {
+        self.listeners.iter_mut().for_each(|listener| listener.notice(notice));
+    }
+
     /// Where orders go, before it runs and while it does.
     pub fn orders(&self) -> Sender<Order> {
         self.orders.0.clone()
@@ -284,6 +295,7 @@ impl Run<'_> {
         if !matches!(self.naming, Naming::Ready(_)) {
             self.naming = Naming::Loading;
         }
+        self.tell(Notice::Reading);
         let (tell, loaded) = crossbeam_channel::bounded(1);
         let work = move || {
             let _ = tell.send(load());

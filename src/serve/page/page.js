@@ -158,7 +158,9 @@ function showHistory() {
 function showLibrary() {
   const { library, enrolling } = state;
   const surfaces = library?.surfaces ?? [];
-  say("library-name", library ? `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}` : "");
+  const name = library && `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}`;
+  say("library-name", [name, state.reading ? "reading the library …" : ""].filter(Boolean).join(" · "));
+  $("reload").disabled = state.reading || state.finished;
   hide("library-problem", !library?.problem);
   say("library-problem", library?.problem ?? "");
   fill("surfaces", surfaces.map(({ surface, trials }) => {
@@ -233,7 +235,8 @@ const changes = {
   },
   enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
-  library: (library) => (state.library = library),
+  reading: (reading) => (state.reading = reading),
+  library: (library) => ([state.library, state.reading] = [library, false]),
   warning: (warning) => (state.warnings = [warning, ...state.warnings].slice(0, 50)),
   streams: ({ streams }) => (state.streams = streams),
   finished: (counts) => {
