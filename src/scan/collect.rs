@@ -59,9 +59,12 @@ impl Collector {
             }
             self.tell_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
-                && Instant::now() >= next_trace
+                && looked >= next_trace
             {
-                next_trace = Instant::now() + Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
+                // From when it was due, so that late turns do not add up; one that was missed is not
+                // made up for.
+                let every = Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
+                next_trace = (next_trace + every).max(looked);
                 self.trace();
             }
             self.forget();

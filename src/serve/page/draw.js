@@ -119,14 +119,37 @@ function draw(s) {
   else drawSpectrum(s, pen, w, h, ratio);
 }
 
-function drawTrace(s, pen, w, h, ratio) {
-  const bins = s.bins.filter((bin) => bin.min);
-  if (bins.length === 0) return;
-  let low = Infinity, high = -Infinity;
-  for (const bin of bins) {
-    low = Math.min(low, ...bin.min);
-    high = Math.max(high, ...bin.max);
+// The bins of a stream, but no more than pixels: neighbours as one, and always the same ones, so
+// that nothing shimmers as they move. An entry without `min` is a gap.
+function columns(s, w) {
+  const wide = Math.max(1, Math.floor(WINDOW_S / s.bin_s / w));
+  const all = [];
+  let group = null;
+  for (const { at, min, max } of s.bins) {
+    const of = min ? Math.floor(Math.round(at / s.bin_s) / wide) : null;
+    if (of === null || of !== group) {
+      all.push(min ? { at, min: [...min], max: [...max] } : { at, min: null });
+    } else {
+      const last = all[all.length - 1];
+      for (let channel = 0; channel < min.length; channel++) {
+        last.min[channel] = Math.min(last.min[channel], min[channel]);
+        last.max[channel] = Math.max(last.max[channel], max[channel]);
+      }
+    }
+    group = of;
   }
+  return all;
+}
+
+function drawTrace(s, pen, w, h, ratio) {
+  const bins = columns(s, w);
+  let low = Infinity, high = -Infinity, channels = 0;
+  for (const { min, max } of bins.filter((bin) => bin.min)) {
+    low = Math.min(low, ...min);
+    high = Math.max(high, ...max);
+    channels = min.length;
+  }
+  if (channels === 0) return;
   const flat = Math.max(high - low, 1e-6 * Math.max(Math.abs(high), Math.abs(low)), 1e-9);
   const middle = (low + high) / 2;
   // The scale widens at once and narrows slowly, so that it does not flicker.
@@ -142,13 +165,12 @@ function drawTrace(s, pen, w, h, ratio) {
   const y = (value) => h * (1 - (value - s.range.low) / (s.range.high - s.range.low));
   pen.fillStyle = colours.grid;
   for (let second = Math.ceil(end - WINDOW_S); second < end; second++) pen.fillRect(x(second), 0, ratio, h);
-  const channels = bins[0].min.length;
   for (let channel = channels - 1; channel >= 0; channel--) {
     pen.strokeStyle = colours.traces[channel % colours.traces.length];
     pen.lineWidth = 1.2 * ratio;
     pen.beginPath();
     let drawing = false;
-    for (const bin of s.bins) {
+    for (const bin of bins) {
       if (!bin.min) { drawing = false; continue; }
       const at = x(bin.at);
       if (drawing) pen.lineTo(at, y(bin.max[channel]));
@@ -170,10 +192,10 @@ function drawSpectrum(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     pen.fillRect(x(hz), 0, ratio, h);
   }
-  // Sixty decibels below the strongest band of late; silence stays empty.
+  // Sixty decibels below the strongest band of late; silence stays empty. Above are the labels.
   const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
-  const y = (value) => h * (1 - Math.max(0, value - (s.top - 60)) / 64);
+  const y = (value) => h - (h - 17 * ratio) * Math.max(0, value - (s.top - 60)) / 60;
   pen.fillStyle = colours.traces[0];
   db.forEach((value, band) => {
     const left = w * band / db.length;
@@ -181,7 +203,10 @@ function drawSpectrum(s, pen, w, h, ratio) {
   });
   pen.fillStyle = colours.soft;
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
-    pen.fillText(hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`, x(hz) + 3 * ratio, 12 * ratio);
+    const text = hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`;
+    const room = w - x(hz) > pen.measureText(text).width + 4 * ratio;
+    pen.textAlign = room ? "left" : "right";
+    pen.fillText(text, x(hz) + (room ? 3 : -3) * ratio, 12 * ratio);
   }
   s.note.textContent = `top ${Math.round(s.top)} dB`;
 }
