@@ -1,10 +1,12 @@
 //! `surfaced run`, `enroll` and `record` as processes, with a stylus on a pseudo-terminal.
 
+#[path = "common/bench.rs"]
+mod bench;
 mod common;
 
 use std::process::Command;
 
-use common::bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
+use bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
 use serde_json::Value;
 
 #[test]

@@ -1,6 +1,8 @@
 //! `--serve` of the program as a process: a live station, with a stylus on a pseudo-terminal, at
 //! which a program enrols what it then has named; and a replay.
 
+#[path = "common/bench.rs"]
+mod bench;
 mod common;
 
 use std::io::{BufRead, BufReader};
@@ -8,7 +10,7 @@ use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::bench::{Bench, CHANNELS, SCANNED, Surfaced, synthetic, trial};
+use bench::{Bench, CHANNELS, SCANNED, Surfaced, synthetic, trial};
 use common::http::Client;
 use common::stylus::Fake;
 use serde_json::{Value, json};

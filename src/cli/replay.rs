@@ -60,6 +60,8 @@ pub struct Args {
 
 /// What is played, and what it is compared with.
 pub(super) struct Stage {
+    /// Name of the library.
+    pub name: String,
     pub scene: Scene,
     /// All trials, of data and library.
     pub entries: Vec<Entry>,
@@ -90,7 +92,7 @@ fn by_protocol(
     let scene = how.narrow(data.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
     eprintln!("each trial is named by {}", protocol.name());
-    Ok(Stage { scene, entries, folds, synthetic: data.synthetic })
+    Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 
 fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
@@ -113,7 +115,8 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
         queries: (entries.len()..entries.len() + queries.len()).collect(),
     };
     entries.extend(queries);
-    Ok(Stage { scene: of_data.with(scene), entries, folds: vec![fold], synthetic })
+    let scene = of_data.with(scene);
+    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic })
 }
 
 /// Plays the stage's queries, and names them.
@@ -170,7 +173,7 @@ fn recogniser(
     let models = models(&method, stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
-    let library = LibraryState::of(&stage.scene.name, &compared, stage.synthetic);
+    let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
     let needs = Needs::of(&stage.scene, compared, stage.synthetic);
     let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;

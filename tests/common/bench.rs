@@ -1,4 +1,8 @@
 //! A station of a stylus alone: `surfaced` as a process, on a pseudo-terminal's stylus.
+//!
+//! Beside the other common modules, since examples that use those have no program to run.
+
+#![allow(dead_code)] // Not every test binary uses all of it.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -14,8 +18,8 @@ use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{EXPERT, Trial, TrialKey};
 
-use super::scripted::{self, Noise, Sample};
-use super::stylus::Fake;
+use crate::common::scripted::{self, Noise, Sample};
+use crate::common::stylus::Fake;
 
 /// The sources of the stylus.
 pub const CHANNELS: [&str; 4] = ["ac", "fr", "ir", "me"];

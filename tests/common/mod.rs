@@ -2,7 +2,6 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
-pub mod bench;
 pub mod http;
 pub mod replayed;
 pub mod scripted;

@@ -84,7 +84,7 @@ function showNow() {
   const far = phase === "drag" && guess ? guess.scan_s : 0;
   $("time").firstElementChild.style.width = needed ? `${Math.min(1, far / needed) * 100}%` : "0";
   say("time-text", guess && phase ? `${far.toFixed(1)} s${needed ? ` of ${needed.toFixed(1)} s` : ""}` : "");
-  $("start").disabled = state.finished || phase !== null;
+  $("start").disabled = state.finished || phase !== null || advice.do === "wait";
   $("stop").disabled = state.finished || phase === null;
   const label = (text, name, kind, sure) => {
     say("answer-label", text);
