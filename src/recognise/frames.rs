@@ -1,10 +1,10 @@
 //! Log-band frames: what is kept of a sound or a vibration, frame by frame.
 //!
 //! A source with a spectrum is seen through two views, long frames (about 46 ms, 40 bands) and
-//! short ones (about 12 ms, 24 bands), each half a frame apart. A frame is windowed (periodic
-//! Hann), transformed, and the power of its bins averaged over bands whose edges are equally
-//! spaced in ln(1 + f/f0), f0 = a tenth of the highest frequency; what is kept is
-//! A = ln(mean power + 1e-14). Power is 2|X|²/(L·Σw²) with samples in units of full scale, so that
+//! short ones (about 12 ms, 24 bands), each half a frame apart. A frame loses its mean, since a
+//! sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
+//! and the power of its bins averaged over bands whose edges are equally spaced in ln(1 + f/f0),
+//! f0 = a tenth of the highest frequency; what is kept is A = ln(mean power + 1e-14). Power is 2|X|²/(L·Σw²) with samples in units of full scale, so that
 //! 16-bit quantisation amounts to about 8e-14 a bin.
 
 use std::cell::RefCell;
@@ -223,15 +223,11 @@ impl Workspace {
     /// One frame: `samples` interleaved, L a channel; `row` gets the bands channel by channel.
     fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32]) {
         for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
-            if view.channels == 1 {
-                for ((slot, x), w) in self.input.iter_mut().zip(samples).zip(&self.window) {
-                    *slot = x * w;
-                }
-            } else {
-                let of_channel = samples[channel..].iter().step_by(view.channels);
-                for ((slot, x), w) in self.input.iter_mut().zip(of_channel).zip(&self.window) {
-                    *slot = x * w;
-                }
+            let of_channel = || samples[channel..].iter().step_by(view.channels);
+            let sum: f64 = of_channel().map(|&x| f64::from(x)).sum();
+            let mean = (sum / view.points as f64) as f32;
+            for ((slot, x), w) in self.input.iter_mut().zip(of_channel()).zip(&self.window) {
+                *slot = (x - mean) * w;
             }
             self.plan
                 .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
@@ -315,6 +311,17 @@ mod tests {
         assert_eq!(silent.frames(), 1);
         assert!(silent.values.iter().all(|x| (x - POWER_FLOOR.ln()).abs() < 1e-3));
         assert!(ViewFrames::new(view(0), &[1e30; 4096]).values.iter().all(|x| x.is_finite()));
+    }
+
+    #[test]
+    fn an_offset_changes_nothing() {
+        let samples: Vec<f32> = (0..4096).map(|i| ((i * i) as f32 * 0.37).sin() * 0.2).collect();
+        let shifted: Vec<f32> = samples.iter().map(|x| x + 0.5).collect();
+        for index in [0, 1] {
+            let a = ViewFrames::new(view(index), &samples);
+            let b = ViewFrames::new(view(index), &shifted);
+            assert!(a.values.iter().zip(&b.values).all(|(a, b)| (b - a).abs() < 1e-3));
+        }
     }
 
     #[test]
