@@ -1,9 +1,11 @@
 //! One source of a trial, or a window of it, as a vector of Fourier features.
 
+use std::borrow::Cow;
+
 use super::circle::{Columns, HALF_CIRCLE, PAIR_FEATURES, Pairs, column_features};
 use crate::recognise::framed::{Framed, FramedSource};
 use crate::recognise::pixels::{Part, PixelGroup, pixel_pairs};
-use crate::recognise::scale::{SourceScale, group_means};
+use crate::recognise::scale::{SourceScale, ViewScale, group_means, median};
 use crate::recognise::slow::SlowSeries;
 
 /// Pairs of a group that are used, at most.
@@ -119,12 +121,12 @@ impl SourceEmbedder {
                 }
                 _ => 0..frames.frames(),
             };
-            let values = &values[used.start * width..used.end * width];
-            let shift = if self.align { mean_over(values, &scale.centre) } else { 0.0 };
+            let (values, level) = on_surface(&values[used.start * width..used.end * width], scale);
+            let shift = if self.align { level } else { 0.0 };
             let (mine, others) = rest.split_at_mut(2 * self.harmonics * width);
             rest = others;
             let columns =
-                Columns { values, centre: &scale.centre, per_half_circle: factors, shift };
+                Columns { values: &values, centre: &scale.centre, per_half_circle: factors, shift };
             column_features(columns, self.harmonics, mine);
         }
     }
@@ -160,18 +162,33 @@ impl SourceEmbedder {
     }
 }
 
-/// Mean of values − centres over all frames and columns: the gain of a window.
-fn mean_over(values: &[f32], centre: &[f32]) -> f32 {
-    let mut total = 0f64;
-    for rows in values.chunks(centre.len() * 16) {
-        let mut lanes = [0f32; 8];
-        for chunk in rows.chunks(8) {
-            lanes.iter_mut().zip(chunk).for_each(|(lane, x)| *lane += x);
-        }
-        total += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+/// The frames of a window that tell of the surface, and their level: the mean of values − centres.
+///
+/// Left out is what is quieter than the window's median by half the circle and more: there the
+/// stylus had left the surface, or the line held its last value. All bands would lie at the
+/// circle's end, and their level would shift all other frames.
+fn on_surface<'v>(values: &'v [f32], scale: &ViewScale) -> (Cow<'v, [f32]>, f32) {
+    let width = scale.centre.len();
+    let of_centre = mean_level(&scale.centre);
+    let levels: Vec<f32> =
+        values.chunks_exact(width).map(|row| mean_level(row) - of_centre).collect();
+    let spread = scale.spread.iter().sum::<f32>() / scale.spread.len() as f32;
+    let least = median(&mut levels.clone()) - HALF_CIRCLE * spread;
+    let (mut sum, mut kept) = (0f64, 0usize);
+    for &level in levels.iter().filter(|level| **level >= least) {
+        sum += f64::from(level);
+        kept += 1;
     }
-    let of_centre: f64 = centre.iter().map(|&x| f64::from(x)).sum();
-    (total / values.len().max(1) as f64 - of_centre / centre.len().max(1) as f64) as f32
+    let level = (sum / kept.max(1) as f64) as f32;
+    if kept == levels.len() {
+        return (Cow::Borrowed(values), level);
+    }
+    let rows = values.chunks_exact(width).zip(&levels).filter(|(_, level)| **level >= least);
+    (Cow::Owned(rows.flat_map(|(row, _)| row).copied().collect()), level)
+}
+
+fn mean_level(values: &[f32]) -> f32 {
+    values.iter().sum::<f32>() / values.len().max(1) as f32
 }
 
 /// Squared distance of two vectors.
