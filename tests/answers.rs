@@ -14,10 +14,10 @@ use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FramedTrial, FreshFrames,
-    GuessSoFar, LOOK_S, Method, Reference, ReferenceOptions, RejectionError,
+    GuessSoFar, LOOK_S, Method, Reference, ReferenceOptions, RejectionError, without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
-use surfaced::trial::{Signal, Trial};
+use surfaced::trial::{Image, Signal, Trial};
 
 fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
@@ -126,6 +126,37 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
         }
     }
     assert_eq!(follower.look(1.73).unwrap().as_ref(), expected.last());
+}
+
+#[test]
+fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end() {
+    let (scene, method, model, scan) = made();
+    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let mut without = scan.clone();
+    without.signals.retain(|source, _| *source != id("fr") && *source != id("ca1"));
+    let expected = said(&mut *follower, &scene, &without, 0.1);
+    let mut flawed = scan.clone();
+    // One channel of two, and a covered lens.
+    if let Some(Signal::Series(forces)) = flawed.signals.get_mut(&id("fr")) {
+        forces.view_mut().column_mut(1).fill(0.3);
+    }
+    let black = vec![0; 3 * Image::ROWS * Image::COLS];
+    let black = Image::new(Image::COLS, Image::ROWS, black).unwrap();
+    flawed.signals.insert(id("ca1"), Signal::Image(black));
+    assert_eq!(said(&mut *follower, &scene, &flawed, 0.1), expected);
+    let (left, _) = without_flawed(flawed, &scene);
+    assert_eq!(left, without);
+    // A source that stops halfway counts until it has rested for half of what came.
+    let mut halfway = scan.clone();
+    if let Some(Signal::Series(forces)) = halfway.signals.get_mut(&id("fr")) {
+        let stop = forces.frames() / 4;
+        let last = forces.view().row(stop).to_owned();
+        forces.view_mut().rows_mut().into_iter().skip(stop).for_each(|mut row| row.assign(&last));
+    }
+    halfway.signals.remove(&id("ca1"));
+    let told = said(&mut *follower, &scene, &halfway, 0.1);
+    assert_eq!(told.last().unwrap().named, expected.last().unwrap().named);
+    assert_ne!(told[2].named, expected[2].named);
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! Sources of a query that no comparison should see: their sensor is dead or stuck.
 
-use crate::scene::Scene;
+use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
+
+/// Why a picture of one colour is left out.
+const PLAIN: &str = "the picture is of one colour";
 
 /// The query without those sources that have a channel which is stuck, or a picture of one colour,
 /// and for each a line that says so. Switches, which rest most of the time, are left alone; so are
@@ -10,31 +13,39 @@ use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 /// Libraries are taken as they are: what is in them was looked at when it was enrolled.
 pub fn without_flawed(mut trial: Trial, scene: &Scene) -> (Trial, Vec<String>) {
     let flaw_of = |signal: &Signal| match signal {
-        Signal::Image(image) => is_plain(image).then(|| "the picture is of one colour".to_string()),
+        Signal::Image(image) => is_plain(image).then(|| PLAIN.to_string()),
         Signal::Series(series) => flaws(series)
             .into_iter()
             .find(|flaw| matches!(flaw, Flaw::Constant { .. } | Flaw::Stuck { .. }))
             .map(|flaw| flaw.to_string()),
     };
-    let flawed: Vec<_> = (trial.signals.iter())
-        .filter(|(id, _)| scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()))
-        .filter_map(|(id, signal)| Some((id.clone(), flaw_of(signal)?)))
-        .collect();
-    let left =
-        |id| scene.get(id).is_some() && !flawed.iter().any(|(other, _)| other.as_str() == id);
-    if !trial.signals.keys().any(|id| left(id.as_str())) {
-        return (trial, Vec::new());
-    }
-    trial.signals.retain(|id, _| !flawed.iter().any(|(other, _)| other == id));
+    let left_out = left_out(scene, trial.signals.iter().map(|(id, signal)| (id, flaw_of(signal))));
+    trial.signals.retain(|id, _| !left_out.iter().any(|(other, _)| other == id));
     let remarks =
-        flawed.into_iter().map(|(id, flaw)| format!("{id} is left out: {flaw}")).collect();
+        left_out.into_iter().map(|(id, flaw)| format!("{id} is left out: {flaw}")).collect();
     (trial, remarks)
+}
+
+/// Of sources, each with its flaw if it has one, those that no comparison should see: no switches,
+/// and none at all where nothing else of the scene would be left.
+pub(super) fn left_out<'a, F>(
+    scene: &Scene,
+    sources: impl Iterator<Item = (&'a SourceId, Option<F>)>,
+) -> Vec<(SourceId, F)> {
+    let (mut flawed, mut sound) = (Vec::new(), 0);
+    for (id, flaw) in sources {
+        let Some(spec) = scene.get(id.as_str()) else { continue };
+        match flaw {
+            Some(flaw) if spec.sigma.is_none() => flawed.push((id.clone(), flaw)),
+            _ => sound += 1,
+        }
+    }
+    if sound == 0 { Vec::new() } else { flawed }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::SourceId;
     use crate::trial::{Image, Series, TrialKey};
     use std::collections::BTreeMap;
 

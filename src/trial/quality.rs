@@ -73,29 +73,55 @@ pub fn is_plain(image: &Image) -> bool {
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }
 
+/// How long a channel has rested, sample by sample.
+#[derive(Clone, Debug, Default)]
+pub struct Rest {
+    samples: usize,
+    last: f32,
+    /// Samples at the end that are equal.
+    resting: usize,
+    /// Distinct values, up to [`FEWEST_VALUES`].
+    seen: Vec<f32>,
+}
+
+impl Rest {
+    /// Takes the next sample.
+    pub fn add(&mut self, x: f32) {
+        self.resting = if self.samples > 0 && x == self.last { self.resting + 1 } else { 1 };
+        self.samples += 1;
+        self.last = x;
+        if self.resting == 1 && self.varies_little() && !self.seen.contains(&x) {
+            self.seen.push(x);
+        }
+    }
+
+    fn varies_little(&self) -> bool {
+        self.seen.len() < FEWEST_VALUES
+    }
+
+    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples so far show it; `channel` counts
+    /// from 0.
+    pub fn flaw(&self, channel: usize) -> Option<Flaw> {
+        let (channel, value) = (channel + 1, self.last);
+        if self.samples > 0 && self.resting == self.samples {
+            return Some(Flaw::Constant { channel, value });
+        }
+        let share = self.resting as f64 / self.samples.max(1) as f64;
+        (share >= STUCK && !self.varies_little()).then_some(Flaw::Stuck { channel, value, share })
+    }
+}
+
 fn flaw(series: &Series, channel: usize) -> Option<Flaw> {
     let view = series.view();
     let samples = view.column(channel);
+    let mut rest = Rest::default();
+    samples.iter().for_each(|&x| rest.add(x));
+    let stuck = rest.flaw(channel);
+    if stuck.is_some() || rest.varies_little() {
+        return stuck;
+    }
     let low = samples.fold(f32::INFINITY, |a, &x| a.min(x));
     let high = samples.fold(f32::NEG_INFINITY, |a, &x| a.max(x));
-    if low == high {
-        return Some(Flaw::Constant { channel: channel + 1, value: low });
-    }
-    let mut seen = Vec::with_capacity(FEWEST_VALUES);
-    for &x in samples {
-        if seen.len() < FEWEST_VALUES && !seen.contains(&x) {
-            seen.push(x);
-        }
-    }
-    if seen.len() < FEWEST_VALUES {
-        return None;
-    }
-    let last = samples[samples.len() - 1];
-    let resting = samples.iter().rev().take_while(|x| **x == last).count();
-    let share = resting as f64 / samples.len() as f64;
-    if share >= STUCK {
-        return Some(Flaw::Stuck { channel: channel + 1, value: last, share });
-    }
     let (mut at_limit, mut run) = (0, 0);
     for &x in samples {
         run = if x == low || x == high { run + 1 } else { 0 };

@@ -1,16 +1,17 @@
 //! Follows a scan with a trained model, look by look.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::{EmbeddingModel, Posterior};
 use crate::recognise::RecogniseError;
+use crate::recognise::flawed::left_out;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::framed::FramedStream;
 use crate::recognise::settle::{Look, Settling, Watch};
 use crate::recognise::unknown::Rejection;
 use crate::scene::{Phase, Scene, SourceId};
-use crate::trial::{Image, Series, Signal, TrialKey};
+use crate::trial::{Image, Rest, Series, Signal, TrialKey, is_plain};
 
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
@@ -28,6 +29,8 @@ pub(super) struct Follower {
 struct ScanSoFar {
     stream: FramedStream,
     waiting: BTreeMap<SourceId, Waiting>,
+    /// Pictures of one colour.
+    plain: BTreeSet<SourceId>,
     looks: u64,
     watch: Option<Watch>,
     /// Something did not fit: nothing more is said of this scan.
@@ -41,6 +44,8 @@ struct Waiting {
     drag: bool,
     samples: Vec<f32>,
     passed_on: u64,
+    /// Of each channel, as far as it was passed on.
+    rest: Vec<Rest>,
     /// It had samples that are not numbers.
     broken: bool,
 }
@@ -56,6 +61,10 @@ impl Follower {
     fn guess(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
         let mut so_far = self.scan.stream.so_far();
         so_far.sources.retain(|id, _| !self.scan.waiting.get(id).is_some_and(|w| w.broken));
+        // Dead or stuck so far: as for whole scans, see `without_flawed`.
+        let flaw = |id| self.scan.is_flawed(id).then_some(());
+        let flawed = left_out(&self.scene, so_far.sources.keys().map(|id| (id, flaw(id))));
+        flawed.iter().for_each(|(id, ())| drop(so_far.sources.remove(id)));
         if so_far.sources.is_empty() {
             return Ok(None);
         }
@@ -88,10 +97,18 @@ impl ScanSoFar {
         Self {
             stream: FramedStream::new(scene.clone(), TrialKey::new("", "", 0)),
             waiting: BTreeMap::new(),
+            plain: BTreeSet::new(),
             looks: 0,
             watch: settling.rule.map(Watch::new),
             failed: false,
         }
+    }
+
+    fn is_flawed(&self, id: &SourceId) -> bool {
+        let stuck = |waiting: &Waiting| {
+            waiting.rest.iter().enumerate().any(|(c, rest)| rest.flaw(c).is_some())
+        };
+        self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
     }
 
     /// Hands on what each source had by `scan_s` seconds of drag; of taps, all there is.
@@ -109,6 +126,9 @@ impl ScanSoFar {
             }
             let samples: Vec<f32> = waiting.samples.drain(..frames * waiting.channels).collect();
             waiting.passed_on += frames as u64;
+            for frame in samples.chunks_exact(waiting.channels) {
+                waiting.rest.iter_mut().zip(frame).for_each(|(rest, &x)| rest.add(x));
+            }
             match Series::new(waiting.rate_hz, waiting.channels, samples) {
                 Ok(series) => self.stream.push(id, &Signal::Series(series))?,
                 Err(_) => waiting.broken = true,
@@ -133,6 +153,7 @@ impl Follow for Follower {
             drag,
             samples: Vec::new(),
             passed_on: 0,
+            rest: vec![Rest::default(); channels],
             broken: false,
         };
         let waiting = self.scan.waiting.entry(source.clone()).or_insert_with(begin);
@@ -152,6 +173,11 @@ impl Follow for Follower {
     fn add_picture(&mut self, source: &SourceId, picture: &Image) -> Result<(), RecogniseError> {
         if !self.model.sources.contains_key(source) {
             return Ok(());
+        }
+        if is_plain(picture) {
+            self.scan.plain.insert(source.clone());
+        } else {
+            self.scan.plain.remove(source);
         }
         let pushed = self.scan.stream.push(source, &Signal::Image(picture.clone()));
         self.scan.failed |= pushed.is_err();
