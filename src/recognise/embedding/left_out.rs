@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::calibrate::{HeldOut, PREFIXES_S, log_posterior};
 use super::source::Window;
 use super::train::{Labels, SourceModel};
-use super::{EmbeddingModel, add_source, most_probable};
+use super::{EmbeddingModel, most_probable};
 use crate::recognise::follow::{FollowOptions, LOOK_S};
 use crate::recognise::framed::{FramedSource, FramedTrial};
 use crate::recognise::settle::{Look, Settling, Stops};
@@ -27,8 +27,10 @@ pub(super) struct LeftOut<'a> {
 impl LeftOut<'_> {
     fn distances(&self, trial: usize, seconds: Option<f64>) -> Option<Vec<f64>> {
         let mut sum = vec![0.0; self.labels.classes];
-        for id in self.library[trial].sources.keys() {
-            let Some(model) = trained(self.sources, id) else { continue };
+        let models =
+            || self.library[trial].sources.keys().filter_map(|id| trained(self.sources, id));
+        let alone = models().count() == 1;
+        for model in models() {
             let (whole, beginnings) = model.held_out[trial].as_ref()?.split_last()?;
             let (length_s, distances) = match seconds {
                 Some(t) if model.spec.phase == Phase::Drag => {
@@ -36,8 +38,7 @@ impl LeftOut<'_> {
                 }
                 _ => whole,
             };
-            let tau = model.temperature.at(*length_s);
-            add_source(&mut sum, distances.clone(), model.spec.weight / tau);
+            model.add_evidence(&mut sum, distances.clone(), *length_s, alone);
         }
         sum.iter().any(|&d| d > 0.0).then_some(sum)
     }
@@ -169,7 +170,9 @@ impl EmbeddingModel {
         if !distances[self.labels.class[trial]].is_finite() {
             return None;
         }
-        add_source(sum, distances, model.spec.weight / model.temperature.at(length_s));
+        let others = |id: &SourceId| *id != model.spec.id && trained(&self.sources, id).is_some();
+        let alone = !self.library[trial].sources.keys().any(others);
+        model.add_evidence(sum, distances, length_s, alone);
         Some(())
     }
 }

@@ -6,7 +6,8 @@
 //! `discriminant` off, the nearest library trial wins, as in `reference`. With it on (the default)
 //! a discriminant is trained when the library is loaded, from its trials, windows of them, and
 //! copies with noise; distances of several sources add up, each divided by a temperature fitted on
-//! left-out library trials, and the score of a surface is 1/posterior, so that, as everywhere,
+//! left-out library trials, and held back where it is far beyond what those show, so that no
+//! source overrules all others. The score of a surface is 1/posterior, so that, as everywhere,
 //! smaller is more alike, and the margin is the log of the odds.
 
 pub mod calibrate;
@@ -100,7 +101,7 @@ pub struct EmbeddingModel {
 pub struct Posterior {
     /// The surfaces, sorted.
     pub surfaces: Vec<String>,
-    /// Combined distance to each, Σ w_s·d_s/τ_s.
+    /// Combined distance to each, Σ w_s·f_s(d_s/τ_s).
     pub distances: Vec<f64>,
     /// ln of the posterior probability of each.
     pub log_posterior: Vec<f64>,
@@ -117,7 +118,7 @@ pub struct SourceDistances {
     pub source: SourceId,
     /// Whether it has a discriminant.
     pub trained: bool,
-    /// w·d/τ for each surface; of an untrained source w·ln d² to the surface's nearest trial.
+    /// w·f(d/τ) for each surface; of an untrained source w·ln d² to the surface's nearest trial.
     pub distances: Vec<f64>,
 }
 
@@ -233,20 +234,22 @@ impl EmbeddingModel {
         Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, fit })
     }
 
-    /// w·d/τ of each source that has a discriminant.
+    /// What each source that has a discriminant says: see [`SourceModel::add_evidence`].
     fn terms(
         &self,
         query: &FramedTrial,
         vectors: &[EmbeddedSource<'_>],
     ) -> Vec<(SourceId, Vec<f64>)> {
+        let trained = || vectors.iter().filter(|v| v.model.discriminant.is_some());
+        let alone = trained().count() == 1;
         let term = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
-            let tau = model.temperature.at(query.sources[&model.spec.id].duration_s);
+            let length_s = query.sources[&model.spec.id].duration_s;
             let mut term = vec![0.0; self.surfaces.len()];
             let distances = model.discriminant.as_ref()?.distances(vector);
-            add_source(&mut term, distances, model.spec.weight / tau);
+            model.add_evidence(&mut term, distances, length_s, alone);
             Some((model.spec.id.clone(), term))
         };
-        vectors.iter().filter_map(term).collect()
+        trained().filter_map(term).collect()
     }
 
     /// Squared distances to library trials, as logarithms, source by source.
@@ -289,17 +292,6 @@ impl EmbeddingModel {
 struct EmbeddedSource<'a> {
     model: &'a SourceModel,
     vector: Vec<f32>,
-}
-
-/// Adds one source's distances. A class that the source never saw counts as the median of the
-/// others: lacking it is neither an advantage nor a disadvantage.
-fn add_source(sum: &mut [f64], distances: Vec<f64>, factor: f64) {
-    let mut known: Vec<f64> = distances.iter().copied().filter(|d| d.is_finite()).collect();
-    known.sort_by(f64::total_cmp);
-    let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
-    for (sum, d) in sum.iter_mut().zip(distances) {
-        *sum += factor * if d.is_finite() { d } else { median };
-    }
 }
 
 impl Method for Embedding {

@@ -27,11 +27,37 @@ pub(super) struct SourceModel {
     pub vectors: Vec<Option<Vec<f32>>>,
     pub discriminant: Option<Discriminant>,
     pub temperature: Temperature,
+    /// Median of d/τ of left-out library trials to their own class.
+    pub usual: f64,
     /// For each group of trials, the discriminant trained without it.
     pub without: Vec<Option<Discriminant>>,
     /// Distances of library trials under models trained without them; let go once they are summed
     /// over sources.
     pub held_out: Vec<Option<ByPrefix>>,
+}
+
+impl SourceModel {
+    /// Adds w·f(d/τ) for the distances d to all classes of a scan of so many seconds. Where the
+    /// source is `alone`, f(x) = x: all that counts is the order. Among others it is
+    /// f(x) = u·ln(1 + x/u), u the usual x of a trial to its own class: up to there it is x, far
+    /// beyond it only ratios count, as they do in the paper's product of scores. A source that is
+    /// far from all surfaces (its lamp is out, its lens is blurred) says little then, instead of
+    /// overruling all others. It is the heavy tail of Student's t (Lange, Little & Taylor 1989,
+    /// "Robust statistical modeling using the t distribution"), u for both scale and freedom.
+    ///
+    /// A class that the source never saw counts as the median of the others: lacking it is neither
+    /// an advantage nor a disadvantage.
+    pub fn add_evidence(&self, sum: &mut [f64], distances: Vec<f64>, seconds: f64, alone: bool) {
+        let (tau, usual) = (self.temperature.at(seconds), self.usual);
+        let mut known: Vec<f64> = distances.iter().copied().filter(|d| d.is_finite()).collect();
+        known.sort_by(f64::total_cmp);
+        let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
+        for (sum, d) in sum.iter_mut().zip(distances) {
+            let x = if d.is_finite() { d } else { median } / tau;
+            let tailed = !alone && usual.is_finite();
+            *sum += self.spec.weight * if tailed { usual * (x / usual).ln_1p() } else { x };
+        }
+    }
 }
 
 /// Lengths of a trial's beginnings in seconds, with distances to all classes; the whole comes last.
@@ -88,6 +114,7 @@ pub(super) fn train(
         vectors: Vec::new(),
         discriminant: None,
         temperature: Temperature::uncalibrated(),
+        usual: f64::INFINITY,
         without: Vec::new(),
         held_out: vec![None; trials.len()],
         embedder,
@@ -164,8 +191,20 @@ fn train_discriminant(
         })
         .collect();
     model.temperature = temperature(&held_out, labels);
+    model.usual = usual(&held_out, labels, &model.temperature);
     model.held_out = held_out;
     model.without = without;
+}
+
+fn usual(held_out: &[Option<ByPrefix>], labels: &Labels, temperature: &Temperature) -> f64 {
+    let own = |(of_trial, &class): (&Option<ByPrefix>, &usize)| {
+        let (seconds, distances) = of_trial.as_ref()?.last()?;
+        Some(distances[class] / temperature.at(*seconds))
+    };
+    let mut own: Vec<f64> = held_out.iter().zip(&labels.class).filter_map(own).collect();
+    own.sort_by(f64::total_cmp);
+    // Where trials lie on their own means, one more unit is unusual enough.
+    own.get(own.len() / 2).map_or(f64::INFINITY, |x| x.max(1.0))
 }
 
 fn temperature(held_out: &[Option<ByPrefix>], labels: &Labels) -> Temperature {
