@@ -109,7 +109,8 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
         .label_style(("sans-serif", 11))
         .draw()
         .map_err(drawing)?;
-    for (index, method) in shown {
+    // Where lines coincide, the first of the legend is seen.
+    for (index, method) in shown.iter().rev() {
         let cells = method.disturbances[at].levels.iter().map(|level| &level.cell);
         let line: Vec<(f64, f64)> = std::iter::once(&method.clean)
             .chain(cells)

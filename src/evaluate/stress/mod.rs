@@ -11,6 +11,9 @@
 //!   than all but one in twenty of the undisturbed answers is rejected; every fourth surface is
 //!   taken out of the library for it,
 //! - for methods that state a probability, its expected calibration error.
+//!
+//! An unknown surface is no disturbance of its own: it has no severity, and asking after it at each
+//! level of all others tells more than one more panel would.
 
 pub mod disturb;
 mod figure;
