@@ -131,7 +131,7 @@ fn real_sounds_are_named_in_spite_of_an_offset_gaps_and_lift_offs() {
 }
 
 /// A small synthetic scene and its folds.
-fn made(users: usize, only: &[&str], protocol: Protocol) -> (Scene, Vec<Entry>, Vec<Fold>) {
+fn made(users: u32, only: &[&str], protocol: Protocol) -> (Scene, Vec<Entry>, Vec<Fold>) {
     let size = synth::Parameters { surfaces: 8, trials: 4, users, ..Default::default() };
     let library = synth::library(&synth::Parameters { drag_seconds: 1.5, ..size });
     let only: Vec<_> = only.iter().map(|name| common::id(name)).collect();

@@ -15,8 +15,8 @@
 //!
 //! | stated loss | named right when settled (95 % interval) | lost | scan time, mean | median |
 //! |---|---|---|---|---|
-//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.71 s | 0.60 s |
-//! | 5 % | 97.5 % (94.3 to 98.9) | 5 of 200 | 0.50 s | 0.40 s |
+//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.75 s | 0.60 s |
+//! | 5 % | 97.0 % (93.6 to 98.6) | 6 of 200 | 0.51 s | 0.40 s |
 //!
 //! Following a scan, ten looks a second, takes 0.1 % of one core (processor time over scan time).
 

@@ -21,7 +21,7 @@
 //! | groups | unknown ones caught (95 % interval) | known ones rejected (95 % interval) |
 //! |---|---|---|
 //! | 20 | 82.5 % of 200 (76.6 to 87.1) | 0.1 % of 3800 (0.1 to 0.3) |
-//! | 5 | 80.5 % of 200 (74.5 to 85.4) | 0.2 % of 800 (0.1 to 0.9) |
+//! | 5 | 80.0 % of 200 (73.9 to 85.0) | 0.5 % of 800 (0.2 to 1.3) |
 //!
 //! Known ones are rejected less often than stated, since the query's model knows one trial more of
 //! each surface than those of the left-out trials. Unknown surfaces are somebody's near twins here:
