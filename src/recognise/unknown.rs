@@ -13,15 +13,11 @@
 //! whenever a library is read.
 //!
 //! # On real sounds
-//! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; each surface is left out of the
-//! library in turn, at a stated 1 % of false rejections. `surfaced eval
+//! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; four surfaces at a time are left
+//! out of the library, at a stated 1 % of false rejections. `surfaced eval
 //! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
-//! --leave-surfaces-out 20`, and the same with 5 groups (four surfaces are missing at a time), print
-//!
-//! | groups | unknown ones caught (95 % interval) | known ones rejected (95 % interval) |
-//! |---|---|---|
-//! | 20 | 82.5 % of 200 (76.6 to 87.1) | 0.1 % of 3800 (0.1 to 0.3) |
-//! | 5 | 80.0 % of 200 (73.9 to 85.0) | 0.5 % of 800 (0.2 to 1.3) |
+//! --leave-surfaces-out 5` prints: 80.0 % of 200 unknown ones caught (95 % interval 73.9 to 85.0),
+//! 0.5 % of 800 known ones rejected (0.2 to 1.3).
 //!
 //! Known ones are rejected less often than stated, since the query's model knows one trial more of
 //! each surface than those of the left-out trials. Unknown surfaces are somebody's near twins here:
