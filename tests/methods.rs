@@ -48,7 +48,7 @@ fn joint_names_real_sounds() {
 /// chart can show it, and may not come near the method itself.
 #[test]
 fn negative_controls_stay_far_below() {
-    let Some((_, entries, folds)) = real_sounds(2) else { return };
+    let Some((_, entries, folds)) = real_sounds(3) else { return };
     let control = |band: &str, align: bool| {
         let text = format!(
             "format = 1\n[sources.mi2]\ndomain = \"spectrum\"\nband_hz = {band}\n\
