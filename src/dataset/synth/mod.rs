@@ -7,6 +7,23 @@
 //! now and then the last bit of a sample, may differ.
 //!
 //! [`Difficulty`] holds every constant of the model; `effect` says how they make a trial.
+//!
+//! [`Difficulty::lmt108`] is calibrated on Table II of the paper. This table ranks no method; it is
+//! what `cargo run --release --example synth_pattern -- --users 2` prints (mean ± standard deviation
+//! over two users of seed 1, who differ more than the paper's ten):
+//!
+//! | setting | synthetic, % | paper, % | difference |
+//! |---|---|---|---|
+//! | ca1 | 67.1 ± 2.0 | 65.1 | +2.0 |
+//! | ca2 | 48.1 ± 9.2 | 42.6 | +5.5 |
+//! | mi1 | 51.9 ± 23.6 | 55.9 | -4.0 |
+//! | mi2 | 21.8 ± 7.2 | 15.3 | +6.5 |
+//! | ac | 41.7 ± 22.3 | 43.8 | -2.1 |
+//! | fr | 23.1 ± 10.5 | 20.2 | +2.9 |
+//! | ir | 21.8 ± 5.9 | 23.5 | -1.7 |
+//! | me | 5.6 ± 1.3 | 8.5 | -2.9 |
+//! | all eight | 94.9 ± 5.9 | 97.2 | -2.3 |
+//! | all, without the shift | 81.9 ± 16.4 | 88.7 | -6.8 |
 
 mod contact;
 mod effect;

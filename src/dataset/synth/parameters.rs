@@ -146,10 +146,10 @@ pub struct Difficulty {
 impl Difficulty {
     /// About as hard as LMT108, source by source.
     ///
-    /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`, which
-    /// prints the table in [`super`]: 108 of these surfaces, the expert against users, come near
-    /// the accuracies that the paper prints for the method `reference`. So this scene says nothing
-    /// about `reference`, ranks no method, and stands in no headline.
+    /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: 108 of
+    /// these surfaces, the expert against users, come near the accuracies that the paper prints for
+    /// the method `reference` (table in `src/dataset/synth/mod.rs`). So this scene says nothing about
+    /// `reference`, ranks no method, and stands in no headline.
     ///
     /// Weak sources are weak because surfaces are alike in them; a hand that merely made them
     /// misleading would spoil the product of all sources. What the shift removes differs between
