@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use clap::Parser;
 
-use super::choose::{Choice, choose};
+use super::choose::{Choice, FigureArgs, choose};
 use super::eval::{Also, Evaluation};
 use super::method::{MethodArgs, at_least_one};
-use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, Protocol, figure};
+use super::{Done, Failure, show};
+use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
 use crate::recognise::AnyMethod;
 use crate::scene::{Domain, Phase, Scene, SourceId};
 use crate::trial::Signal;
@@ -25,20 +25,11 @@ use crate::trial::Signal;
 pub struct Args {
     /// Recordings (a library, or the LMT108 database), or the JSON of an earlier chart
     lib: PathBuf,
-    /// Picture to write, an SVG; the JSON goes beside it
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// How queries and library are split (default: users against the expert where there are users)
-    #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
     #[command(flatten)]
-    sources: SourceArgs,
+    figure: FigureArgs,
     /// Use this many surfaces at most, evenly spread over their names
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     surfaces: Option<usize>,
-    /// Print the JSON on stdout, too
-    #[arg(long)]
-    json: bool,
 }
 
 /// Settings that are charted, as options of `surfaced eval`; the flagged ones on the first seconds
@@ -92,12 +83,12 @@ enum Kind {
 pub fn run(args: &Args) -> Done {
     let drawn_again = args.lib.extension().is_some_and(|e| e == "json") && args.lib.is_file();
     let chart = if drawn_again { read(&args.lib)? } else { measured(args)? };
-    let beside = args.out.with_extension("json");
-    write(&args.out, &figure(&chart)?)?;
+    let beside = args.figure.out.with_extension("json");
+    write(&args.figure.out, &figure(&chart)?)?;
     if !drawn_again || beside != args.lib {
         write(&beside, &(serde_json::to_string_pretty(&chart)? + "\n"))?;
     }
-    if args.json {
+    if args.figure.json {
         show::json(&chart);
     }
     Ok(())
@@ -120,15 +111,15 @@ fn write(path: &Path, text: &str) -> Done {
 }
 
 fn measured(args: &Args) -> Result<Chart, Failure> {
-    if args.out.extension().is_some_and(|e| e == "json") {
+    if args.figure.out.extension().is_some_and(|e| e == "json") {
         return Err(Failure::Usage(format!(
             "{}: name the picture, such as chart.svg; the JSON is written beside it",
-            super::shown(&args.out)
+            super::shown(&args.figure.out)
         )));
     }
     let library = super::open(&args.lib)?;
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let mut choice = choose(&library, scene, args.protocol)?;
+    let scene = args.figure.sources.narrow(library.scene.clone())?;
+    let mut choice = choose(&library, scene, args.figure.protocol)?;
     if let Some(most) = args.surfaces {
         choice.keep_surfaces(most)?;
     }

@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::choose::{Choice, choose};
+use super::choose::{Choice, FigureArgs, choose};
 use super::method::{MethodArgs, at_least_one};
-use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::Protocol;
+use super::{Done, Failure, show};
 use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
 use crate::recognise::MethodName;
 use crate::scene::SourceSpec;
@@ -22,14 +21,8 @@ use crate::scene::SourceSpec;
 pub struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,
-    /// Picture to write, an SVG; the JSON and the other pictures go beside it
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// How queries and library are split (default: users against the expert where there are users)
-    #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
     #[command(flatten)]
-    sources: SourceArgs,
+    figure: FigureArgs,
     /// Methods, with commas between them (default: all)
     #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
     methods: Vec<MethodName>,
@@ -45,16 +38,13 @@ pub struct Args {
     /// Seed of the disturbances
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
-    /// Print the JSON on stdout, too
-    #[arg(long)]
-    json: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
-    let scene = args.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.protocol)?;
+    let scene = args.figure.sources.narrow(library.scene.clone())?;
+    let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.figure.protocol)?;
     let folds = Plan::limited(folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
@@ -90,10 +80,10 @@ pub fn run(args: &Args) -> Done {
         drop(steps);
         report.methods.push(told);
         // What is done stays, should a later method fail or a person lose patience.
-        write(&args.out, &report)?;
+        write(&args.figure.out, &report)?;
     }
     eprintln!("\n{}", report.markdown());
-    if args.json {
+    if args.figure.json {
         show::json(&report);
     }
     Ok(())

@@ -4,8 +4,9 @@
 //! short ones (about 12 ms, 24 bands), each half a frame apart. A frame loses its mean, since a
 //! sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
 //! and the power of its bins averaged over bands whose edges are equally spaced in ln(1 + f/f0),
-//! f0 = a tenth of the highest frequency; what is kept is A = ln(mean power + 1e-14). Power is 2|X|²/(L·Σw²) with samples in units of full scale, so that
-//! 16-bit quantisation amounts to about 8e-14 a bin.
+//! f0 = a tenth of the highest frequency; what is kept is A = ln(mean power + 1e-14). Power is
+//! 2|X|²/(L·Σw²) with samples in units of full scale, so that 16-bit quantisation amounts to about
+//! 8e-14 a bin.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
