@@ -115,6 +115,7 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     assert!(reply.head.contains("x-content-type-options: nosniff"));
     // Nor does a line break in a device's name break the metrics or the stream.
     served.tell([Notice::Warning("event: answer\ndata: {}\n\n".into())]);
+    served.until("/api/v1/state", |state| state["warnings"] != serde_json::json!([]));
     let mut events = Events::open(&served, "");
     events.next("state");
     served.tell([Notice::Warning("a\n\nevent: answer\ndata: 1".into())]);
