@@ -119,12 +119,8 @@ fn a_replay_is_on_the_page_before_its_models_are_made() {
     let address = said.find_map(|line| Some(line.strip_prefix("http://")?.parse().unwrap()));
     let station = Client(address.unwrap());
     assert_eq!(station.get("/").status, 200);
-    let state = station.get("/api/v1/state").json();
-    assert_eq!(
-        (&state["reading"], &state["advice"]["do"]),
-        (&json!(true), &json!("wait")),
-        "{state}"
-    );
+    let state = station.until("/api/v1/state", |state| state["reading"] == true);
+    assert_eq!((&state["advice"]["do"], &state["library"]), (&json!("wait"), &json!(null)));
     // Nothing has begun that would have to be ended first.
     assert!(Command::new("kill").arg(replay.id().to_string()).status().unwrap().success());
     assert_eq!(replay.wait().unwrap().signal(), Some(15));
