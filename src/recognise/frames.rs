@@ -224,11 +224,11 @@ impl Workspace {
     /// One frame: `samples` interleaved, L a channel; `row` gets the bands channel by channel.
     fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32]) {
         for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
-            let of_channel = || samples[channel..].iter().step_by(view.channels);
-            let sum: f64 = of_channel().map(|&x| f64::from(x)).sum();
-            let mean = (sum / view.points as f64) as f32;
-            for ((slot, x), w) in self.input.iter_mut().zip(of_channel()).zip(&self.window) {
-                *slot = (x - mean) * w;
+            let of_channel = samples[channel..].iter().step_by(view.channels);
+            self.input.iter_mut().zip(of_channel).for_each(|(slot, x)| *slot = *x);
+            let mean = mean(&self.input);
+            for (slot, w) in self.input.iter_mut().zip(&self.window) {
+                *slot = (*slot - mean) * w;
             }
             self.plan
                 .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
@@ -243,6 +243,15 @@ impl Workspace {
             }
         }
     }
+}
+
+/// In f64, over lanes: a sum of one after the other would wait for each addition.
+fn mean(samples: &[f32]) -> f32 {
+    let mut lanes = [0f64; 8];
+    for chunk in samples.chunks(lanes.len()) {
+        lanes.iter_mut().zip(chunk).for_each(|(lane, &x)| *lane += f64::from(x));
+    }
+    (lanes.iter().sum::<f64>() / samples.len() as f64) as f32
 }
 
 #[cfg(test)]
