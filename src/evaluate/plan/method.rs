@@ -20,11 +20,11 @@ const CHEAPER: [Setting; 3] = [
     Setting::Reference { n: 100, repetitions: 10 },
 ];
 
-/// Settings that are tried where `embedding` does not reach the target.
-const SHARPER: [Setting; 2] = [Setting::Joint, Setting::Reference { n: 400, repetitions: 10 }];
-
 /// They do where they take at most this share of its time: differences of less are noise.
 const CHEAPER_BY: f64 = 0.25;
+
+/// Settings that are tried where `embedding` does not reach the target.
+const SHARPER: [Setting; 2] = [Setting::Joint, Setting::Reference { n: 400, repetitions: 10 }];
 
 /// Surfaces of the other conductivity are passed over where that takes at most this share of the
 /// time.
