@@ -163,7 +163,7 @@ impl Difficulty {
             speed: e(0.0, 0.0, 0.10, 0.10),
             force_drift: 0.05,
 
-            microphone_gain: e(0.0, 0.0, 0.17, 0.03),
+            microphone_gain: e(0.0, 0.0, 0.08, 0.03),
             room_level: e(-7.6, 0.0, 0.10, 0.05),
             room_slope: e(0.8, 0.0, 0.02, 0.02),
             sound_level: e(-4.2, 0.15, 0.05, 0.08),
@@ -173,15 +173,15 @@ impl Difficulty {
             tap_click: e(-0.7, 0.70, 0.04, 0.04),
             tap_decay: e(-4.8, 0.50, 0.05, 0.05),
 
-            acceleration_level: e(-4.5, 0.10, 0.20, 0.08),
-            acceleration_axis: e(0.0, 0.20, 0.05, 0.05),
+            acceleration_level: e(-4.5, 0.08, 0.10, 0.08),
+            acceleration_axis: e(0.0, 0.17, 0.05, 0.05),
 
-            friction_level: e(-1.4, 0.50, 0.50, 0.05),
+            friction_level: e(-1.4, 0.50, 0.30, 0.05),
             friction_share: e(0.0, 0.10, 0.05, 0.03),
             friction_common: e(-2.6, 0.60, 0.05, 0.08),
             friction_swing: e(-2.6, 0.60, 0.05, 0.08),
 
-            reflectance_level: e(-0.7, 0.80, 0.60, 0.05),
+            reflectance_level: e(-0.7, 0.80, 0.40, 0.05),
             reflectance_width: e(-3.4, 0.40, 0.05, 0.08),
             reflectance_skew: e(0.0, 0.50, 0.05, 0.05),
 
