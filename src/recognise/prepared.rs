@@ -140,10 +140,14 @@ impl PreparedTrial {
         let made = Arc::new(cut(&trial.signals[id]));
         let mut cuts = self.lock();
         let kept = cuts.entry(id.clone()).or_default();
-        if kept.len() > KEPT_LENGTHS {
-            kept.remove(1);
+        // Another thread may have been first. Waiting for it instead could wait for ever: what it
+        // does may be taken over by a thread that asks for the same.
+        if !kept.iter().any(|(at, _)| *at == frames) {
+            if kept.len() > KEPT_LENGTHS {
+                kept.remove(1);
+            }
+            kept.push((frames, made.clone()));
         }
-        kept.push((frames, made.clone()));
         Ok(made)
     }
 

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
@@ -92,83 +91,71 @@ pub fn run<M: Method>(
     let wanted: BTreeSet<usize> =
         plan.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
     let prepared = prepare(method, plan.entries, &wanted, progress)?;
-    let total: usize = plan.folds.iter().map(|fold| fold.queries.len()).sum();
-    let done = AtomicUsize::new(0);
+    let levels: usize = plan.disturbances.iter().map(|d| d.levels.len()).sum();
+    let (mut done, total) = (0, plan.folds.len() * levels);
     let mut clean = Vec::new();
     let mut cells: Vec<Vec<Vec<Answer>>> =
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
         let library: Vec<_> = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
         let models = Models::fit(method, plan, fold, library)?;
-        let of_query = |&query: &usize| -> Result<_, EvaluateError> {
-            let raw = plan.entries[query].load().map_err(RecogniseError::from)?;
-            let answer = |trial: Trial| models.answer(method, plan, query, trial);
-            let undisturbed = answer(raw.clone());
-            let mut disturbed = Vec::new();
-            for d in plan.disturbances {
-                let Kind::Query(change) = d.kind else {
-                    disturbed.push(Vec::new());
-                    continue;
-                };
-                let at_level = |(at, &level): (usize, &f64)| {
-                    let mut trial = raw.clone();
-                    let key = raw.key.to_string();
-                    let rng = seed::rng(
-                        plan.seed,
-                        &[b"stress", d.name.as_bytes(), &at.to_le_bytes(), key.as_bytes()],
-                    );
-                    change(&mut trial, &mut Setting { level, scene: plan.scene, rng });
-                    answer(trial)
-                };
-                disturbed.push(d.levels.iter().enumerate().map(at_level).collect::<Vec<_>>());
-            }
-            progress("naming disturbed queries", done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            Ok((undisturbed, disturbed))
-        };
-        let answers: Vec<_> =
-            fold.queries.par_iter().map(of_query).collect::<Result<_, EvaluateError>>()?;
-        for (undisturbed, disturbed) in answers {
-            clean.push(undisturbed);
-            for (of_disturbance, levels) in cells.iter_mut().zip(disturbed) {
-                for (of_level, answer) in of_disturbance.iter_mut().zip(levels) {
-                    of_level.push(answer);
-                }
-            }
-        }
-        drop(models);
+        let queries = Queries::load(method, plan, fold)?;
+        clean.extend(queries.answers(&models, Trial::clone));
+        // Level by level, so that a library that has to be cut to the length of disturbed queries
+        // is cut once for all of them.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
-            if matches!(d.kind, Kind::Library(_)) {
-                for (at, of_level) in of_disturbance.iter_mut().enumerate() {
-                    of_level.extend(with_library(method, plan, fold, (index, d, at))?);
-                    progress("changed libraries", at + 1, d.levels.len());
-                }
+            for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
+                of_level.extend(match d.kind {
+                    Kind::Query(change) => queries.answers(&models, |raw| {
+                        let (mut trial, key) = (raw.clone(), raw.key.to_string());
+                        let rng = seed::rng(
+                            plan.seed,
+                            &[b"stress", d.name.as_bytes(), &at.to_le_bytes(), key.as_bytes()],
+                        );
+                        change(&mut trial, &mut Setting { level, scene: plan.scene, rng });
+                        trial
+                    }),
+                    Kind::Library(change) => {
+                        let key = [index.to_le_bytes(), at.to_le_bytes()];
+                        let key = [b"library", d.name.as_bytes(), &key[0], &key[1]];
+                        let entries = fold.library.iter().map(|&i| plan.entries[i].clone());
+                        let entries =
+                            change(entries.collect(), level, &mut seed::rng(plan.seed, &key));
+                        let all = (0..entries.len()).collect();
+                        let prepared = prepare(method, &entries, &all, &|_, _, _| {})?;
+                        let prepared = prepared.into_iter().flatten().collect();
+                        queries.answers(&Models::fit(method, plan, fold, prepared)?, Trial::clone)
+                    }
+                });
+                done += 1;
+                progress("disturbing", done, total);
             }
         }
     }
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The answers to a fold's queries by a disturbed library.
-fn with_library<M: Method>(
-    method: &M,
-    plan: &Plan<'_>,
-    fold: &Fold,
-    (index, disturbance, at): (usize, &Disturbance, usize),
-) -> Result<Vec<Answer>, EvaluateError> {
-    let Kind::Library(change) = disturbance.kind else { return Ok(Vec::new()) };
-    let key = [index.to_le_bytes(), at.to_le_bytes()];
-    let mut rng =
-        seed::rng(plan.seed, &[b"library", disturbance.name.as_bytes(), &key[0], &key[1]]);
-    let entries: Vec<Entry> = fold.library.iter().map(|&i| plan.entries[i].clone()).collect();
-    let entries = change(entries, disturbance.levels[at], &mut rng);
-    let all = (0..entries.len()).collect();
-    let prepared = prepare(method, &entries, &all, &|_, _, _| {})?;
-    let models = Models::fit(method, plan, fold, prepared.into_iter().flatten().collect())?;
-    let answer = |&query: &usize| {
-        let trial = plan.entries[query].load().map_err(RecogniseError::from)?;
-        Ok(models.answer(method, plan, query, trial))
-    };
-    fold.queries.par_iter().map(answer).collect()
+/// The queries of a fold, undisturbed, and who answers them.
+struct Queries<'a, M: Method> {
+    method: &'a M,
+    plan: &'a Plan<'a>,
+    trials: Vec<(usize, Trial)>,
+}
+
+impl<'a, M: Method> Queries<'a, M> {
+    fn load(method: &'a M, plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
+        let load = |&query: &usize| Ok((query, plan.entries[query].load()?));
+        let trials = fold.queries.par_iter().map(load).collect::<Result<_, RecogniseError>>()?;
+        Ok(Self { method, plan, trials })
+    }
+
+    /// What a library answers to each of them, changed.
+    fn answers(&self, models: &Models<M>, change: impl Fn(&Trial) -> Trial + Sync) -> Vec<Answer> {
+        let answer = |(query, raw): &(usize, Trial)| {
+            models.answer(self.method, self.plan, *query, change(raw))
+        };
+        self.trials.par_iter().map(answer).collect()
+    }
 }
 
 /// A model of the library, and one without the surfaces that are to be unknown.

@@ -7,11 +7,20 @@ use crate::trial::{Series, Trial};
 /// Length of a gap in the line, in s.
 const GAP_S: f64 = 0.05;
 
-/// A share of the samples lost one by one; what follows moves up.
+/// A share of the samples lost one by one, exactly that many; what follows moves up.
 pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, rng, share| {
+        let mut left = series.frames();
+        let mut wanted = ((1.0 - share) * left as f64).round() as usize;
+        // Selection sampling (Knuth, The Art of Computer Programming 2, 3.4.2, algorithm S).
+        let keep = |_: &&[f32]| {
+            let keep = uniform(rng) * (left as f64) < wanted as f64;
+            left -= 1;
+            wanted -= usize::from(keep);
+            keep
+        };
         let frames = series.samples().chunks_exact(series.channels());
-        let kept = frames.filter(|_| uniform(rng) >= share).flatten().copied().collect();
+        let kept = frames.filter(keep).flatten().copied().collect();
         replace(series, kept);
     });
 }
