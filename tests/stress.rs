@@ -66,12 +66,27 @@ fn a_stress_run_measures_draws_and_tells_where_methods_break() {
         let one_dead = &method["disturbances"][1]["levels"][0];
         assert!(one_dead["accuracy"].as_f64().unwrap() > clean - 0.35, "{one_dead}");
     }
-    for file in ["stress.svg", "stress-unknown.svg", "stress-calibration.svg", "stress.json"] {
+    for file in
+        ["stress.svg", "stress-unknown.svg", "stress-calibration.svg", "stress.json", "stress.md"]
+    {
         assert!(dir.path().join(file).exists(), "{file}");
     }
     let told = String::from_utf8(run.stderr).unwrap();
     assert!(told.contains("| loses 5 points at | `embedding` | `naive-bayes` |"), "{told}");
     assert!(told.contains("fails first"), "{told}");
+
+    let (json, both) = (out.with_extension("json"), dir.path().join("both.svg"));
+    let (json, both) = (json.to_str().unwrap(), both.to_str().unwrap());
+    let again = done(&["stress", json, "--beside", json, "--out", both]);
+    let told = String::from_utf8(again.stderr).unwrap();
+    assert!(told.contains("| `naive-bayes` | `embedding (stress)` |"), "{told}");
+    let other = dir.path().join("other.json");
+    let fewer = std::fs::read_to_string(json).unwrap().replace("\"queries\": 6", "\"queries\": 5");
+    std::fs::write(&other, fewer).unwrap();
+    let refused = surfaced(&["stress", json, "--beside", other.to_str().unwrap(), "--out", both]);
+    assert_eq!(refused.status.code(), Some(2));
+    let told = String::from_utf8(refused.stderr).unwrap();
+    assert!(told.contains("its queries are 5 by expert-vs-users, and not 6 by"), "{told}");
 }
 
 #[test]

@@ -1,12 +1,13 @@
 //! `surfaced chart`: every method, accuracy against latency and against scan time.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Parser;
 
-use super::choose::{Choice, FigureArgs, choose};
+use super::choose::{Choice, choose};
 use super::eval::{Also, Evaluation};
+use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{MethodArgs, at_least_one};
 use super::{Done, Failure, show};
 use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
@@ -81,12 +82,13 @@ enum Kind {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let drawn_again = args.lib.extension().is_some_and(|e| e == "json") && args.lib.is_file();
-    let chart = if drawn_again { read(&args.lib)? } else { measured(args)? };
-    let beside = args.figure.out.with_extension("json");
+    args.figure.check()?;
+    let drawn_again = is_earlier(&args.lib);
+    let chart: Chart = if drawn_again { earlier(&args.lib, "chart")? } else { measured(args)? };
     write(&args.figure.out, &figure(&chart)?)?;
+    let beside = args.figure.beside();
     if !drawn_again || beside != args.lib {
-        write(&beside, &(serde_json::to_string_pretty(&chart)? + "\n"))?;
+        write(&beside, &json(&chart)?)?;
     }
     if args.figure.json {
         show::json(&chart);
@@ -94,29 +96,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn read(path: &Path) -> Result<Chart, Failure> {
-    let failed = |error: &dyn std::fmt::Display| {
-        Failure::Failed(format!(
-            "{}: {error}; expected what `surfaced chart` writes beside its picture",
-            super::shown(path)
-        ))
-    };
-    let text = std::fs::read_to_string(path).map_err(|error| failed(&error))?;
-    serde_json::from_str(&text).map_err(|error| failed(&error))
-}
-
-fn write(path: &Path, text: &str) -> Done {
-    std::fs::write(path, text)
-        .map_err(|error| Failure::Failed(format!("{}: {error}", super::shown(path))))
-}
-
 fn measured(args: &Args) -> Result<Chart, Failure> {
-    if args.figure.out.extension().is_some_and(|e| e == "json") {
-        return Err(Failure::Usage(format!(
-            "{}: name the picture, such as chart.svg; the JSON is written beside it",
-            super::shown(&args.figure.out)
-        )));
-    }
     let library = super::open(&args.lib)?;
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let mut choice = choose(&library, scene, args.figure.protocol)?;

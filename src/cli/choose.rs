@@ -1,29 +1,12 @@
 //! Which trials, sources and folds of some recordings a measurement works with.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
-use super::{Failure, SourceArgs};
+use super::Failure;
 use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
-
-/// What a figure is measured on, and where it goes.
-#[derive(clap::Args)]
-pub struct FigureArgs {
-    /// Picture to write, an SVG; the JSON, and other pictures if there are any, go beside it
-    #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
-    /// How queries and library are split (default: users against the expert where there are users)
-    #[arg(long, value_enum)]
-    pub protocol: Option<Protocol>,
-    #[command(flatten)]
-    pub sources: SourceArgs,
-    /// Print the JSON on stdout, too
-    #[arg(long)]
-    pub json: bool,
-}
 
 /// What a measurement works with.
 pub(super) struct Choice {

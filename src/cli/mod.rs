@@ -13,6 +13,7 @@ mod duration;
 mod enroll;
 mod eval;
 mod export;
+mod figure;
 mod lines;
 mod live;
 mod method;

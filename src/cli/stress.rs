@@ -1,10 +1,11 @@
 //! `surfaced stress`: every method, disturbed until it breaks.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use super::choose::{Choice, FigureArgs, choose};
+use super::choose::{Choice, choose};
+use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{MethodArgs, at_least_one};
-use super::{Done, Failure, show};
+use super::{Done, Failure, show, shown};
 use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
 use crate::recognise::MethodName;
 use crate::scene::SourceSpec;
@@ -12,15 +13,20 @@ use crate::scene::SourceSpec;
 /// Disturb queries, and the library, until each method breaks
 ///
 /// Writes a chart of the accuracy (and beside it NAME-unknown.svg and NAME-calibration.svg, for the
-/// rejection of unknown surfaces and for stated probabilities) and the numbers as JSON; says as a
-/// Markdown table where each method loses 5 points. `reference` runs with --halving.
+/// rejection of unknown surfaces and for stated probabilities), the numbers as JSON, and as a
+/// Markdown table where each method loses 5 points. `reference` runs with --halving. An earlier
+/// run's JSON in place of recordings is drawn again.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
                         dead-sensors,gain --methods embedding,svm")]
 pub struct Args {
-    /// Recordings: a library, or the LMT108 database
+    /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
+    /// JSON of an earlier run of the same queries, shown in the same picture and table; its methods
+    /// get the file's name
+    #[arg(long, value_name = "FILE")]
+    beside: Option<PathBuf>,
     #[command(flatten)]
     figure: FigureArgs,
     /// Methods, with commas between them (default: all)
@@ -42,6 +48,27 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
+    args.figure.check()?;
+    // Read first: an hour of measuring should not end at a name that was mistyped.
+    let read = |path: &PathBuf| earlier::<Report>(path, "stress");
+    let beside = args.beside.as_ref().map(|path| read(path).map(|other| (path, other)));
+    let beside = beside.transpose()?;
+    let again = is_earlier(&args.lib);
+    let mut report = if again { earlier(&args.lib, "stress")? } else { measured(args)? };
+    if let Some((path, other)) = beside {
+        let whose = path.file_stem().unwrap_or_default().to_string_lossy();
+        let refused = |why| Failure::Usage(format!("{}: {why}", shown(path)));
+        report.join(other, &whose).map_err(refused)?;
+    }
+    keep(args, &report)?;
+    eprintln!("\n{}", report.markdown());
+    if args.figure.json {
+        show::json(&report);
+    }
+    Ok(())
+}
+
+fn measured(args: &Args) -> Result<Report, Failure> {
     let library = super::open(&args.lib)?;
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.figure.protocol)?;
@@ -80,13 +107,9 @@ pub fn run(args: &Args) -> Done {
         drop(steps);
         report.methods.push(told);
         // What is done stays, should a later method fail or a person lose patience.
-        write(&args.figure.out, &report)?;
+        keep(args, &report)?;
     }
-    eprintln!("\n{}", report.markdown());
-    if args.figure.json {
-        show::json(&report);
-    }
-    Ok(())
+    Ok(report)
 }
 
 fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Failure> {
@@ -106,20 +129,19 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
     Ok(found)
 }
 
-fn write(out: &Path, report: &Report) -> Done {
-    let to = |path: PathBuf, text: String| {
-        std::fs::write(&path, text)
-            .map_err(|error| Failure::Failed(format!("{}: {error}", path.display())))
-    };
-    to(out.to_path_buf(), figure(report, Measure::Accuracy)?)?;
+/// Writes the pictures and their numbers.
+fn keep(args: &Args, report: &Report) -> Done {
+    let out = &args.figure.out;
+    write(out, &figure(report, Measure::Accuracy)?)?;
     let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
         // Where no method states a probability there is nothing to draw.
         if let Ok(svg) = figure(report, measure) {
-            to(out.with_file_name(format!("{stem}-{name}.svg")), svg)?;
+            write(&out.with_file_name(format!("{stem}-{name}.svg")), &svg)?;
         }
     }
-    to(out.with_extension("json"), serde_json::to_string_pretty(report)?)
+    write(&out.with_extension("md"), &report.markdown())?;
+    write(&args.figure.beside(), &json(report)?)
 }

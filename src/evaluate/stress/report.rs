@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A loss of accuracy that counts, in fractions.
 const LOSS: f64 = 0.05;
 
 /// One method under one disturbance at one level. Shares are from 0 to 1.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Share of queries named right.
     pub accuracy: f64,
@@ -24,7 +24,7 @@ pub struct Cell {
 }
 
 /// A level of a disturbance.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// In the disturbance's unit.
     pub level: f64,
@@ -34,7 +34,7 @@ pub struct Level {
 }
 
 /// A disturbance, level by level.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Series {
     /// The disturbance.
     pub name: String,
@@ -61,7 +61,7 @@ impl Series {
 }
 
 /// One method.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodReport {
     /// Its name.
     pub method: String,
@@ -83,7 +83,7 @@ impl MethodReport {
 }
 
 /// What `surfaced stress` writes as JSON.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// What was measured on.
     pub data: String,
@@ -104,6 +104,40 @@ pub struct Report {
 }
 
 impl Report {
+    /// Adds the methods of another run of the same queries, as `NAME (whose)`.
+    ///
+    /// # Errors
+    /// If it ran on other recordings, sources, queries or disturbances; the message says on which.
+    pub fn join(&mut self, other: Self, whose: &str) -> Result<(), String> {
+        let what_ran = |r: &Self| {
+            [
+                ("recordings", r.data.clone()),
+                ("sources", r.sources.join(", ")),
+                ("queries", format!("{} by {}", r.queries, r.protocol)),
+                ("disturbances", r.axes()),
+            ]
+        };
+        for ((what, mine), (_, others)) in what_ran(self).into_iter().zip(what_ran(&other)) {
+            if mine != others {
+                return Err(format!("its {what} are {others}, and not {mine}"));
+            }
+        }
+        let renamed =
+            |m: MethodReport| MethodReport { method: format!("{} ({whose})", m.method), ..m };
+        self.methods.extend(other.methods.into_iter().map(renamed));
+        Ok(())
+    }
+
+    /// Disturbances with their levels.
+    fn axes(&self) -> String {
+        let axis = |series: &Series| {
+            let levels: Vec<_> = series.levels.iter().map(|l| l.level.to_string()).collect();
+            format!("{} at {}", series.name, levels.join(" "))
+        };
+        let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
+        first.iter().map(axis).collect::<Vec<_>>().join(", ")
+    }
+
     /// For each disturbance and method the level at which 5 points are lost, and for each method
     /// what it fails at first; a table in Markdown.
     pub fn markdown(&self) -> String {
