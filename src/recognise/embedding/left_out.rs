@@ -27,10 +27,9 @@ pub(super) struct LeftOut<'a> {
 impl LeftOut<'_> {
     fn distances(&self, trial: usize, seconds: Option<f64>) -> Option<Vec<f64>> {
         let mut sum = vec![0.0; self.labels.classes];
-        let models =
-            || self.library[trial].sources.keys().filter_map(|id| trained(self.sources, id));
-        let alone = models().count() == 1;
-        for model in models() {
+        let ids = || self.library[trial].sources.keys();
+        let alone = is_alone(self.sources, ids());
+        for model in ids().filter_map(|id| trained(self.sources, id)) {
             let (whole, beginnings) = model.held_out[trial].as_ref()?.split_last()?;
             let (length_s, distances) = match seconds {
                 Some(t) if model.spec.phase == Phase::Drag => {
@@ -78,6 +77,14 @@ fn trained<'a>(
     id: &SourceId,
 ) -> Option<&'a SourceModel> {
     sources.get(id).filter(|model| model.discriminant.is_some())
+}
+
+/// Whether but one of a trial's sources has a discriminant.
+pub(super) fn is_alone<'a>(
+    sources: &BTreeMap<SourceId, SourceModel>,
+    ids: impl Iterator<Item = &'a SourceId>,
+) -> bool {
+    ids.filter_map(|id| trained(sources, id)).count() == 1
 }
 
 /// Length in seconds of the longest trained source of a trial's drag, if it has one.
@@ -170,8 +177,7 @@ impl EmbeddingModel {
         if !distances[self.labels.class[trial]].is_finite() {
             return None;
         }
-        let others = |id: &SourceId| *id != model.spec.id && trained(&self.sources, id).is_some();
-        let alone = !self.library[trial].sources.keys().any(others);
+        let alone = is_alone(&self.sources, self.library[trial].sources.keys());
         model.add_evidence(sum, distances, length_s, alone);
         Some(())
     }

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 use self::calibrate::{HeldOut, best_temperature, log_posterior};
 use self::discriminant::SHRINKAGE;
 use self::follower::Follower;
-use self::left_out::{LeftOut, drag_s};
+use self::left_out::{LeftOut, drag_s, is_alone};
 use self::source::{Window, squared_distance};
 use self::train::{Labels, SourceModel, train};
 use super::follow::{Follow, FollowOptions};
@@ -240,8 +240,7 @@ impl EmbeddingModel {
         query: &FramedTrial,
         vectors: &[EmbeddedSource<'_>],
     ) -> Vec<(SourceId, Vec<f64>)> {
-        let trained = || vectors.iter().filter(|v| v.model.discriminant.is_some());
-        let alone = trained().count() == 1;
+        let alone = is_alone(&self.sources, vectors.iter().map(|v| &v.model.spec.id));
         let term = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
             let length_s = query.sources[&model.spec.id].duration_s;
             let mut term = vec![0.0; self.surfaces.len()];
@@ -249,7 +248,7 @@ impl EmbeddingModel {
             model.add_evidence(&mut term, distances, length_s, alone);
             Some((model.spec.id.clone(), term))
         };
-        trained().filter_map(term).collect()
+        vectors.iter().filter_map(term).collect()
     }
 
     /// Squared distances to library trials, as logarithms, source by source.

@@ -1,5 +1,7 @@
 //! Features of a picture: colour statistics, grey-level co-occurrence, gradients.
 
+use std::ops::Range;
+
 use super::super::colour::hsv;
 use crate::trial::Image;
 
@@ -54,8 +56,9 @@ pub fn features(image: &Image) -> Vec<f64> {
         warmth.mean,
         warmth.deviation,
     ];
+    let texture = Texture::new(grey);
     for step in STEPS {
-        features.extend(texture(&grey, step));
+        features.extend(texture.at(step));
     }
     features
 }
@@ -77,45 +80,61 @@ impl Moments {
     }
 }
 
-/// [`TEXTURES`] of pixels `step` apart. Levels are of the picture's own range, but contrast and
-/// correlation of the grey values themselves.
-fn texture(grey: &[f32], step: usize) -> [f64; TEXTURES.len()] {
-    let (low, high) = grey.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-    let scale = LEVELS as f32 / (high - low).max(1.0);
-    let level = |x: f32| (((x - low) * scale) as usize).min(LEVELS - 1);
-    let mut counts = [[0u32; LEVELS]; LEVELS];
-    let (mut contrast, mut pairs) = (0.0, 0.0);
-    let mut pair = |a: f32, b: f32| {
-        counts[level(a)][level(b)] += 1;
-        counts[level(b)][level(a)] += 1;
-        contrast += f64::from(a - b).powi(2);
-        pairs += 1.0;
-    };
-    for row in 0..Image::ROWS {
-        for col in 0..Image::COLS {
-            let here = grey[row * Image::COLS + col];
-            if col + step < Image::COLS {
-                pair(here, grey[row * Image::COLS + col + step]);
+/// Grey values of a picture, and their levels in the picture's own range.
+struct Texture {
+    grey: Vec<f32>,
+    level: Vec<u8>,
+    variance: f64,
+}
+
+impl Texture {
+    fn new(grey: Vec<f32>) -> Self {
+        let (low, high) = grey.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        let scale = LEVELS as f32 / (high - low).max(1.0);
+        let level = |x: &f32| (((x - low) * scale) as usize).min(LEVELS - 1) as u8;
+        let values: Vec<f64> = grey.iter().map(|&x| f64::from(x)).collect();
+        let variance = Moments::new(&values).deviation.powi(2);
+        Self { level: grey.iter().map(level).collect(), grey, variance }
+    }
+
+    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation are of the grey values
+    /// themselves.
+    fn at(&self, step: usize) -> [f64; TEXTURES.len()] {
+        let mut counts = [[0u32; LEVELS]; LEVELS];
+        let (mut contrast, mut pairs) = (0.0, 0);
+        let mut add = |from: Range<usize>, by: usize| {
+            let to = from.start + by..from.end + by;
+            pairs += from.len();
+            let values = self.grey[from.clone()].iter().zip(&self.grey[to.clone()]);
+            contrast += values.map(|(a, b)| f64::from((a - b) * (a - b))).sum::<f64>();
+            for (&a, &b) in self.level[from].iter().zip(&self.level[to]) {
+                counts[usize::from(a)][usize::from(b)] += 1;
             }
+        };
+        for row in 0..Image::ROWS {
+            let (start, end) = (row * Image::COLS, (row + 1) * Image::COLS);
+            add(start..end - step, step);
             if row + step < Image::ROWS {
-                pair(here, grey[(row + step) * Image::COLS + col]);
+                add(start..end, step * Image::COLS);
             }
         }
-    }
-    let contrast = contrast / pairs;
-    let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
-    for (i, row) in counts.iter().enumerate() {
-        for (j, &count) in row.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let p = f64::from(count) / (2.0 * pairs);
-            homogeneity += p / (1.0 + i.abs_diff(j) as f64);
-            energy += p * p;
-            entropy -= p * p.ln();
+        let pairs = pairs as f64;
+        let contrast = contrast / pairs;
+        let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
+        for (i, j) in (0..LEVELS).flat_map(|i| (0..LEVELS).map(move |j| (i, j))) {
+            // Which of two neighbours comes first means nothing.
+            let count = counts[i][j] + counts[j][i];
+            if count > 0 {
+                let p = f64::from(count) / (2.0 * pairs);
+                homogeneity += p / (1.0 + i.abs_diff(j) as f64);
+                energy += p * p;
+                entropy -= p * p.ln();
+            }
         }
+        let correlation =
+            if self.variance > 0.0 { 1.0 - 0.5 * contrast / self.variance } else { 1.0 };
+        [(contrast + 1.0).ln(), homogeneity, energy.ln(), entropy, correlation]
     }
-    let values: Vec<f64> = grey.iter().map(|&x| f64::from(x)).collect();
-    let variance = Moments::new(&values).deviation.powi(2);
-    let correlation = if variance > 0.0 { 1.0 - 0.5 * contrast / variance } else { 1.0 };
-    [(contrast + 1.0).ln(), homogeneity, energy.ln(), entropy, correlation]
 }
 
 #[cfg(test)]
