@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::figure::write;
 use super::method::at_least_one;
 use super::{Done, Failure, show};
 use crate::duration::{Question, ReportError, Rule, Settings, figure, report};
@@ -119,9 +120,7 @@ pub fn run(args: &Args) -> Done {
         }
     })?;
     if let Some(path) = &args.svg {
-        let svg = figure(&answer.durations)?;
-        std::fs::write(path, svg)
-            .map_err(|error| Failure::Failed(format!("{}: {error}", super::shown(path))))?;
+        write(path, &figure(&answer.durations)?)?;
     }
     if args.json {
         show::json(&answer);

@@ -60,7 +60,7 @@ pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Fai
     serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-/// Writes a picture or its numbers.
+/// Writes a file that was asked for.
 pub fn write(path: &Path, text: &str) -> Done {
     std::fs::write(path, text).map_err(|error| Failure::Failed(format!("{}: {error}", shown(path))))
 }

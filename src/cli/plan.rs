@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::choose::choose;
 use super::eval::share;
+use super::figure::write;
 use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
@@ -118,8 +119,7 @@ pub fn run(args: &Args) -> Done {
     drop(steps);
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {
-        std::fs::write(out, &text)
-            .map_err(|error| Failure::Failed(format!("{}: {error}", out.display())))?;
+        write(out, &text)?;
     }
     if args.json {
         show::json(&planned);

@@ -50,9 +50,10 @@ pub struct Args {
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
     // Read first: an hour of measuring should not end at a name that was mistyped.
-    let read = |path: &PathBuf| earlier::<Report>(path, "stress");
-    let beside = args.beside.as_ref().map(|path| read(path).map(|other| (path, other)));
-    let beside = beside.transpose()?;
+    let beside = match &args.beside {
+        Some(path) => Some((path, earlier::<Report>(path, "stress")?)),
+        None => None,
+    };
     let again = is_earlier(&args.lib);
     let mut report = if again { earlier(&args.lib, "stress")? } else { measured(args)? };
     if let Some((path, other)) = beside {
