@@ -13,7 +13,7 @@ use surfaced::dataset::synth;
 use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FramedTrial, FreshFrames,
+    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
     GuessSoFar, LOOK_S, Method, Reference, ReferenceOptions, RejectionError, without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
@@ -23,7 +23,7 @@ fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
 }
 
-fn prepared(method: &Embedding, trial: &Trial) -> FramedTrial {
+fn prepared(method: &Embedding, trial: &Trial) -> FrameFeatures {
     method.prepare(&Entry::in_memory(trial.clone()), trial).unwrap()
 }
 

@@ -215,7 +215,6 @@ fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
     refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
     let mixed = ["replay", &data, "--halving", "--harmonics", "2"];
     refused(&mixed, 2, &["goes with --method embedding alone, not with reference"]);
-    refused(&["replay", &data, "--sources", "ir", "--by-conductivity"], 2, &["metal detector"]);
 }
 
 #[test]

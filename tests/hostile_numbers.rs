@@ -13,7 +13,7 @@ use surfaced::recognise::classify::{
     AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
 };
 use surfaced::recognise::{
-    Embedding, EmbeddingOptions, Joint, Method, Precision, Ranking, RecogniseError, Reference,
+    Embedding, EmbeddingOptions, Method, Precision, Ranking, RecogniseError, Reference,
     ReferenceOptions,
 };
 use surfaced::scene::Scene;
@@ -130,7 +130,6 @@ proptest! {
         let scene = Scene::lmt108;
         let rankings = [
             ranking(&reference(scene(), Precision::Fast), kinds, seed, identical),
-            ranking(&Joint::new(scene()), kinds, seed, identical),
             ranking(&Embedding::new(scene(), EmbeddingOptions::default()), kinds, seed, identical),
             ranking(&OnFeatures::new(scene(), NaiveBayes), kinds, seed, identical),
             ranking(&OnFeatures::new(scene(), Svm), kinds, seed, identical),

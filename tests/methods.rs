@@ -1,4 +1,4 @@
-//! The methods `joint` and `embedding`, on the real sounds where they are there, and on made ones.
+//! The method `embedding`, on the real sounds where they are there, and on made ones.
 //!
 //! Bounds on accuracy lie below what was measured with all ten folds (README): they catch what
 //! breaks, not what wavers.
@@ -11,7 +11,7 @@ use common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{self, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingOptions, FramedStream, FramedTrial, Joint, Method, Ranking,
+    Embedding, EmbeddingOptions, FrameFeatures, FrameStream, Method, Ranking,
 };
 use surfaced::scene::{Scene, SourceId};
 use surfaced::seed;
@@ -36,12 +36,6 @@ fn embedding_names_real_sounds_whole_and_short() {
     assert!(accuracy(&method, &entries, &folds, None) >= 0.98);
     assert!(accuracy(&method, &entries, &folds, Some(1.0)) >= 0.93);
     assert!(accuracy(&method, &entries, &folds, Some(0.5)) >= 0.88);
-}
-
-#[test]
-fn joint_names_real_sounds() {
-    let Some((scene, entries, folds)) = real_sounds(3) else { return };
-    assert!(accuracy(&Joint::new(scene), &entries, &folds, None) >= 0.95);
 }
 
 /// What a room and a session give away: the band below 80 Hz alone. It is a scene, so that every
@@ -141,19 +135,13 @@ fn neither_the_order_of_a_library_nor_the_number_of_threads_matters() {
     let mut reversed = library.clone();
     reversed.reverse();
     let query = made(2, 9, 1.2);
-    let both = |library: &[Trial]| {
-        (
-            fit_and_rank(&embedding(&scene), library, &query),
-            fit_and_rank(&Joint::new(scene.clone()), library, &query),
-        )
-    };
-    let expected = both(&library);
-    checked(&expected.0, 4);
-    checked(&expected.1, 4);
-    assert_eq!((expected.0.surface(), expected.1.surface()), ("s2", "s2"));
-    assert_eq!(both(&reversed), expected);
+    let ranked = |library: &[Trial]| fit_and_rank(&embedding(&scene), library, &query);
+    let expected = ranked(&library);
+    checked(&expected, 4);
+    assert_eq!(expected.surface(), "s2");
+    assert_eq!(ranked(&reversed), expected);
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    assert_eq!(one.install(|| both(&library)), expected);
+    assert_eq!(one.install(|| ranked(&library)), expected);
 }
 
 #[test]
@@ -168,13 +156,11 @@ fn tiny_short_and_patchy_libraries_give_a_full_ranking() {
         let query = made(1, 9, seconds);
         checked(&fit_and_rank(&embedding(&scene), &library, &query), 4);
         checked(&fit_and_rank(&nearest, &library, &query), 4);
-        checked(&fit_and_rank(&Joint::new(scene.clone()), &library, &query), 4);
         // One surface loses all but a picture, one trial its picture.
         library[0].signals.retain(|name, _| name == &id("ca1"));
         let last = library.len() - 1;
         library[last].signals.remove(&id("ca1"));
         checked(&fit_and_rank(&embedding(&scene), &library, &query), 4);
-        checked(&fit_and_rank(&Joint::new(scene.clone()), &library, &query), 4);
     }
 }
 
@@ -211,7 +197,6 @@ fn constant_and_silent_sources_never_make_nan() {
     let library: Vec<Trial> = (0..3).flat_map(|s| (1..=2).map(move |n| constant(s, n))).collect();
     for query in [constant(1, 8), made(1, 8, 1.2)] {
         checked(&fit_and_rank(&embedding(&scene), &library, &query), 3);
-        checked(&fit_and_rank(&Joint::new(scene.clone()), &library, &query), 3);
     }
 }
 
@@ -224,7 +209,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
         method.fit(library.iter().map(|t| Arc::new(prepared(&method, t))).collect()).unwrap();
     for seconds in [0.01, 0.35, 1.2] {
         let whole = made(1, 7, seconds);
-        let mut stream = FramedStream::new(scene.clone(), whole.key.clone());
+        let mut stream = FrameStream::new(scene.clone(), whole.key.clone());
         for (name, signal) in &whole.signals {
             let Signal::Series(series) = signal else {
                 stream.push(name, signal).unwrap();
@@ -237,7 +222,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
                 stream.push(name, &piece).unwrap();
             }
         }
-        let batch: FramedTrial = prepared(&method, &whole);
+        let batch: FrameFeatures = prepared(&method, &whole);
         let expected = model.posterior(&batch).unwrap().unwrap();
         assert_eq!(model.posterior(&stream.so_far()).unwrap().unwrap(), expected);
     }
@@ -256,7 +241,6 @@ fn rates_may_differ_where_the_band_is_the_same_and_are_refused_where_it_is_not()
     for rate_hz in [48_000.0, 22_050.0, 96_000.0] {
         let query = at(rate_hz, 1);
         assert_eq!(fit_and_rank(&embedding(&scene), &library, &query).surface(), "s1");
-        assert_eq!(fit_and_rank(&Joint::new(scene.clone()), &library, &query).surface(), "s1");
     }
     let method = embedding(&scene);
     let model =

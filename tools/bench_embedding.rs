@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::Entry;
-use surfaced::recognise::{Embedding, EmbeddingOptions, FramedStream, FramedTrial, Method};
+use surfaced::recognise::{Embedding, EmbeddingOptions, FrameFeatures, FrameStream, Method};
 use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{EXPERT, Series, Signal, Trial};
 
@@ -41,7 +41,7 @@ fn main() {
         let options = EmbeddingOptions { discriminant, ..EmbeddingOptions::default() };
         let method = Embedding::new(scene.clone(), options);
         let start = Instant::now();
-        let prepared: Vec<Arc<FramedTrial>> =
+        let prepared: Vec<Arc<FrameFeatures>> =
             library.iter().map(|entry| Arc::new(prepare(&method, entry, &load(entry)))).collect();
         let frames_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
@@ -65,7 +65,7 @@ fn main() {
             right += usize::from(answer == entry.key.surface);
         }
         times.print();
-        let ready: Vec<FramedTrial> =
+        let ready: Vec<FrameFeatures> =
             asked.iter().map(|entry| prepare(&method, entry, &load(entry))).collect();
         let before = processor_s();
         for query in (0..RUNS).flat_map(|_| &ready) {
@@ -92,7 +92,7 @@ fn load(entry: &Entry) -> Trial {
     entry.load().unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn prepare(method: &Embedding, entry: &Entry, trial: &Trial) -> FramedTrial {
+fn prepare(method: &Embedding, entry: &Entry, trial: &Trial) -> FrameFeatures {
     method.prepare(entry, trial).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -135,7 +135,7 @@ fn name_once(
     trial: &Trial,
     times: &mut Times,
 ) -> String {
-    let mut stream = FramedStream::new(scene.clone(), entry.key.clone());
+    let mut stream = FrameStream::new(scene.clone(), entry.key.clone());
     let mut last: Vec<(&SourceId, Signal)> = Vec::new();
     for (id, signal) in &trial.signals {
         let Signal::Series(series) = signal else {
@@ -173,6 +173,6 @@ fn name_once(
     ranking.surface().to_string()
 }
 
-fn push(stream: &mut FramedStream, id: &SourceId, signal: &Signal) {
+fn push(stream: &mut FrameStream, id: &SourceId, signal: &Signal) {
     stream.push(id, signal).unwrap_or_else(|error| panic!("{error}"));
 }

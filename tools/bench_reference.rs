@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::kernel::{
-    InstructionSet, Lanes, Quality, lane_scale, lane_self_sum_with, lane_sum_with,
+    InstructionSet, PaddedPoints, Quality, lane_scale, lane_self_sum_with, lane_sum_with,
 };
 use surfaced::library::{Entry, LibraryError, LoadTrial};
 use surfaced::recognise::{
@@ -73,7 +73,7 @@ fn kernel() {
         for channels in 1..=4 {
             // Spread out as a normal distribution is; or with one sample far away.
             let fill = |key: usize, far: f64| {
-                let mut lanes = Lanes::default();
+                let mut lanes = PaddedPoints::default();
                 lanes.fill(channels, lane_scale(1.0), |c| {
                     (0..400).map(move |i| {
                         let at = (i * (7 + c) + key) as f64 * 0.618_033_988_749;
@@ -84,7 +84,7 @@ fn kernel() {
                 lanes
             };
             let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
-            let cross = |b: &Lanes| {
+            let cross = |b: &PaddedPoints| {
                 timed(400, || {
                     black_box(lane_sum_with(set, black_box(&a), black_box(b), Quality::Quick));
                 })

@@ -35,13 +35,12 @@ pub struct Args {
 
 /// Settings that are charted, as options of `surfaced eval`; the flagged ones on the first seconds
 /// of a drag, too.
-const SETTINGS: [(&str, bool); 11] = [
+const SETTINGS: [(&str, bool); 10] = [
     ("--method reference --n 100 --repetitions 1", false),
     ("--method reference --n 400 --repetitions 1", false),
     ("--method reference --n 100 --repetitions 10", false),
     ("--method reference --n 400 --repetitions 10", true),
     ("--method reference --n 400 --repetitions 10 --halving", false),
-    ("--method joint", true),
     ("--method embedding --no-discriminant --harmonics 1", false),
     ("--method embedding --no-discriminant", true),
     ("--method embedding --harmonics 1", false),

@@ -8,8 +8,8 @@ use crate::recognise::classify::{
     AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
 };
 use crate::recognise::{
-    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, PositionMode,
-    Precision, Reference, ReferenceOptions, STAGES, metal_detector,
+    AnyMethod, Embedding, EmbeddingOptions, MethodName, PositionMode, Precision, Reference,
+    ReferenceOptions, STAGES,
 };
 use crate::scene::Scene;
 
@@ -55,9 +55,6 @@ pub struct MethodArgs {
     /// With `reference`: compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
-    /// Compare with surfaces of matching conductivity alone, by the metal detector
-    #[arg(long)]
-    by_conductivity: bool,
     /// With `reference`: do not tabulate library sums: quicker to prepare, slower to compare
     #[arg(long)]
     no_tables: bool,
@@ -88,7 +85,6 @@ impl MethodArgs {
             harmonics: None,
             no_discriminant: false,
             halving: method == MethodName::Reference,
-            by_conductivity: false,
             no_tables: false,
             no_cache: true,
         }
@@ -125,29 +121,16 @@ impl MethodArgs {
     /// The method that was asked for, on the sources of a scene.
     ///
     /// # Errors
-    /// Wrong usage, if options of different methods are given, or surfaces are to be told apart by a
-    /// metal detector that the scene lacks.
+    /// Wrong usage, if options of different methods are given.
     pub fn method(&self, scene: &Scene) -> Result<AnyMethod, Failure> {
-        let method = self.on_all_surfaces(self.name()?, scene);
-        if !self.by_conductivity {
-            return Ok(method);
-        }
-        let Some(detector) = metal_detector(scene) else {
-            let text = "--by-conductivity needs a metal detector among the sources, such as `me`";
-            return Err(Failure::Usage(text.into()));
-        };
-        Ok(AnyMethod::new(ByConductivity::new(method, detector.clone())))
-    }
-
-    fn on_all_surfaces(&self, name: MethodName, scene: &Scene) -> AnyMethod {
+        let name = self.name()?;
         let (scene, seed) = (scene.clone(), self.seed);
         let neighbours =
             |scene, distance| AnyMethod::new(OnFeatures::new(scene, Neighbours { distance }));
-        match name {
+        Ok(match name {
             MethodName::Reference => {
                 AnyMethod::new(Reference::new(scene, self.reference_options()))
             }
-            MethodName::Joint => AnyMethod::new(Joint::new(scene)),
             MethodName::Embedding => {
                 AnyMethod::new(Embedding::new(scene, self.embedding_options()))
             }
@@ -159,18 +142,17 @@ impl MethodArgs {
             MethodName::RandomForest => {
                 AnyMethod::new(OnFeatures::new(scene, RandomForest { seed }))
             }
-        }
+        })
     }
 
     /// These settings, but for what a plan says.
     pub fn planned(&self, plan: &Plan) -> Self {
-        let (method, by_conductivity) = (Some(plan.setting.method()), plan.by_conductivity);
-        let planned = Self { method, by_conductivity, ..self.clone() };
+        let planned = Self { method: Some(plan.setting.method()), ..self.clone() };
         match plan.setting {
             Setting::Reference { n, repetitions } => {
                 Self { n: Some(n), repetitions: Some(repetitions), ..planned }
             }
-            Setting::Joint | Setting::Embedding => planned,
+            Setting::Embedding => planned,
         }
     }
 

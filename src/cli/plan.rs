@@ -47,7 +47,7 @@ pub struct ComparingArgs {
     /// Compare as this plan says, which `surfaced plan` has written
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving", "no_discriminant", "harmonics", "by_conductivity"
+        "halving", "no_discriminant", "harmonics"
     ])]
     plan: Option<PathBuf>,
 }
@@ -65,11 +65,7 @@ impl ComparingArgs {
         };
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
-        let mut used =
-            plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        if plan.by_conductivity {
-            used += ", surfaces of matching conductivity alone";
-        }
+        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
         eprintln!(
             "plan for {}: {} by {}{used}",
             plan.library,

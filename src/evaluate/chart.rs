@@ -191,7 +191,7 @@ pub(super) mod tests {
         let name = |method: &str, setting: &str| {
             Point { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
         };
-        assert_eq!(name("joint", "--method joint"), "joint");
+        assert_eq!(name("svm", "--method svm"), "svm");
         assert_eq!(
             name("reference", "--method reference --n 100 --repetitions 10 --halving"),
             "reference (n = 100 R = 10 halving)"

@@ -4,9 +4,9 @@
 //! so that neither the size of the pieces in which samples come nor the speed at which they are
 //! played changes what is said.
 
-use super::RecogniseError;
-use super::settle::Settling;
-use super::unknown::Rejection;
+use super::decide::conformal::Rejection;
+use super::decide::settle::Settling;
+use super::error::RecogniseError;
 use crate::scene::SourceId;
 use crate::trial::Image;
 

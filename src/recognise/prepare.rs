@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{Method, RecogniseError};
+use super::error::RecogniseError;
+use super::method::Method;
 use crate::library::Entry;
 use crate::library::cache::{Cache, Record};
 

@@ -73,8 +73,6 @@ pub struct Plan {
     /// How trials are compared.
     #[serde(flatten)]
     pub setting: Setting,
-    /// Surfaces of matching conductivity alone are compared.
-    pub by_conductivity: bool,
     /// How much of the drag is used, in seconds; all of it where nothing is said.
     pub scan_s: Option<f64>,
     /// What comes of it.
@@ -93,8 +91,6 @@ struct PlanFile {
     method: MethodName,
     n: Option<usize>,
     repetitions: Option<usize>,
-    #[serde(default)]
-    by_conductivity: bool,
     scan_s: Option<f64>,
     expected: Expected,
 }
@@ -133,20 +129,17 @@ impl Plan {
             (_, Some(_), _) | (_, _, Some(_)) => {
                 return Err("n and repetitions go with method = \"reference\" alone".into());
             }
-            (MethodName::Joint, None, None) => Setting::Joint,
             (MethodName::Embedding, None, None) => Setting::Embedding,
             (other, None, None) => {
                 let name = other.name();
-                return Err(format!(
-                    "method = \"{name}\"; a plan knows reference, joint and embedding"
-                ));
+                return Err(format!("method = \"{name}\"; a plan knows reference and embedding"));
             }
         };
         if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
         }
-        let PlanFile { library, synthetic, by_conductivity, scan_s, expected, .. } = file;
-        Ok(Self { library, synthetic, sources, setting, by_conductivity, scan_s, expected })
+        let PlanFile { library, synthetic, scan_s, expected, .. } = file;
+        Ok(Self { library, synthetic, sources, setting, scan_s, expected })
     }
 
     /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
@@ -185,11 +178,6 @@ impl Plan {
         if let Setting::Reference { n, repetitions } = self.setting {
             line("# Samples drawn from a source, and repetitions.".into());
             line(format!("n = {n}\nrepetitions = {repetitions}"));
-        }
-        if self.by_conductivity {
-            line(
-                "# Compare surfaces of matching conductivity alone.\nby_conductivity = true".into(),
-            );
         }
         match self.scan_s {
             Some(scan_s) => {
@@ -230,7 +218,6 @@ mod tests {
             synthetic: true,
             sources: vec![SourceId::new("ca1").unwrap(), SourceId::new("mi2").unwrap()],
             setting,
-            by_conductivity: true,
             scan_s: Some(0.5),
             expected: Expected {
                 target: 0.99,
@@ -250,9 +237,7 @@ mod tests {
 
     #[test]
     fn a_plan_survives_being_written() {
-        for setting in
-            [Setting::Embedding, Setting::Joint, Setting::Reference { n: 100, repetitions: 1 }]
-        {
+        for setting in [Setting::Embedding, Setting::Reference { n: 100, repetitions: 1 }] {
             let mut plan = plan(setting);
             assert_eq!(Plan::from_toml(&plan.to_toml()).unwrap(), plan);
             (plan.scan_s, plan.synthetic) = (None, false);

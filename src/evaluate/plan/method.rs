@@ -8,10 +8,9 @@ use crate::evaluate::run::{Progress, first_seconds, prepare_folds, run_prepared}
 use crate::evaluate::{EvaluateError, Fold, Outcome};
 use crate::library::Entry;
 use crate::recognise::{
-    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, Reference,
-    ReferenceOptions, metal_detector,
+    AnyMethod, Embedding, EmbeddingOptions, MethodName, Reference, ReferenceOptions,
 };
-use crate::scene::{Scene, SourceId};
+use crate::scene::Scene;
 
 /// Settings of `reference` that may take the place of `embedding`, the cheapest first.
 const CHEAPER: [Setting; 3] = [
@@ -24,11 +23,7 @@ const CHEAPER: [Setting; 3] = [
 const CHEAPER_BY: f64 = 0.25;
 
 /// Settings that are tried where `embedding` does not reach the target.
-const SHARPER: [Setting; 2] = [Setting::Joint, Setting::Reference { n: 400, repetitions: 10 }];
-
-/// Surfaces of the other conductivity are passed over where that takes at most this share of the
-/// time.
-const NARROWED_BY: f64 = 0.8;
+const SHARPER: [Setting; 1] = [Setting::Reference { n: 400, repetitions: 10 }];
 
 /// Queries by which a setting's time is first guessed.
 const GLIMPSE: usize = 5;
@@ -39,8 +34,6 @@ const GLIMPSE: usize = 5;
 pub enum Setting {
     /// The method `embedding`.
     Embedding,
-    /// The method `joint`.
-    Joint,
     /// The method `reference`.
     Reference {
         /// samples drawn from a source
@@ -57,8 +50,6 @@ pub(super) struct Trying<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scan_s: Option<f64>,
-    /// The source by which surfaces of matching conductivity are found, if others are passed over.
-    pub detector: Option<&'a SourceId>,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
 }
@@ -68,7 +59,6 @@ impl Setting {
     pub fn method(self) -> MethodName {
         match self {
             Self::Embedding => MethodName::Embedding,
-            Self::Joint => MethodName::Joint,
             Self::Reference { .. } => MethodName::Reference,
         }
     }
@@ -82,19 +72,12 @@ impl Setting {
         let scene = on.scene.clone();
         let method = match self {
             Self::Embedding => AnyMethod::new(Embedding::new(scene, EmbeddingOptions::default())),
-            Self::Joint => AnyMethod::new(Joint::new(scene)),
             Self::Reference { n, repetitions } => {
                 let options = ReferenceOptions { samples: n, repetitions, ..Default::default() };
                 AnyMethod::new(Reference::new(scene, options))
             }
         };
-        match on.detector {
-            Some(detector) => {
-                let method = AnyMethod::new(ByConductivity::new(method, detector.clone()));
-                run(&method, on, progress)
-            }
-            None => run(&method, on, progress),
-        }
+        run(&method, on, progress)
     }
 }
 
@@ -114,16 +97,14 @@ pub(super) struct ChoosingMethod<'a> {
 }
 
 impl ChoosingMethod<'_> {
-    /// The setting, whether surfaces of the other conductivity are passed over, and what it does.
-    pub fn choose(mut self) -> Result<(Setting, bool, Outcome), EvaluateError> {
+    /// The setting, and what it does.
+    pub fn choose(mut self) -> Result<(Setting, Outcome), EvaluateError> {
         let embedded = Setting::Embedding.run(self.on, self.progress)?;
-        let (setting, outcome) = match self.cheaper(&embedded)? {
-            Some(cheaper) => cheaper,
-            None if (self.reaches)(right(&embedded)) => (Setting::Embedding, embedded),
-            None => self.sharper(embedded)?,
-        };
-        let narrowed = self.narrowed(setting, &outcome)?;
-        Ok((setting, narrowed.is_some(), narrowed.unwrap_or(outcome)))
+        match self.cheaper(&embedded)? {
+            Some(cheaper) => Ok(cheaper),
+            None if (self.reaches)(right(&embedded)) => Ok((Setting::Embedding, embedded)),
+            None => self.sharper(embedded),
+        }
     }
 
     /// A setting that reaches the target and is far cheaper than `embedding`.
@@ -166,24 +147,6 @@ impl ChoosingMethod<'_> {
             }
         }
         Ok(best)
-    }
-
-    /// The same setting on surfaces of matching conductivity alone, where a metal detector is among
-    /// the sources, if it names as many right in clearly less time.
-    fn narrowed(
-        &mut self,
-        setting: Setting,
-        whole: &Outcome,
-    ) -> Result<Option<Outcome>, EvaluateError> {
-        let Some(detector) = metal_detector(self.on.scene) else { return Ok(None) };
-        let outcome = setting.run(Trying { detector: Some(detector), ..self.on }, self.progress)?;
-        let (found, of_whole) = (right(&outcome), right(whole));
-        let (found_ms, whole_ms) = (outcome.query_ms_p50, whole.query_ms_p50);
-        self.told.push(format!(
-            "surfaces of matching conductivity alone: {found} right instead of {of_whole}, \
-             {found_ms:.2} ms instead of {whole_ms:.2} ms"
-        ));
-        Ok((found >= of_whole && found_ms <= NARROWED_BY * whole_ms).then_some(outcome))
     }
 }
 

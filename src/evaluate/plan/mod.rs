@@ -7,10 +7,8 @@
 //! scan time are searched with `embedding`, whose distances add up over sources, so that every
 //! subset is known once each source is. A setting of `reference` takes its place where it reaches
 //! the target in at most a quarter of the time. Where `embedding` misses the target with all that
-//! there is, `joint` and `reference` at n = 400, R = 10 are tried, and the best of them is taken.
-//! Where a metal detector is among the sources, surfaces of the other conductivity are passed over
-//! ([`crate::recognise::ByConductivity`]) if that names as many right in at most 0.8 of the time.
-//! These two are the only choices that are timed.
+//! there is, `reference` at n = 400, R = 10 is tried, and the better of the two is taken. That of
+//! the cheaper setting is the only choice that is timed.
 //!
 //! Uncertainty: what is compared with the target is the median of the posterior of the accuracy
 //! under Jeffreys' prior, which asks for a little more than the target itself. Where there are too

@@ -90,12 +90,11 @@ pub fn search(
         entries: &entries,
         folds: &folds,
         scan_s: study.times[choice.time].filter(|_| dragged),
-        detector: None,
         cache: options.cache,
     };
     let mut told = Vec::new();
     let reaches = |right| search.reaches(right);
-    let (setting, by_conductivity, outcome) =
+    let (setting, outcome) =
         ChoosingMethod { on, reaches: &reaches, told: &mut told, progress }.choose()?;
     search.steps.extend(told);
     let expected = search.expected(&outcome, &choice, options.protocol);
@@ -104,7 +103,6 @@ pub fn search(
         synthetic: library.synthetic,
         sources: ids,
         setting,
-        by_conductivity,
         scan_s: on.scan_s,
         expected,
     };

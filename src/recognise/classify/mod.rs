@@ -24,9 +24,11 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
+use super::checks::{check_surfaces, nothing_in_common};
+use super::error::RecogniseError;
 use super::features::FeatureVector;
+use super::method::Method;
 use super::rank::{Candidate, Ranking, rank};
-use super::{Method, RecogniseError};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
@@ -237,10 +239,7 @@ impl<C: Classifier> Method for OnFeatures<C> {
         let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
         let mut surfaces: Vec<String> = keys.iter().map(|key| key.surface.clone()).collect();
         surfaces.dedup();
-        if surfaces.len() < 2 {
-            let (surfaces, trials) = (surfaces.len(), keys.len());
-            return Err(RecogniseError::TooFewSurfaces { surfaces, trials });
-        }
+        check_surfaces(keys.iter())?;
         let columns = columns(&library)?;
         let mut features = Array2::zeros((keys.len(), width(&columns)));
         for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
@@ -259,13 +258,7 @@ impl<C: Classifier> Method for OnFeatures<C> {
         let sources: Vec<SourceId> =
             query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
         if sources.is_empty() {
-            let names = |ids: Vec<&str>| {
-                if ids.is_empty() { "none".into() } else { ids.join(", ") }
-            };
-            return Err(RecogniseError::NothingInCommon {
-                query: names(query.sources.keys().map(SourceId::as_str).collect()),
-                library: names(columns.keys().map(SourceId::as_str).collect()),
-            });
+            return Err(nothing_in_common(query.sources.keys(), columns.keys()));
         }
         let row = standardised(columns, query)?;
         let (candidates, k) = match self.classifier.scores(learnt, training, row.view()) {

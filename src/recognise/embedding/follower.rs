@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::{EmbeddingModel, Posterior};
-use crate::recognise::RecogniseError;
-use crate::recognise::flawed::left_out;
+use crate::recognise::decide::conformal::Rejection;
+use crate::recognise::decide::dead_sensor::left_out;
+use crate::recognise::decide::settle::{Look, Settling, Watch};
+use crate::recognise::error::RecogniseError;
+use crate::recognise::features::frame_features::FrameStream;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
-use crate::recognise::framed::FramedStream;
-use crate::recognise::settle::{Look, Settling, Watch};
-use crate::recognise::unknown::Rejection;
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Rest, Series, Signal, TrialKey, is_plain};
 
@@ -27,7 +27,7 @@ pub(super) struct Follower {
 
 /// What is known of the scan that goes on.
 struct ScanSoFar {
-    stream: FramedStream,
+    stream: FrameStream,
     waiting: BTreeMap<SourceId, Waiting>,
     /// Pictures of one colour.
     plain: BTreeSet<SourceId>,
@@ -95,7 +95,7 @@ fn named(posterior: &Posterior) -> Vec<(String, f64)> {
 impl ScanSoFar {
     fn new(scene: &Scene, settling: &Settling) -> Self {
         Self {
-            stream: FramedStream::new(scene.clone(), TrialKey::new("", "", 0)),
+            stream: FrameStream::new(scene.clone(), TrialKey::new("", "", 0)),
             waiting: BTreeMap::new(),
             plain: BTreeSet::new(),
             looks: 0,

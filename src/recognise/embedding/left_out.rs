@@ -10,16 +10,16 @@ use super::calibrate::{HeldOut, PREFIXES_S, log_posterior};
 use super::source::Window;
 use super::train::{Labels, SourceModel};
 use super::{EmbeddingModel, most_probable};
+use crate::recognise::decide::conformal::{Conformity, nonconformity};
+use crate::recognise::decide::settle::{Look, Settling, Stops};
+use crate::recognise::features::frame_features::{FrameFeatures, SourceFrames};
 use crate::recognise::follow::{FollowOptions, LOOK_S};
-use crate::recognise::framed::{FramedSource, FramedTrial};
-use crate::recognise::settle::{Look, Settling, Stops};
-use crate::recognise::unknown::{Conformity, strangeness};
 use crate::scene::{Phase, SourceId};
 
 /// Combined distances of left-out trials, by the trial's place in the library; at `seconds` of the
 /// drag, or whole.
 pub(super) struct LeftOut<'a> {
-    pub library: &'a [Arc<FramedTrial>],
+    pub library: &'a [Arc<FrameFeatures>],
     pub labels: &'a Labels,
     pub sources: &'a BTreeMap<SourceId, SourceModel>,
 }
@@ -48,9 +48,9 @@ impl LeftOut<'_> {
         (0..self.library.len()).filter_map(of_trial).collect()
     }
 
-    /// Strangeness of those trials that have all sources that are trained.
+    /// Nonconformity of those trials that have all sources that are trained.
     pub fn conformity(&self) -> Conformity {
-        let is_full = |trial: &FramedTrial| {
+        let is_full = |trial: &FrameFeatures| {
             let mut all = self.sources.keys().filter(|id| trained(self.sources, id).is_some());
             all.all(|id| trial.sources.contains_key(id))
         };
@@ -61,7 +61,7 @@ impl LeftOut<'_> {
         lengths.sort_by(f64::total_cmp);
         let middle = lengths.get(lengths.len() / 2).copied();
         let of_length = |seconds: Option<f64>| {
-            let strange = |&i: &usize| strangeness(&self.distances(i, seconds)?);
+            let strange = |&i: &usize| nonconformity(&self.distances(i, seconds)?);
             full.iter().filter_map(strange).collect::<Vec<f64>>()
         };
         let beginnings = PREFIXES_S.iter().filter(|&&t| middle.is_some_and(|middle| t < middle));
@@ -90,7 +90,7 @@ pub(super) fn is_alone<'a>(
 /// Length in seconds of the longest trained source of a trial's drag, if it has one.
 pub(super) fn drag_s(
     sources: &BTreeMap<SourceId, SourceModel>,
-    trial: &FramedTrial,
+    trial: &FrameFeatures,
 ) -> Option<f64> {
     let drags = trial.sources.iter().filter_map(|(id, source)| {
         let model = trained(sources, id)?;
@@ -144,7 +144,7 @@ impl EmbeddingModel {
             let sum = distances(Some(scan_s))?;
             let log_posterior = log_posterior(&sum, self.temperature);
             let label = most_probable(&log_posterior);
-            let fit = strangeness(&sum).and_then(|s| self.conformity.fit(scan_s, s));
+            let fit = nonconformity(&sum).and_then(|s| self.conformity.fit(scan_s, s));
             let fits = fit.is_none_or(|fit| {
                 options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(fit))
             });
@@ -161,7 +161,7 @@ impl EmbeddingModel {
         &self,
         sum: &mut [f64],
         model: &SourceModel,
-        source: &FramedSource,
+        source: &SourceFrames,
         trial: usize,
         seconds: Option<f64>,
     ) -> Option<()> {

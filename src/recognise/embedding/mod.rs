@@ -30,13 +30,15 @@ use self::follower::Follower;
 use self::left_out::{LeftOut, drag_s, is_alone};
 use self::source::{Window, squared_distance};
 use self::train::{Labels, SourceModel, train};
+use super::checks::nothing_in_common;
+use super::combine::{SourceScores, combine};
+use super::decide::conformal::{Conformity, Rejection, RejectionError, nonconformity};
+use super::decide::settle::Settling;
+use super::error::RecogniseError;
+use super::features::frame_features::{FrameFeatures, SourceFrames, check_rates, sorted_library};
 use super::follow::{Follow, FollowOptions};
-use super::framed::{FramedSource, FramedTrial, check_rates, nothing_in_common, sorted_library};
-use super::merge::{SourceScores, merge};
+use super::method::Method;
 use super::rank::{Candidate, Ranking, rank};
-use super::settle::Settling;
-use super::unknown::{Conformity, Rejection, RejectionError, strangeness};
-use super::{Method, RecogniseError};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
@@ -80,7 +82,7 @@ impl Embedding {
 
 /// A library, embedded and trained.
 pub struct EmbeddingModel {
-    library: Vec<Arc<FramedTrial>>,
+    library: Vec<Arc<FrameFeatures>>,
     surfaces: Vec<String>,
     labels: Labels,
     sources: BTreeMap<SourceId, SourceModel>,
@@ -160,7 +162,7 @@ impl EmbeddingModel {
     ///
     /// # Errors
     /// If the query has no source in common with the library, or a rate that cannot be compared.
-    pub fn posterior(&self, query: &FramedTrial) -> Result<Option<Posterior>, RecogniseError> {
+    pub fn posterior(&self, query: &FrameFeatures) -> Result<Option<Posterior>, RecogniseError> {
         let vectors = self.embed(query)?;
         Ok(self.posterior_of(query, &vectors))
     }
@@ -170,7 +172,7 @@ impl EmbeddingModel {
     ///
     /// # Errors
     /// As [`EmbeddingModel::posterior`].
-    pub fn by_source(&self, query: &FramedTrial) -> Result<Vec<SourceDistances>, RecogniseError> {
+    pub fn by_source(&self, query: &FrameFeatures) -> Result<Vec<SourceDistances>, RecogniseError> {
         let vectors = self.embed(query)?;
         let trained = self.terms(query, &vectors).into_iter();
         let trained =
@@ -188,12 +190,12 @@ impl EmbeddingModel {
         Ok(trained.chain(untrained).collect())
     }
 
-    fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
-        let shared: Vec<(&SourceModel, &FramedSource)> = (query.sources.iter())
+    fn embed(&self, query: &FrameFeatures) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
+        let shared: Vec<(&SourceModel, &SourceFrames)> = (query.sources.iter())
             .filter_map(|(id, source)| Some((self.sources.get(id)?, source)))
             .collect();
         if shared.is_empty() {
-            return Err(nothing_in_common(query, self.sources.keys()));
+            return Err(nothing_in_common(query.sources.keys(), self.sources.keys()));
         }
         for (model, source) in &shared {
             let id = &model.spec.id;
@@ -202,7 +204,7 @@ impl EmbeddingModel {
                 check_rates(id, source, like, key)?;
             }
         }
-        let embed = |(model, source): (&'_ SourceModel, &FramedSource)| {
+        let embed = |(model, source): (&'_ SourceModel, &SourceFrames)| {
             model.embedder.embed(source, Window::Whole)
         };
         let vectors: Vec<Vec<f32>> = shared.par_iter().map(|&pair| embed(pair)).collect();
@@ -212,7 +214,7 @@ impl EmbeddingModel {
 
     fn posterior_of(
         &self,
-        query: &FramedTrial,
+        query: &FrameFeatures,
         vectors: &[EmbeddedSource<'_>],
     ) -> Option<Posterior> {
         let mut distances = vec![0.0; self.surfaces.len()];
@@ -227,7 +229,7 @@ impl EmbeddingModel {
         let trained = self.sources.values().filter(|model| model.discriminant.is_some()).count();
         let fit = || {
             let scan_s = drag_s(&self.sources, query).unwrap_or(f64::INFINITY);
-            self.conformity.fit(scan_s, strangeness(&distances)?)
+            self.conformity.fit(scan_s, nonconformity(&distances)?)
         };
         let fit = if sources.len() == trained { fit() } else { None };
         let log_posterior = log_posterior(&distances, self.temperature);
@@ -237,7 +239,7 @@ impl EmbeddingModel {
     /// What each source that has a discriminant says: see [`SourceModel::add_evidence`].
     fn terms(
         &self,
-        query: &FramedTrial,
+        query: &FrameFeatures,
         vectors: &[EmbeddedSource<'_>],
     ) -> Vec<(SourceId, Vec<f64>)> {
         let alone = is_alone(&self.sources, vectors.iter().map(|v| &v.model.spec.id));
@@ -294,18 +296,18 @@ struct EmbeddedSource<'a> {
 }
 
 impl Method for Embedding {
-    type Prepared = FramedTrial;
+    type Prepared = FrameFeatures;
     type Model = EmbeddingModel;
 
     fn name(&self) -> &'static str {
         "embedding"
     }
 
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FramedTrial, RecogniseError> {
-        FramedTrial::new(&entry.key, trial, &self.scene)
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FrameFeatures, RecogniseError> {
+        FrameFeatures::new(&entry.key, trial, &self.scene)
     }
 
-    fn fit(&self, library: Vec<Arc<FramedTrial>>) -> Result<EmbeddingModel, RecogniseError> {
+    fn fit(&self, library: Vec<Arc<FrameFeatures>>) -> Result<EmbeddingModel, RecogniseError> {
         let library = sorted_library(library)?;
         let labels = Labels::new(library.iter().map(|trial| &trial.key));
         let mut surfaces: Vec<String> =
@@ -336,14 +338,19 @@ impl Method for Embedding {
         })
     }
 
-    fn rank(&self, model: &EmbeddingModel, query: &FramedTrial) -> Result<Ranking, RecogniseError> {
+    fn rank(
+        &self,
+        model: &EmbeddingModel,
+        query: &FrameFeatures,
+    ) -> Result<Ranking, RecogniseError> {
         let vectors = model.embed(query)?;
         let posterior = model.posterior_of(query, &vectors);
         let (candidates, sources) = match &posterior {
             Some(posterior) => (model.candidates(posterior, &vectors), posterior.sources.clone()),
             None => {
                 let ids = vectors.iter().map(|source| source.model.spec.id.clone()).collect();
-                (merge(&model.log_distances(&vectors), &model.library), ids)
+                let keys: Vec<&TrialKey> = model.library.iter().map(|trial| &trial.key).collect();
+                (combine(&model.log_distances(&vectors), &keys), ids)
             }
         };
         // There is a candidate: every surface has a trial, and some trial has a shared source.

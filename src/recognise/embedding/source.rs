@@ -3,10 +3,10 @@
 use std::borrow::Cow;
 
 use super::circle::{Columns, HALF_CIRCLE, PAIR_FEATURES, Pairs, column_features};
-use crate::recognise::framed::{Framed, FramedSource};
-use crate::recognise::pixels::{Part, PixelGroup, pixel_pairs};
-use crate::recognise::scale::{SourceScale, ViewScale, group_means, median};
-use crate::recognise::slow::SlowSeries;
+use crate::recognise::features::decimated::DecimatedSeries;
+use crate::recognise::features::frame_features::{Framed, SourceFrames};
+use crate::recognise::features::image_features::{Part, PixelGroup, pixel_pairs};
+use crate::recognise::features::normalisation::{SourceScale, ViewScale, group_means, median};
 
 /// Pairs of a group that are used, at most.
 const ANCHORS: usize = 1024;
@@ -59,7 +59,7 @@ impl SourceEmbedder {
     }
 
     /// The vector of a window. Alignment sees nothing but the window.
-    pub fn embed(&self, source: &FramedSource, window: Window) -> Vec<f32> {
+    pub fn embed(&self, source: &SourceFrames, window: Window) -> Vec<f32> {
         let mut out = vec![0.0; self.dims()];
         match (&source.data, &self.scale) {
             (Framed::Bands(views), SourceScale::Bands(_)) => {
@@ -102,7 +102,7 @@ impl SourceEmbedder {
     /// The same of log-band frames with other values in them, one list a view.
     pub fn embed_bands(
         &self,
-        source: &FramedSource,
+        source: &SourceFrames,
         values: &[&[f32]],
         window: Window,
         out: &mut [f32],
@@ -131,14 +131,14 @@ impl SourceEmbedder {
         }
     }
 
-    fn embed_slow(&self, series: &SlowSeries, window: Window, out: &mut [f32]) {
+    fn embed_slow(&self, series: &DecimatedSeries, window: Window, out: &mut [f32]) {
         let SourceScale::Slow(scales) = &self.scale else { return };
         let within = match window {
             Window::Seconds(from_s, to_s) => series.within(from_s, to_s),
             _ => 0..series.len(),
         };
         let mut pairs = Pairs::default();
-        let groups = SlowSeries::groups(series.channels.len());
+        let groups = DecimatedSeries::groups(series.channels.len());
         for ((group, scale), out) in
             groups.into_iter().zip(scales).zip(out.chunks_exact_mut(PAIR_FEATURES))
         {

@@ -8,9 +8,9 @@ use super::EmbeddingOptions;
 use super::calibrate::{HeldOut, PREFIXES_S, Temperature};
 use super::discriminant::{Discriminant, Scatter};
 use super::source::{SourceEmbedder, Window};
-use crate::recognise::framed::{Framed, FramedSource};
-use crate::recognise::pixels::Part;
-use crate::recognise::scale::SourceScale;
+use crate::recognise::features::frame_features::{Framed, SourceFrames};
+use crate::recognise::features::image_features::Part;
+use crate::recognise::features::normalisation::SourceScale;
 use crate::scene::SourceSpec;
 
 /// Loudness of the noise in noise copies, in dB relative to the library's median power.
@@ -28,7 +28,7 @@ pub(super) struct SourceModel {
     pub discriminant: Option<Discriminant>,
     pub temperature: Temperature,
     /// Median of d/τ of left-out library trials to their own class.
-    pub usual: f64,
+    pub median_own_distance: f64,
     /// For each group of trials, the discriminant trained without it.
     pub without: Vec<Option<Discriminant>>,
     /// Distances of library trials under models trained without them; let go once they are summed
@@ -48,14 +48,15 @@ impl SourceModel {
     /// A class that the source never saw counts as the median of the others: lacking it is neither
     /// an advantage nor a disadvantage.
     pub fn add_evidence(&self, sum: &mut [f64], distances: Vec<f64>, seconds: f64, alone: bool) {
-        let (tau, usual) = (self.temperature.at(seconds), self.usual);
+        let (tau, median_own_distance) = (self.temperature.at(seconds), self.median_own_distance);
         let mut known: Vec<f64> = distances.iter().copied().filter(|d| d.is_finite()).collect();
         known.sort_by(f64::total_cmp);
         let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
         for (sum, d) in sum.iter_mut().zip(distances) {
             let x = if d.is_finite() { d } else { median } / tau;
-            let tailed = !alone && usual.is_finite();
-            *sum += self.spec.weight * if tailed { usual * (x / usual).ln_1p() } else { x };
+            let tailed = !alone && median_own_distance.is_finite();
+            *sum += self.spec.weight
+                * if tailed { median_own_distance * (x / median_own_distance).ln_1p() } else { x };
         }
     }
 }
@@ -101,7 +102,7 @@ impl Labels {
 /// Trains a source. `trials` are those of the library, in order; at least one has the source.
 pub(super) fn train(
     spec: &SourceSpec,
-    trials: &[Option<&FramedSource>],
+    trials: &[Option<&SourceFrames>],
     labels: &Labels,
     options: &EmbeddingOptions,
 ) -> SourceModel {
@@ -114,7 +115,7 @@ pub(super) fn train(
         vectors: Vec::new(),
         discriminant: None,
         temperature: Temperature::uncalibrated(),
-        usual: f64::INFINITY,
+        median_own_distance: f64::INFINITY,
         without: Vec::new(),
         held_out: vec![None; trials.len()],
         embedder,
@@ -122,7 +123,7 @@ pub(super) fn train(
     if options.discriminant {
         train_discriminant(&mut model, trials, labels, options);
     } else {
-        let whole = |source: &Option<&FramedSource>| {
+        let whole = |source: &Option<&SourceFrames>| {
             source.map(|source| model.embedder.embed(source, Window::Whole))
         };
         model.vectors = trials.par_iter().map(whole).collect();
@@ -132,7 +133,7 @@ pub(super) fn train(
 
 fn train_discriminant(
     model: &mut SourceModel,
-    trials: &[Option<&FramedSource>],
+    trials: &[Option<&SourceFrames>],
     labels: &Labels,
     options: &EmbeddingOptions,
 ) {
@@ -191,12 +192,16 @@ fn train_discriminant(
         })
         .collect();
     model.temperature = temperature(&held_out, labels);
-    model.usual = usual(&held_out, labels, &model.temperature);
+    model.median_own_distance = median_own_distance(&held_out, labels, &model.temperature);
     model.held_out = held_out;
     model.without = without;
 }
 
-fn usual(held_out: &[Option<ByPrefix>], labels: &Labels, temperature: &Temperature) -> f64 {
+fn median_own_distance(
+    held_out: &[Option<ByPrefix>],
+    labels: &Labels,
+    temperature: &Temperature,
+) -> f64 {
     let own = |(of_trial, &class): (&Option<ByPrefix>, &usize)| {
         let (seconds, distances) = of_trial.as_ref()?.last()?;
         Some(distances[class] / temperature.at(*seconds))
@@ -232,7 +237,7 @@ fn temperature(held_out: &[Option<ByPrefix>], labels: &Labels) -> Temperature {
 /// All vectors that a library trial trains with, the whole trial first.
 fn training_vectors(
     embedder: &SourceEmbedder,
-    source: &FramedSource,
+    source: &SourceFrames,
     options: &EmbeddingOptions,
 ) -> Vec<Vec<f32>> {
     let mut vectors: Vec<Vec<f32>> =
@@ -268,7 +273,7 @@ fn training_vectors(
 
 /// The whole, seconds at every half second up to 3.5, half seconds up to 4.0; a picture and its
 /// quarters. A trial shorter than a second has its whole alone.
-fn windows(source: &FramedSource) -> Vec<Window> {
+fn windows(source: &SourceFrames) -> Vec<Window> {
     if let Framed::Pixels(_) = source.data {
         let quarters = [(false, false), (false, true), (true, false), (true, true)];
         let quarters = quarters.map(|(lower, right)| Window::Picture(Part::Quarter(lower, right)));
@@ -280,7 +285,7 @@ fn windows(source: &FramedSource) -> Vec<Window> {
 }
 
 /// The whole, and windows of `length_s` that begin every `step_s` up to `last_s`, as they fit.
-fn seconds(source: &FramedSource, length_s: f64, step_s: f64, last_s: f64) -> Vec<Window> {
+fn seconds(source: &SourceFrames, length_s: f64, step_s: f64, last_s: f64) -> Vec<Window> {
     let starts = (0..=(last_s / step_s).round() as usize).map(|i| i as f64 * step_s);
     let fits = starts
         .filter(|start| source.duration_s >= 1.0 && start + length_s <= source.duration_s + 1e-9);

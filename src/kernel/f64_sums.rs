@@ -10,15 +10,15 @@ const LANES: usize = 8;
 const FARTHEST: f64 = 1e150;
 const FAR: f64 = 1e152;
 
-/// Points for [`careful_sum`]: channel after channel, each filled up to whole lanes.
+/// Points for [`f64_sum`]: channel after channel, each filled up to whole lanes.
 #[derive(Clone, Debug, Default)]
-pub struct CarefulPoints {
+pub struct F64Points {
     points: usize,
     channels: usize,
     values: Vec<f64>,
 }
 
-impl CarefulPoints {
+impl F64Points {
     /// Refills with points: `of_channel` gives the centred coordinates of all points in one
     /// channel, `sigma` is the kernel's length scale.
     pub fn fill<I: ExactSizeIterator<Item = f64>>(
@@ -42,13 +42,13 @@ impl CarefulPoints {
 }
 
 /// Σᵢⱼ exp(−‖aᵢ − bⱼ‖²/(2σ²)) over points of any number of channels, the same for both.
-pub fn careful_sum(a: &CarefulPoints, b: &CarefulPoints) -> f64 {
+pub fn f64_sum(a: &F64Points, b: &F64Points) -> f64 {
     debug_assert_eq!(a.channels, b.channels);
     sum(a, b, false)
 }
 
 /// The same over all pairs of one set's points, for little more than half the work.
-pub fn careful_self_sum(a: &CarefulPoints) -> f64 {
+pub fn f64_self_sum(a: &F64Points) -> f64 {
     sum(a, a, true)
 }
 
@@ -57,7 +57,7 @@ pub fn careful_self_sum(a: &CarefulPoints) -> f64 {
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-fn sum(a: &CarefulPoints, b: &CarefulPoints, of_self: bool) -> f64 {
+fn sum(a: &F64Points, b: &F64Points, of_self: bool) -> f64 {
     // A fused multiplication where there is one; elsewhere it would be a call.
     if target_cfg_f!(any(target_feature = "fma", target_feature = "neon")) {
         plain_sum::<true>(a, b, of_self)
@@ -68,7 +68,7 @@ fn sum(a: &CarefulPoints, b: &CarefulPoints, of_self: bool) -> f64 {
 
 /// Row by row; of one set, blocks right of the diagonal count twice.
 #[inline(always)]
-fn plain_sum<const FUSED: bool>(a: &CarefulPoints, b: &CarefulPoints, of_self: bool) -> f64 {
+fn plain_sum<const FUSED: bool>(a: &F64Points, b: &F64Points, of_self: bool) -> f64 {
     let blocks = b.points.div_ceil(LANES);
     let mut total = 0.0;
     for row in 0..a.points {
@@ -91,9 +91,9 @@ fn plain_sum<const FUSED: bool>(a: &CarefulPoints, b: &CarefulPoints, of_self: b
 #[inline(always)]
 fn add_block<const FUSED: bool>(
     lanes: &mut [f64; LANES],
-    a: &CarefulPoints,
+    a: &F64Points,
     row: usize,
-    b: &CarefulPoints,
+    b: &F64Points,
     block: usize,
 ) {
     let (of_a, of_b) = (a.points.next_multiple_of(LANES), b.points.next_multiple_of(LANES));
@@ -172,15 +172,15 @@ mod tests {
             let a = Array2::from_shape_fn((77, channels), |(i, c)| value(i, c));
             let b = Array2::from_shape_fn((50, channels), |(i, c)| value(i + 5, c) * 1.1);
             let filled = |of: &Array2<f64>| {
-                let mut points = CarefulPoints::default();
+                let mut points = F64Points::default();
                 points.fill(channels, 0.7, |c| of.column(c).to_vec().into_iter());
                 points
             };
             let error =
-                careful_sum(&filled(&a), &filled(&b)) / kernel_sum(a.view(), b.view(), 0.7) - 1.0;
+                f64_sum(&filled(&a), &filled(&b)) / kernel_sum(a.view(), b.view(), 0.7) - 1.0;
             assert!(error.abs() < 1e-14, "{channels}: {error:e}");
-            let half = careful_self_sum(&filled(&a));
-            let error = half / careful_sum(&filled(&a), &filled(&a)) - 1.0;
+            let half = f64_self_sum(&filled(&a));
+            let error = half / f64_sum(&filled(&a), &filled(&a)) - 1.0;
             assert!(error.abs() < 1e-14, "{channels}, with itself: {error:e}");
         }
     }

@@ -1,20 +1,21 @@
 //! A trial made ready for the method `reference`: its sources cut to length and sampled.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use super::RecogniseError;
-use super::domain::{DomainSamples, check_signal};
-use super::samples::SampleSet;
+use super::domain::DomainSamples;
+use super::sample_set::SampleSet;
 use crate::library::Entry;
+use crate::recognise::checks::{check_signal, nothing_in_common};
+use crate::recognise::error::RecogniseError;
 use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// One source of a trial, cut to some length and ready to be compared.
-pub(super) struct Cut {
+pub struct Cut {
     /// One set a repetition; empty where positions are drawn for each pair.
     pub sets: Vec<SampleSet>,
     /// Kept only where positions are drawn for each pair.
@@ -43,7 +44,7 @@ pub struct PreparedTrial {
 impl PreparedTrial {
     /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
     /// says that [`PreparedTrial::content`] will be asked for.
-    pub(super) fn new(
+    pub fn new(
         entry: &Entry,
         trial: &Trial,
         scene: &Scene,
@@ -161,7 +162,7 @@ impl PreparedTrial {
 ///
 /// # Errors
 /// If there is none, or if the rates of one differ.
-pub(super) fn shared_sources<'a>(
+pub fn shared_sources<'a>(
     scene: &'a Scene,
     query: &PreparedTrial,
     library: &[Arc<PreparedTrial>],
@@ -171,10 +172,8 @@ pub(super) fn shared_sources<'a>(
         .filter(|s| library.iter().any(|trial| trial.shapes.contains_key(&s.id)))
         .collect();
     if sources.is_empty() {
-        return Err(RecogniseError::NothingInCommon {
-            query: names(query.shapes.keys()),
-            library: names(library.iter().flat_map(|trial| trial.shapes.keys())),
-        });
+        let of_library = library.iter().flat_map(|trial| trial.shapes.keys());
+        return Err(nothing_in_common(query.shapes.keys(), of_library));
     }
     for spec in &sources {
         let Some(query_hz) = query.rate_hz(&spec.id) else { continue };
@@ -192,9 +191,4 @@ pub(super) fn shared_sources<'a>(
         }
     }
     Ok(sources)
-}
-
-fn names<'a>(ids: impl IntoIterator<Item = &'a SourceId>) -> String {
-    let ids: BTreeSet<_> = ids.into_iter().map(SourceId::as_str).collect();
-    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
 }

@@ -3,12 +3,12 @@
 use ndarray::Array2;
 
 use crate::kernel::{
-    CarefulPoints, Lanes, LineSum, Quality, SelfMean, careful_self_sum, lane_scale, lane_self_sum,
+    F64Points, LineSum, PaddedPoints, Quality, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
     length_scale,
 };
 
 /// Sets of at most so many distinct samples (the metal detector has two) are summed over these.
-const FEW: usize = 8;
+const MOST_DISTINCT: usize = 8;
 
 /// Error of n·MMD² that rounding coordinates to f32 may cause; more, and f64 takes over.
 const ROUNDING_ALLOWED: f64 = 3e-5;
@@ -38,7 +38,7 @@ pub struct SampleSet {
     /// Mean of K(y, y) by σ, if tabulated.
     pub(super) table: Option<SelfMean>,
     /// Distinct samples and how often each occurs, where they are few.
-    few: Option<Few>,
+    distinct: Option<DistinctPoints>,
 }
 
 /// Numbers in the shortest form that holds them exactly.
@@ -67,7 +67,7 @@ impl Values {
 
 /// Distinct samples, each `dims` numbers long, and how often each occurs.
 #[derive(Clone, Debug, PartialEq)]
-struct Few {
+struct DistinctPoints {
     points: Vec<f64>,
     counts: Vec<f64>,
 }
@@ -75,8 +75,8 @@ struct Few {
 /// Room for one comparison, to be used again.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
-    pub(super) lanes: Lanes,
-    pub(super) careful: CarefulPoints,
+    pub(super) lanes: PaddedPoints,
+    pub(super) in_f64: F64Points,
 }
 
 impl SampleSet {
@@ -99,11 +99,11 @@ impl SampleSet {
                 centre.push(*sorted.select_nth_unstable_by(n / 2, f64::total_cmp).1);
             }
         }
-        let few = Few::find(&values, n, samples.ncols());
+        let distinct = DistinctPoints::find(&values, n, samples.ncols());
         let coarseness = coarseness(&values, n, &centre);
-        let clustered = few.is_some() || is_clustered(&values, n, sigma);
+        let clustered = distinct.is_some() || is_clustered(&values, n, sigma);
         let values = Values::new(values);
-        Self { values, mean, centre, sigma, coarseness, clustered, table: None, few }
+        Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
     }
 
     /// A set from what was stored of one.
@@ -116,11 +116,12 @@ impl SampleSet {
         clustered: bool,
         table: Option<SelfMean>,
     ) -> Self {
-        let mut set = Self { values, mean, centre, sigma, coarseness, clustered, table, few: None };
+        let mut set =
+            Self { values, mean, centre, sigma, coarseness, clustered, table, distinct: None };
         let (n, dims) = (set.n(), set.dims());
-        set.few = match &set.values {
-            Values::Single(values) => Few::find(values, n, dims),
-            Values::Double(values) => Few::find(values, n, dims),
+        set.distinct = match &set.values {
+            Values::Single(values) => DistinctPoints::find(values, n, dims),
+            Values::Double(values) => DistinctPoints::find(values, n, dims),
         };
         set
     }
@@ -143,7 +144,7 @@ impl SampleSet {
     /// Tabulates K(y, y) over length scales around the set's own, so that comparisons need not sum
     /// it: for trials of a library. Where the table would not be good enough, none is kept.
     pub fn tabulate(&mut self) {
-        if self.few.is_some() {
+        if self.distinct.is_some() {
             return;
         }
         let (n, mut scratch) = (self.n() as f64, Scratch::default());
@@ -162,14 +163,14 @@ impl SampleSet {
     }
 
     fn self_sum(&self, sigma: f64, scratch: &mut Scratch) -> f64 {
-        if let Some(sum) = self.few_sum(self, sigma, &vec![0.0; self.dims()]) {
+        if let Some(sum) = self.distinct_sum(self, sigma, &vec![0.0; self.dims()]) {
             sum
         } else if self.fits_lanes(sigma) && !self.is_clustered_at(sigma) {
             self.fill_lanes(&mut scratch.lanes, sigma, &self.centre);
             lane_self_sum(&scratch.lanes, Quality::Fine)
         } else {
-            self.fill_careful(&mut scratch.careful, sigma, &self.centre);
-            careful_self_sum(&scratch.careful)
+            self.fill_f64(&mut scratch.in_f64, sigma, &self.centre);
+            f64_self_sum(&scratch.in_f64)
         }
     }
 
@@ -200,7 +201,7 @@ impl SampleSet {
         self.clustered || sigma > AFAR * self.sigma
     }
 
-    pub(super) fn fill_lanes(&self, lanes: &mut Lanes, sigma: f64, origin: &[f64]) {
+    pub(super) fn fill_lanes(&self, lanes: &mut PaddedPoints, sigma: f64, origin: &[f64]) {
         let (n, dims, scale) = (self.n(), self.dims(), lane_scale(sigma));
         match &self.values {
             Values::Single(v) => lanes.fill(dims, scale, |c| {
@@ -214,7 +215,7 @@ impl SampleSet {
         }
     }
 
-    pub(super) fn fill_careful(&self, points: &mut CarefulPoints, sigma: f64, origin: &[f64]) {
+    pub(super) fn fill_f64(&self, points: &mut F64Points, sigma: f64, origin: &[f64]) {
         let n = self.n();
         match &self.values {
             Values::Single(v) => points.fill(self.dims(), sigma, |c| {
@@ -255,8 +256,8 @@ impl SampleSet {
     }
 
     /// Σ k(aᵢ, bⱼ) over distinct samples, where both sets have few; b is moved by `shift`.
-    pub(super) fn few_sum(&self, other: &Self, sigma: f64, shift: &[f64]) -> Option<f64> {
-        let (a, b, dims) = (self.few.as_ref()?, other.few.as_ref()?, self.dims());
+    pub(super) fn distinct_sum(&self, other: &Self, sigma: f64, shift: &[f64]) -> Option<f64> {
+        let (a, b, dims) = (self.distinct.as_ref()?, other.distinct.as_ref()?, self.dims());
         let mut total = 0.0;
         for (x, of_x) in a.points.chunks(dims).zip(&a.counts) {
             for (y, of_y) in b.points.chunks(dims).zip(&b.counts) {
@@ -270,23 +271,23 @@ impl SampleSet {
     }
 }
 
-impl Few {
-    /// Channel after channel in; nothing if more than [`FEW`] samples are distinct.
+impl DistinctPoints {
+    /// Channel after channel in; nothing if more than [`MOST_DISTINCT`] samples are distinct.
     fn find<T: Copy + Into<f64>>(values: &[T], n: usize, dims: usize) -> Option<Self> {
-        let mut few = Self { points: Vec::new(), counts: Vec::new() };
+        let mut found = Self { points: Vec::new(), counts: Vec::new() };
         let mut point = vec![0.0; dims];
         for i in 0..n {
             point.iter_mut().enumerate().for_each(|(c, x)| *x = values[c * n + i].into());
-            match few.points.chunks(dims).position(|known| known == point) {
-                Some(at) => few.counts[at] += 1.0,
-                None if few.counts.len() == FEW => return None,
+            match found.points.chunks(dims).position(|known| known == point) {
+                Some(at) => found.counts[at] += 1.0,
+                None if found.counts.len() == MOST_DISTINCT => return None,
                 None => {
-                    few.points.extend(&point);
-                    few.counts.push(1.0);
+                    found.points.extend(&point);
+                    found.counts.push(1.0);
                 }
             }
         }
-        Some(few)
+        Some(found)
     }
 }
 

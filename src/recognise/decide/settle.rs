@@ -20,7 +20,7 @@
 //!
 //! Following a scan, ten looks a second, takes 0.1 % of one core (processor time over scan time).
 
-use super::share::jeffreys_quantile;
+use super::interval::jeffreys_quantile;
 
 /// Label stability in seconds of new scan time.
 const HOLDS_S: [f64; 2] = [0.3, 0.6];

@@ -3,40 +3,9 @@
 use ndarray::Array2;
 
 use super::sampling::{Extent, Positions};
-use super::{RecogniseError, colour, spectrum};
+use crate::recognise::features::{amplitude_spectrum, hsv};
 use crate::scene::{Colour, Domain, SourceSpec};
-use crate::trial::{Image, Series, Signal, TrialKey};
-
-/// Checks that a signal of the trial `key` is of the kind, and has the channels, that the scene
-/// says.
-///
-/// # Errors
-/// If it does not.
-pub(super) fn check_signal(
-    spec: &SourceSpec,
-    signal: &Signal,
-    key: &TrialKey,
-) -> Result<(), RecogniseError> {
-    let kind = |found, expected| RecogniseError::Kind {
-        source_name: spec.id.clone(),
-        trial: key.to_string(),
-        found,
-        expected,
-    };
-    match (signal, spec.domain == Domain::Image) {
-        (Signal::Image(_), false) => Err(kind("an image", "a series")),
-        (Signal::Series(_), true) => Err(kind("a series", "an image")),
-        (Signal::Series(series), false) if series.channels() != spec.channels => {
-            Err(RecogniseError::Channels {
-                source_name: spec.id.clone(),
-                found: series.channels(),
-                expected: spec.channels,
-                trial: key.to_string(),
-            })
-        }
-        _ => Ok(()),
-    }
-}
+use crate::trial::{Image, Series, Signal};
 
 /// What can be sampled of one source.
 #[derive(Clone, Debug)]
@@ -98,7 +67,7 @@ impl DomainSamples {
                     let rgb = image.pixel(at / Image::COLS, at % Image::COLS);
                     let all = match colour {
                         Colour::Rgb => rgb.map(|x| f64::from(x) / 255.0),
-                        _ => colour::hsv(rgb),
+                        _ => hsv(rgb),
                     };
                     sample.iter_mut().zip(&all[channels.clone()]).for_each(|(slot, x)| *slot = *x);
                 }
@@ -110,7 +79,7 @@ impl DomainSamples {
 
 fn spectrum_rows(series: &Series, band_hz: (f64, f64)) -> DomainSamples {
     let spectra: Vec<_> = (0..series.channels())
-        .map(|c| spectrum::amplitude_spectrum(series.channel(c), series.rate_hz(), band_hz))
+        .map(|c| amplitude_spectrum(series.channel(c), series.rate_hz(), band_hz))
         .collect();
     let bins = spectra[0].len();
     let rows = Array2::from_shape_fn((bins, spectra.len()), |(bin, c)| spectra[c][bin] as f32);

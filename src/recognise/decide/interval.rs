@@ -3,7 +3,7 @@
 use statrs::distribution::{Beta, ContinuousCDF};
 
 /// Quantile of the Beta distribution; the parameters are positive.
-pub(super) fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
+pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
     // Positive parameters make a distribution.
     Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(level))
 }

@@ -6,21 +6,36 @@
 //! within 1e-4 of a score ([`Precision`]), and, where asked for, successive halving. Results depend
 //! neither on the number of threads nor on the library's order.
 
+mod domain;
+mod halving;
+mod prepared_trial;
+mod sample_set;
+mod sampling;
+mod score;
+mod storage;
+
+pub use domain::DomainSamples;
+pub use halving::{STAGES, Stage};
+pub use prepared_trial::PreparedTrial;
+pub(super) use prepared_trial::{Cut, shared_sources};
+pub use sample_set::{SampleSet, Scratch};
+pub(super) use sampling::keyed_positions;
+pub use sampling::{Extent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
+pub use score::{
+    Precision, QuerySet, SCORE_FLOOR, SampleScore, log_score, score_samples, score_sets,
+};
+
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::domain::DomainSamples;
-use super::halving::{self, Stage};
-use super::prepared::{Cut, PreparedTrial, shared_sources};
+use self::storage::VERSION;
+use super::checks::check_surfaces;
+use super::error::RecogniseError;
+use super::method::Method;
 use super::rank::{Candidate, Ranking, rank};
-use super::samples::{SampleSet, Scratch};
-use super::sampling::{Extent, Positions, keyed_positions};
-use super::score::{Precision, QuerySet, log_score};
-use super::storage::{self, VERSION};
-use super::{Method, RecogniseError};
 use crate::kernel::{FOLD, NODES};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceSpec};
@@ -265,12 +280,7 @@ impl Method for Reference {
     }
 
     fn fit(&self, library: Vec<Arc<PreparedTrial>>) -> Result<Self::Model, RecogniseError> {
-        let surfaces: std::collections::BTreeSet<_> =
-            library.iter().map(|trial| &trial.key().surface).collect();
-        if surfaces.len() < 2 {
-            let (surfaces, trials) = (surfaces.len(), library.len());
-            return Err(RecogniseError::TooFewSurfaces { surfaces, trials });
-        }
+        check_surfaces(library.iter().map(|trial| trial.key()))?;
         Ok(library)
     }
 

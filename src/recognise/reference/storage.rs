@@ -6,8 +6,8 @@
 //! is a table (1 or 0), the table, then the values. Counts are u32, other numbers f64. Errors: anything that does not fit
 //! gives no trial; the cache's checksum guards the rest.
 
-use super::prepared::{PreparedTrial, StoredSource};
-use super::samples::{SampleSet, Values};
+use super::prepared_trial::{PreparedTrial, StoredSource};
+use super::sample_set::{SampleSet, Values};
 use crate::kernel::{NODES, SelfMean};
 use crate::library::Entry;
 use crate::scene::SourceId;

@@ -4,9 +4,9 @@ use std::sync::OnceLock;
 
 use ndarray::{Array2, ArrayView2, Axis};
 
-use super::samples::{SampleSet, Scratch};
+use super::sample_set::{SampleSet, Scratch};
 use crate::kernel::{
-    CarefulPoints, CrossSums, Lanes, LineSum, Quality, careful_sum, lane_sum, length_scale,
+    CrossSums, F64Points, LineSum, PaddedPoints, Quality, f64_sum, lane_sum, length_scale,
     mmd2_biased, mmd2_from_sums,
 };
 
@@ -75,27 +75,27 @@ pub enum Precision {
 pub struct QuerySet<'a> {
     set: &'a SampleSet,
     align_mean: bool,
-    way: Way,
+    strategy: SumStrategy,
     /// Σ k(zᵢ, zⱼ), which no library trial changes.
     zz: f64,
     /// Points and their sum in f64, once some comparison asks for them.
-    careful: OnceLock<(CarefulPoints, f64)>,
+    f64_points: OnceLock<(F64Points, f64)>,
 }
 
 /// How Σ k(yᵢ, zⱼ) is summed.
-enum Way {
+enum SumStrategy {
     /// One channel and many comparisons: expanded once.
     Line(LineSum),
     /// Up to four channels, in f32, unless both sides are clustered.
     Lanes {
-        lanes: Lanes,
+        lanes: PaddedPoints,
         /// Whether f32 will do for the other side, too, whatever that is.
         compact: bool,
     },
     /// In f64, where f32 does not hold the samples well enough.
-    Careful,
+    InF64,
     /// By definition.
-    Plain,
+    ByDefinition,
 }
 
 impl<'a> QuerySet<'a> {
@@ -103,23 +103,23 @@ impl<'a> QuerySet<'a> {
     /// that work done here pays.
     pub fn new(set: &'a SampleSet, align_mean: bool, precision: Precision, many: bool) -> Self {
         let sigma = set.sigma;
-        let (way, zz) = if precision == Precision::Oracle {
-            (Way::Plain, 0.0)
+        let (strategy, zz) = if precision == Precision::Oracle {
+            (SumStrategy::ByDefinition, 0.0)
         } else if set.dims() == 1 && many {
             let line = set.line(sigma);
             let zz = set.sum_on_line(&line, 0.0);
-            (Way::Line(line), zz)
+            (SumStrategy::Line(line), zz)
         } else {
             let zz = set.self_sum_at(sigma, &mut Scratch::default());
             if set.fits_lanes(sigma) {
-                let mut lanes = Lanes::default();
+                let mut lanes = PaddedPoints::default();
                 set.fill_lanes(&mut lanes, sigma, &set.centre);
-                (Way::Lanes { lanes, compact: set.is_compact(sigma) }, zz)
+                (SumStrategy::Lanes { lanes, compact: set.is_compact(sigma) }, zz)
             } else {
-                (Way::Careful, zz)
+                (SumStrategy::InF64, zz)
             }
         };
-        Self { set, align_mean, way, zz, careful: OnceLock::new() }
+        Self { set, align_mean, strategy, zz, f64_points: OnceLock::new() }
     }
 
     /// n·MMD²_b against samples of a library trial; never negative, never NaN.
@@ -134,25 +134,25 @@ impl<'a> QuerySet<'a> {
         let shift = |c: usize| if self.align_mean { self.set.mean[c] - y.mean[c] } else { 0.0 };
         let (n, m) = (y.n(), self.set.n());
         let score = |sums| n.min(m) as f64 * mmd2_from_sums(sums, n, m);
-        if let Way::Plain = self.way {
+        if let SumStrategy::ByDefinition = self.strategy {
             return self.plain(y);
         }
-        if let Some(sums) = self.few_sums(y, &shift) {
+        if let Some(sums) = self.distinct_sums(y, &shift) {
             return score(sums);
         }
         let fast = score(self.fast_sums(y, &shift, scratch));
         if fast >= F64_BELOW {
             return fast;
         }
-        score(self.careful_sums(y, &shift, scratch))
+        score(self.f64_sums(y, &shift, scratch))
     }
 
-    fn few_sums(&self, y: &SampleSet, shift: &dyn Fn(usize) -> f64) -> Option<CrossSums> {
+    fn distinct_sums(&self, y: &SampleSet, shift: &dyn Fn(usize) -> f64) -> Option<CrossSums> {
         let sigma = self.set.sigma;
         let none = vec![0.0; y.dims()];
         let shift: Vec<f64> = (0..y.dims()).map(shift).collect();
-        let yz = self.set.few_sum(y, sigma, &shift)?;
-        let [yy, zz] = [y, self.set].map(|set| set.few_sum(set, sigma, &none));
+        let yz = self.set.distinct_sum(y, sigma, &shift)?;
+        let [yy, zz] = [y, self.set].map(|set| set.distinct_sum(set, sigma, &none));
         Some(CrossSums { yz, yy: yy?, zz: zz? })
     }
 
@@ -164,9 +164,9 @@ impl<'a> QuerySet<'a> {
     ) -> CrossSums {
         let sigma = self.set.sigma;
         let clusters = [self.set, y].map(|set| set.is_clustered_at(sigma));
-        let yz = match &self.way {
-            Way::Line(line) => y.sum_on_line(line, shift(0)),
-            Way::Lanes { lanes: z_lanes, compact }
+        let yz = match &self.strategy {
+            SumStrategy::Line(line) => y.sum_on_line(line, shift(0)),
+            SumStrategy::Lanes { lanes: z_lanes, compact }
                 if (*compact || y.fits_lanes(sigma)) && clusters != [true, true] =>
             {
                 y.fill_lanes(&mut scratch.lanes, sigma, &self.origin(shift));
@@ -175,14 +175,14 @@ impl<'a> QuerySet<'a> {
                 lane_sum(&scratch.lanes, z_lanes, quality)
             }
             _ => {
-                y.fill_careful(&mut scratch.careful, sigma, &self.origin(shift));
-                careful_sum(&scratch.careful, &self.in_f64().0)
+                y.fill_f64(&mut scratch.in_f64, sigma, &self.origin(shift));
+                f64_sum(&scratch.in_f64, &self.in_f64().0)
             }
         };
         CrossSums { yy: y.self_sum_at(sigma, scratch), zz: self.zz, yz }
     }
 
-    fn careful_sums(
+    fn f64_sums(
         &self,
         y: &SampleSet,
         shift: &dyn Fn(usize) -> f64,
@@ -190,11 +190,11 @@ impl<'a> QuerySet<'a> {
     ) -> CrossSums {
         let sigma = self.set.sigma;
         let (z_points, zz) = self.in_f64();
-        let points = &mut scratch.careful;
-        y.fill_careful(points, sigma, &self.origin(shift));
-        let yz = careful_sum(points, z_points);
-        y.fill_careful(points, sigma, &y.centre);
-        CrossSums { yy: careful_sum(points, points), zz: *zz, yz }
+        let points = &mut scratch.in_f64;
+        y.fill_f64(points, sigma, &self.origin(shift));
+        let yz = f64_sum(points, z_points);
+        y.fill_f64(points, sigma, &y.centre);
+        CrossSums { yy: f64_sum(points, points), zz: *zz, yz }
     }
 
     /// z's centre, from where the shifted y is seen.
@@ -203,12 +203,12 @@ impl<'a> QuerySet<'a> {
     }
 
     /// The points, and zz, in f64.
-    fn in_f64(&self) -> &(CarefulPoints, f64) {
-        self.careful.get_or_init(|| {
-            let mut points = CarefulPoints::default();
-            self.set.fill_careful(&mut points, self.set.sigma, &self.set.centre);
+    fn in_f64(&self) -> &(F64Points, f64) {
+        self.f64_points.get_or_init(|| {
+            let mut points = F64Points::default();
+            self.set.fill_f64(&mut points, self.set.sigma, &self.set.centre);
             // As y's own sum and the cross sum are formed, so that equal roundings cancel.
-            let zz = careful_sum(&points, &points);
+            let zz = f64_sum(&points, &points);
             (points, zz)
         })
     }

@@ -1,9 +1,9 @@
-//! Where the values of a library lie and how far they spread: the units in which `joint` and
-//! `embedding` measure. Taken from library trials alone.
+//! Where the values of a library lie and how far they spread: the units in which `embedding`
+//! measures. Taken from library trials alone.
 
-use super::framed::Framed;
-use super::pixels::{Part, PixelGroup, pixel_pairs};
-use super::slow::{SlowGroup, SlowSeries};
+use super::decimated::{DecimatedGroup, DecimatedSeries};
+use super::frame_features::Framed;
+use super::image_features::{Part, PixelGroup, pixel_pairs};
 
 /// Spread of values per median of absolute deviations, for normal ones.
 const PER_MAD: f32 = 1.4826;
@@ -13,7 +13,7 @@ const ENOUGH: usize = 20_000;
 
 /// Scale of one view of a spectrum.
 #[derive(Clone, Debug)]
-pub(super) struct ViewScale {
+pub struct ViewScale {
     /// Median of each column.
     pub centre: Vec<f32>,
     /// Spread of each channel: the median over its bands.
@@ -24,7 +24,7 @@ pub(super) struct ViewScale {
 
 /// Centre and spread of one coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Spread {
+pub struct Spread {
     /// Median.
     pub centre: f32,
     /// Robust standard deviation; never 0.
@@ -33,10 +33,10 @@ pub(super) struct Spread {
 
 /// Scales of one source.
 #[derive(Clone, Debug)]
-pub(super) enum SourceScale {
+pub enum SourceScale {
     /// View by view.
     Bands(Vec<ViewScale>),
-    /// For each group of [`SlowSeries::groups`], both coordinates.
+    /// For each group of [`DecimatedSeries::groups`], both coordinates.
     Slow(Vec<[Spread; 2]>),
     /// For each group of [`PixelGroup::ALL`], both coordinates.
     Pixels(Vec<[Spread; 2]>),
@@ -101,12 +101,12 @@ fn view_scale(trials: &[&Framed], v: usize, align: bool) -> ViewScale {
 }
 
 fn slow_scale(trials: &[&Framed], channels: usize, align: bool) -> Vec<[Spread; 2]> {
-    let series: Vec<&SlowSeries> = trials
+    let series: Vec<&DecimatedSeries> = trials
         .iter()
         .filter_map(|framed| if let Framed::Slow(series) = framed { Some(series) } else { None })
         .collect();
     let each = (ENOUGH / series.len()).max(64);
-    let of = |group: SlowGroup| {
+    let of = |group: DecimatedGroup| {
         let (mut first, mut second) = (Vec::new(), Vec::new());
         for one in &series {
             let means = group_means(one, group, 0..one.len(), align);
@@ -117,21 +117,21 @@ fn slow_scale(trials: &[&Framed], channels: usize, align: bool) -> Vec<[Spread; 
         }
         [robust(first), robust(second)]
     };
-    SlowSeries::groups(channels).into_iter().map(of).collect()
+    DecimatedSeries::groups(channels).into_iter().map(of).collect()
 }
 
 /// What alignment takes off both coordinates of a group: the means of the channels over the
 /// window. Increments have no mean to take off.
-pub(super) fn group_means(
-    series: &SlowSeries,
-    group: SlowGroup,
+pub fn group_means(
+    series: &DecimatedSeries,
+    group: DecimatedGroup,
     within: std::ops::Range<usize>,
     align: bool,
 ) -> [f32; 2] {
     match group {
         _ if !align => [0.0; 2],
-        SlowGroup::Lag(c, _) => [series.mean(c, within), 0.0],
-        SlowGroup::Cross(a, b) => [series.mean(a, within.clone()), series.mean(b, within)],
+        DecimatedGroup::Lag(c, _) => [series.mean(c, within), 0.0],
+        DecimatedGroup::Cross(a, b) => [series.mean(a, within.clone()), series.mean(b, within)],
     }
 }
 
@@ -173,7 +173,7 @@ fn robust(mut values: Vec<f32>) -> Spread {
 }
 
 /// The median of some values (the upper one of an even number); 0 without any. Reorders them.
-pub(super) fn median(values: &mut [f32]) -> f32 {
+pub fn median(values: &mut [f32]) -> f32 {
     if values.is_empty() {
         return 0.0;
     }
@@ -182,7 +182,7 @@ pub(super) fn median(values: &mut [f32]) -> f32 {
 }
 
 /// Mean in f64.
-pub(super) fn mean(values: &[f32]) -> f32 {
+pub fn mean(values: &[f32]) -> f32 {
     (values.iter().map(|&x| f64::from(x)).sum::<f64>() / values.len().max(1) as f64) as f32
 }
 

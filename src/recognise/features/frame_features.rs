@@ -1,16 +1,16 @@
-//! A trial as the methods `joint` and `embedding` see it: frames, delay pairs, neighbouring
+//! A trial as the method `embedding` sees it: frames, delay pairs, neighbouring
 //! pixels; made at once, or piece by piece while a scan goes on.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::RecogniseError;
-use super::domain::check_signal;
+use super::decimated::DecimatedSeries;
 use super::frames::{FrameView, VIEWS, ViewFrames};
-use super::pixels::PixelGrid;
-use super::slow::SlowSeries;
+use super::image_features::PixelGrid;
+use crate::recognise::checks::{check_signal, check_surfaces};
+use crate::recognise::error::RecogniseError;
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{Signal, Trial, TrialKey};
 
@@ -20,14 +20,14 @@ pub enum Framed {
     /// Log-band frames, one view after the other.
     Bands(Vec<ViewFrames>),
     /// A series at about 1 kHz.
-    Slow(SlowSeries),
+    Slow(DecimatedSeries),
     /// A grid of pixels.
     Pixels(PixelGrid),
 }
 
 /// One source of a trial, with what it was made of.
 #[derive(Clone, Debug)]
-pub struct FramedSource {
+pub struct SourceFrames {
     /// What is kept.
     pub data: Framed,
     /// How long the recording was, in seconds; 0 for pictures.
@@ -36,16 +36,16 @@ pub struct FramedSource {
     pub rate_hz: f64,
 }
 
-/// A trial, ready for `joint` and `embedding`.
+/// A trial, ready for `embedding`.
 #[derive(Clone, Debug)]
-pub struct FramedTrial {
+pub struct FrameFeatures {
     /// Which trial this is.
     pub key: TrialKey,
     /// What it holds of the scene's sources.
-    pub sources: BTreeMap<SourceId, FramedSource>,
+    pub sources: BTreeMap<SourceId, SourceFrames>,
 }
 
-impl FramedTrial {
+impl FrameFeatures {
     /// Frames those sources of a trial that the scene describes.
     ///
     /// # Errors
@@ -65,10 +65,10 @@ fn frame_source(
     spec: &SourceSpec,
     signal: &Signal,
     key: &TrialKey,
-) -> Result<FramedSource, RecogniseError> {
+) -> Result<SourceFrames, RecogniseError> {
     check_signal(spec, signal, key)?;
     Ok(match signal {
-        Signal::Image(image) => FramedSource {
+        Signal::Image(image) => SourceFrames {
             data: Framed::Pixels(PixelGrid::new(image)),
             duration_s: 0.0,
             rate_hz: 0.0,
@@ -83,10 +83,10 @@ fn frame_source(
                     )
                 }
                 Domain::Time | Domain::Image => {
-                    Framed::Slow(SlowSeries::new(rate_hz, channels, series.samples()))
+                    Framed::Slow(DecimatedSeries::new(rate_hz, channels, series.samples()))
                 }
             };
-            FramedSource { data, duration_s: series.duration_s(), rate_hz }
+            SourceFrames { data, duration_s: series.duration_s(), rate_hz }
         }
     })
 }
@@ -100,16 +100,12 @@ fn views(rate_hz: f64, channels: usize, band_hz: (f64, f64)) -> Vec<FrameView> {
 ///
 /// # Errors
 /// If it holds fewer than two surfaces, or rates that cannot be compared.
-pub(super) fn sorted_library(
-    mut library: Vec<Arc<FramedTrial>>,
-) -> Result<Vec<Arc<FramedTrial>>, RecogniseError> {
+pub fn sorted_library(
+    mut library: Vec<Arc<FrameFeatures>>,
+) -> Result<Vec<Arc<FrameFeatures>>, RecogniseError> {
     library.sort_by(|a, b| a.key.cmp(&b.key));
-    let surfaces: BTreeSet<_> = library.iter().map(|trial| &trial.key.surface).collect();
-    if surfaces.len() < 2 {
-        let (surfaces, trials) = (surfaces.len(), library.len());
-        return Err(RecogniseError::TooFewSurfaces { surfaces, trials });
-    }
-    let mut first: BTreeMap<&SourceId, (&FramedSource, &TrialKey)> = BTreeMap::new();
+    check_surfaces(library.iter().map(|trial| &trial.key))?;
+    let mut first: BTreeMap<&SourceId, (&SourceFrames, &TrialKey)> = BTreeMap::new();
     for trial in &library {
         for (id, source) in &trial.sources {
             let (like, key) = first.entry(id).or_insert((source, &trial.key));
@@ -121,10 +117,10 @@ pub(super) fn sorted_library(
 
 /// Checks that a source of a query can be compared with that of a library trial, by frequency in
 /// Hz or by time in seconds. Rates may differ; a rate too low for the library's band may not.
-pub(super) fn check_rates(
+pub fn check_rates(
     id: &SourceId,
-    query: &FramedSource,
-    library: &FramedSource,
+    query: &SourceFrames,
+    library: &SourceFrames,
     library_key: &TrialKey,
 ) -> Result<(), RecogniseError> {
     if let (Framed::Bands(a), Framed::Bands(b)) = (&query.data, &library.data)
@@ -140,24 +136,10 @@ pub(super) fn check_rates(
     Ok(())
 }
 
-/// The error of a query that shares no source with a library.
-pub(super) fn nothing_in_common<'a>(
-    query: &FramedTrial,
-    library: impl Iterator<Item = &'a SourceId>,
-) -> RecogniseError {
-    let names = |ids: BTreeSet<&str>| {
-        if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
-    };
-    RecogniseError::NothingInCommon {
-        query: names(query.sources.keys().map(SourceId::as_str).collect()),
-        library: names(library.map(SourceId::as_str).collect()),
-    }
-}
-
 /// A trial that grows while a scan goes on: frames are transformed when they are complete, and
-/// never again. [`FramedStream::so_far`] equals [`FramedTrial::new`] of what was pushed.
+/// never again. [`FrameStream::so_far`] equals [`FrameFeatures::new`] of what was pushed.
 #[derive(Clone, Debug)]
-pub struct FramedStream {
+pub struct FrameStream {
     scene: Scene,
     key: TrialKey,
     sources: BTreeMap<SourceId, SourceStream>,
@@ -165,14 +147,14 @@ pub struct FramedStream {
 
 #[derive(Clone, Debug)]
 struct SourceStream {
-    source: FramedSource,
+    source: SourceFrames,
     channels: usize,
     samples: usize,
     /// Samples that are not yet used up: for each view, or for the series.
     pending: Vec<Vec<f32>>,
 }
 
-impl FramedStream {
+impl FrameStream {
     /// A stream without samples.
     pub fn new(scene: Scene, key: TrialKey) -> Self {
         Self { scene, key, sources: BTreeMap::new() }
@@ -201,9 +183,11 @@ impl FramedStream {
                         .map(|view| ViewFrames { view, values: Vec::new() })
                         .collect(),
                 ),
-                Domain::Time | Domain::Image => Framed::Slow(SlowSeries::empty(rate_hz, channels)),
+                Domain::Time | Domain::Image => {
+                    Framed::Slow(DecimatedSeries::empty(rate_hz, channels))
+                }
             };
-            let source = FramedSource { data, duration_s: 0.0, rate_hz };
+            let source = SourceFrames { data, duration_s: 0.0, rate_hz };
             SourceStream { source, channels, samples: 0, pending: vec![Vec::new(); VIEWS.len()] }
         });
         if stream.source.rate_hz != rate_hz {
@@ -219,9 +203,9 @@ impl FramedStream {
     }
 
     /// The trial so far. A source too short for a single frame is filled up with zeros.
-    pub fn so_far(&self) -> FramedTrial {
+    pub fn so_far(&self) -> FrameFeatures {
         let ready = self.sources.iter().map(|(id, stream)| (id.clone(), stream.so_far()));
-        FramedTrial { key: self.key.clone(), sources: ready.collect() }
+        FrameFeatures { key: self.key.clone(), sources: ready.collect() }
     }
 }
 
@@ -242,7 +226,7 @@ impl SourceStream {
         }
     }
 
-    fn so_far(&self) -> FramedSource {
+    fn so_far(&self) -> SourceFrames {
         let mut source = self.source.clone();
         match &mut source.data {
             Framed::Bands(views) => {

@@ -28,7 +28,7 @@ pub fn without_flawed(mut trial: Trial, scene: &Scene) -> (Trial, Vec<String>) {
 
 /// Of sources, each with its flaw if it has one, those that no comparison should see: no switches,
 /// and none at all where nothing else of the scene would be left.
-pub(super) fn left_out<'a, F>(
+pub fn left_out<'a, F>(
     scene: &Scene,
     sources: impl Iterator<Item = (&'a SourceId, Option<F>)>,
 ) -> Vec<(SourceId, F)> {

@@ -18,7 +18,7 @@ const LEAST_PAIRS: usize = 16;
 
 /// A series at about 1 kHz, channel by channel, growing at its end.
 #[derive(Clone, Debug)]
-pub struct SlowSeries {
+pub struct DecimatedSeries {
     /// Its rate in Hz.
     pub rate_hz: f64,
     /// Samples of the source that one value averages.
@@ -29,14 +29,14 @@ pub struct SlowSeries {
 
 /// A group of sample pairs: first and second coordinate of each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SlowGroup {
+pub enum DecimatedGroup {
     /// Value and increment of a channel after the lag of that index.
     Lag(usize, usize),
     /// Values of two channels at one time.
     Cross(usize, usize),
 }
 
-impl SlowSeries {
+impl DecimatedSeries {
     /// The series of a recording; `samples` are interleaved. One that is shorter than a value
     /// takes is averaged whole.
     pub fn new(rate_hz: f64, channels: usize, samples: &[f32]) -> Self {
@@ -91,25 +91,26 @@ impl SlowSeries {
     }
 
     /// All groups of a series with so many channels, in order.
-    pub fn groups(channels: usize) -> Vec<SlowGroup> {
-        let lags = (0..channels).flat_map(|c| (0..LAGS_S.len()).map(move |l| SlowGroup::Lag(c, l)));
+    pub fn groups(channels: usize) -> Vec<DecimatedGroup> {
+        let lags =
+            (0..channels).flat_map(|c| (0..LAGS_S.len()).map(move |l| DecimatedGroup::Lag(c, l)));
         let pairs = (0..channels).flat_map(|a| (a + 1..channels).map(move |b| (a, b)));
-        lags.chain(pairs.map(|(a, b)| SlowGroup::Cross(a, b))).collect()
+        lags.chain(pairs.map(|(a, b)| DecimatedGroup::Cross(a, b))).collect()
     }
 
     /// At most `most` pairs of a group within some values, evenly spaced: `each` is told value
     /// and increment (or two values). Says how many there were: 0 where the lag is too long.
     pub fn pairs(
         &self,
-        group: SlowGroup,
+        group: DecimatedGroup,
         within: Range<usize>,
         most: usize,
         mut each: impl FnMut(f32, f32),
     ) -> usize {
         let values = within.len();
         let (pairs, lag) = match group {
-            SlowGroup::Cross(..) => (values, 0),
-            SlowGroup::Lag(_, index) => {
+            DecimatedGroup::Cross(..) => (values, 0),
+            DecimatedGroup::Lag(_, index) => {
                 let lag = self.lag(index);
                 (values.saturating_sub(lag), lag)
             }
@@ -121,8 +122,8 @@ impl SlowSeries {
         for i in 0..used {
             let at = within.start + i * pairs / used;
             match group {
-                SlowGroup::Cross(a, b) => each(self.channels[a][at], self.channels[b][at]),
-                SlowGroup::Lag(c, _) => {
+                DecimatedGroup::Cross(a, b) => each(self.channels[a][at], self.channels[b][at]),
+                DecimatedGroup::Lag(c, _) => {
                     let x = self.channels[c][at];
                     each(x, self.channels[c][at + lag] - x);
                 }
@@ -145,9 +146,9 @@ mod tests {
     #[test]
     fn a_series_in_pieces_is_the_series_at_once() {
         let samples: Vec<f32> = (0..9_999).map(|i| (i as f32 * 0.01).sin()).collect();
-        let whole = SlowSeries::new(10_000.0, 3, &samples);
+        let whole = DecimatedSeries::new(10_000.0, 3, &samples);
         assert_eq!((whole.len(), whole.rate_hz), (333, 1000.0));
-        let (mut pieces, mut pending) = (SlowSeries::empty(10_000.0, 3), Vec::new());
+        let (mut pieces, mut pending) = (DecimatedSeries::empty(10_000.0, 3), Vec::new());
         for chunk in samples.chunks(51) {
             pending.extend_from_slice(chunk);
             let done = pieces.extend(&pending);
@@ -158,10 +159,13 @@ mod tests {
 
     #[test]
     fn a_lag_longer_than_the_window_has_no_pairs() {
-        let series = SlowSeries::new(1000.0, 2, &[0.5; 400]);
-        assert_eq!(SlowSeries::groups(2).len(), 11);
-        assert_eq!(series.pairs(SlowGroup::Lag(0, 4), 0..200, 64, |_, _| ()), 0);
-        assert_eq!(series.pairs(SlowGroup::Lag(1, 3), 0..200, 64, |_, d| assert_eq!(d, 0.0)), 64);
-        assert_eq!(series.pairs(SlowGroup::Cross(0, 1), 0..1, 64, |_, _| ()), 1);
+        let series = DecimatedSeries::new(1000.0, 2, &[0.5; 400]);
+        assert_eq!(DecimatedSeries::groups(2).len(), 11);
+        assert_eq!(series.pairs(DecimatedGroup::Lag(0, 4), 0..200, 64, |_, _| ()), 0);
+        assert_eq!(
+            series.pairs(DecimatedGroup::Lag(1, 3), 0..200, 64, |_, d| assert_eq!(d, 0.0)),
+            64
+        );
+        assert_eq!(series.pairs(DecimatedGroup::Cross(0, 1), 0..1, 64, |_, _| ()), 1);
     }
 }

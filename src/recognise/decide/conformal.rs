@@ -1,6 +1,6 @@
 //! Whether a query is any surface of the library at all: a conformal test.
 //!
-//! Strangeness is d₁²/d₂, with d₁ and d₂ the smallest and second smallest distance in discriminant
+//! Nonconformity is d₁²/d₂, with d₁ and d₂ the smallest and second smallest distance in discriminant
 //! space: large where the nearest surface is far, or hardly nearer than the next. A query's fit is
 //! the share of left-out library trials that are at least as strange, itself counted among them:
 //! for a surface of the library, whatever the distribution, it is below α with probability at most
@@ -9,7 +9,7 @@
 //! A scan is compared with beginnings of trials that are no longer than it is.
 //!
 //! Only a method that can leave its library's trials out cheaply has such a measure: `embedding`.
-//! For `reference` and `joint` it would take comparing every trial of the library with all others
+//! For `reference` it would take comparing every trial of the library with all others
 //! whenever a library is read.
 //!
 //! # On real sounds
@@ -23,13 +23,13 @@
 //! each surface than those of the left-out trials. Unknown surfaces are somebody's near twins here:
 //! two versions of one stone tile, or of one foam.
 
-use super::share::beta_quantile;
+use super::interval::beta_quantile;
 
 /// A scan at least this share of the median trial's length counts as whole.
 const WHOLE: f64 = 0.95;
 
 /// d₁²/d₂; `None` for fewer than two finite distances. 0 where the nearest is at no distance.
-pub fn strangeness(distances: &[f64]) -> Option<f64> {
+pub fn nonconformity(distances: &[f64]) -> Option<f64> {
     let (mut first, mut second) = (f64::INFINITY, f64::INFINITY);
     for &d in distances {
         if d < first {
@@ -44,15 +44,15 @@ pub fn strangeness(distances: &[f64]) -> Option<f64> {
     Some(if first > 0.0 { first * (first / second) } else { 0.0 })
 }
 
-/// Strangeness of left-out library trials, whole and their beginnings.
+/// Nonconformity of left-out library trials, whole and their beginnings.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Conformity {
-    /// Length in seconds and strangeness, both rising; whole trials come last.
+    /// Length in seconds and nonconformity, both rising; whole trials come last.
     by_length: Vec<(f64, Vec<f64>)>,
 }
 
 impl Conformity {
-    /// From lengths in seconds, rising, with the strangeness of each trial that is longer; the
+    /// From lengths in seconds, rising, with the nonconformity of each trial that is longer; the
     /// median length of whole trials comes last.
     pub fn new(mut by_length: Vec<(f64, Vec<f64>)>) -> Self {
         by_length.iter_mut().for_each(|(_, values)| values.sort_by(f64::total_cmp));
@@ -67,14 +67,14 @@ impl Conformity {
 
     /// The fit of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1) to
     /// 1. `None` if the scan is shorter than all that was left out.
-    pub fn fit(&self, scan_s: f64, strangeness: f64) -> Option<f64> {
+    pub fn fit(&self, scan_s: f64, nonconformity: f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let (_, values) = if scan_s >= WHOLE * whole.0 {
             whole
         } else {
             beginnings.iter().rev().find(|(seconds, _)| *seconds <= scan_s + 1e-9)?
         };
-        let stranger = values.len() - values.partition_point(|&s| s < strangeness);
+        let stranger = values.len() - values.partition_point(|&s| s < nonconformity);
         Some((stranger + 1) as f64 / (values.len() + 1) as f64)
     }
 }
@@ -151,9 +151,9 @@ mod tests {
 
     #[test]
     fn strangeness_is_of_the_two_nearest() {
-        assert_eq!(strangeness(&[8.0, 2.0, f64::INFINITY, 4.0]), Some(1.0));
-        assert_eq!(strangeness(&[0.0, 0.0]), Some(0.0));
-        assert_eq!(strangeness(&[1.0, f64::INFINITY]), None);
+        assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY, 4.0]), Some(1.0));
+        assert_eq!(nonconformity(&[0.0, 0.0]), Some(0.0));
+        assert_eq!(nonconformity(&[1.0, f64::INFINITY]), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::colour::hsv;
+use super::colour::hsv;
 use crate::trial::Image;
 
 /// What is computed of a picture: [`COLOURS`], then [`TEXTURES`] at each of [`STEPS`].

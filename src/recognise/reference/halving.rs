@@ -10,7 +10,7 @@
 
 use std::collections::BTreeSet;
 
-use super::rank::{Candidate, RankedSurface, Ranking};
+use crate::recognise::rank::{Candidate, RankedSurface, Ranking};
 
 /// After so many repetitions, so many trials stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
