@@ -2,8 +2,8 @@
 
 use super::eval::share;
 use super::show;
-use crate::recognise::{AnyMethod, Rejection, RejectionError, Settling};
-use crate::station::ByMethod;
+use crate::recognise::{Rejection, RejectionError, Settling};
+use crate::station::Recogniser;
 
 /// When answers are settled, and which scans are called unknown.
 #[derive(Clone, Debug, clap::Args)]
@@ -34,7 +34,7 @@ impl AnswerArgs {
     ///
     /// # Errors
     /// If unknown surfaces were asked for that cannot be told.
-    pub fn apply(&self, by: &mut ByMethod<AnyMethod>) -> Result<Applied, RejectionError> {
+    pub fn apply(&self, by: &mut Recogniser) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections() > 0.0 {
             match by.tell_unknown(self.false_rejections()) {

@@ -3,15 +3,15 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use clap::Parser;
-
 use super::choose::{Choice, choose};
 use super::eval::{Also, Evaluation};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
-use super::method::{MethodArgs, at_least_one};
+use super::method::{at_least_one, options_of};
 use super::{Done, Failure, show};
 use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
-use crate::recognise::AnyMethod;
+use crate::recognise::{
+    EmbeddingOptions, Method, MethodName, MethodSpec, ReferenceOptions, STAGES,
+};
 use crate::scene::{Domain, Phase, Scene, SourceId};
 use crate::trial::Signal;
 
@@ -33,50 +33,64 @@ pub struct Args {
     surfaces: Option<usize>,
 }
 
-/// Settings that are charted, as options of `surfaced eval`; the flagged ones on the first seconds
-/// of a drag, too.
-const SETTINGS: [(&str, bool); 10] = [
-    ("--method reference --n 100 --repetitions 1", false),
-    ("--method reference --n 400 --repetitions 1", false),
-    ("--method reference --n 100 --repetitions 10", false),
-    ("--method reference --n 400 --repetitions 10", true),
-    ("--method reference --n 400 --repetitions 10 --halving", false),
-    ("--method embedding --no-discriminant --harmonics 1", false),
-    ("--method embedding --no-discriminant", true),
-    ("--method embedding --harmonics 1", false),
-    ("--method embedding --harmonics 2", false),
-    (SUBSETS_BY, true),
-];
+/// Settings that are charted; the flagged ones on the first seconds of a drag, too.
+fn settings() -> [(MethodSpec, bool); 10] {
+    let reference = |samples, repetitions, halving: bool| {
+        let halving = if halving { STAGES.to_vec() } else { Vec::new() };
+        let usual = ReferenceOptions::default();
+        MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
+    };
+    let embedding = |discriminant, harmonics| {
+        let usual = EmbeddingOptions::default();
+        MethodSpec::Embedding(EmbeddingOptions { discriminant, harmonics, ..usual })
+    };
+    [
+        (reference(100, 1, false), false),
+        (reference(400, 1, false), false),
+        (reference(100, 10, false), false),
+        (reference(400, 10, false), true),
+        (reference(400, 10, true), false),
+        (embedding(false, Some(1)), false),
+        (embedding(false, None), true),
+        (embedding(true, Some(1)), false),
+        (embedding(true, Some(2)), false),
+        (subsets_by(), true),
+    ]
+}
+
 /// The setting that subsets of the sources, and the control below, are charted with.
-const SUBSETS_BY: &str = "--method embedding";
+fn subsets_by() -> MethodSpec {
+    MethodName::Embedding.into()
+}
+
 /// Scan times, in seconds, besides the whole.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
 /// Upper end of the band of a negative control: hum and rumble, of room and session.
 const CONTROL_HZ: f64 = 80.0;
 
-/// A method's options without a command around them.
-#[derive(Parser)]
-struct Options {
-    #[command(flatten)]
-    method: MethodArgs,
-}
-
 /// What is measured in one go.
 struct Plan {
+    /// How the chart calls it.
     setting: String,
     scene: Scene,
     seconds: Vec<Option<f64>>,
     kind: Kind,
 }
 
-#[derive(PartialEq)]
+#[derive(Clone, PartialEq)]
 enum Kind {
     /// What a person may choose.
-    Method,
+    Method(MethodSpec),
     /// A method on what should say little.
-    Control,
+    Control(MethodSpec),
     /// No method at all.
     Loudness,
+}
+
+impl Plan {
+    fn is_control(&self) -> bool {
+        !matches!(self.kind, Kind::Method(_))
+    }
 }
 
 /// Runs the command.
@@ -135,8 +149,7 @@ fn points(choice: &Choice, plans: &[Plan]) -> Result<Vec<Point>, Failure> {
         };
         eprintln!("{}/{}  {}{left}", done + 1, plans.len(), plan.setting);
         for (seconds, (outcome, _)) in plan.seconds.iter().zip(measure(choice, plan)?) {
-            let control = plan.kind != Kind::Method;
-            let point = Point::new(&outcome, &plan.setting, *seconds, control);
+            let point = Point::new(&outcome, &plan.setting, *seconds, plan.is_control());
             eprintln!(
                 "       {}: {} ({} to {}), {:.2} ms",
                 seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
@@ -161,21 +174,14 @@ fn measure(choice: &Choice, plan: &Plan) -> Result<Vec<(Outcome, Vec<Prediction>
         cache: None,
         also: Also::default(),
     };
-    let setting = match plan.kind {
+    let method: Box<dyn Method> = match &plan.kind {
         Kind::Loudness => match Loudness::new(&plan.scene) {
-            Some(loudness) => return Ok(evaluation.of(&AnyMethod::new(loudness))?.each),
+            Some(loudness) => Box::new(loudness),
             None => return Ok(Vec::new()),
         },
-        Kind::Control => SUBSETS_BY,
-        Kind::Method => &plan.setting,
+        Kind::Method(method) | Kind::Control(method) => method.build(&plan.scene),
     };
-    // The settings above are options of this very program; a test parses them.
-    let options = Options::try_parse_from(words(setting))?;
-    Ok(evaluation.of(&options.method.method(&plan.scene)?)?.each)
-}
-
-fn words(setting: &str) -> impl Iterator<Item = &str> {
-    std::iter::once("surfaced").chain(setting.split(' '))
+    Ok(evaluation.of(&*method)?.each)
 }
 
 fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
@@ -189,13 +195,16 @@ fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
         seconds: vec![None],
         kind,
     };
-    let of_setting = |(setting, is_timed): (&str, bool)| {
-        let whole = plan(setting, scene, Kind::Method);
+    let of_method = |method: MethodSpec, scene: &Scene| {
+        plan(&options_of(&method), scene, Kind::Method(method))
+    };
+    let of_setting = |(method, is_timed): (MethodSpec, bool)| {
+        let whole = of_method(method, scene);
         if is_timed { Plan { seconds: timed(), ..whole } } else { whole }
     };
-    let mut plans: Vec<Plan> = SETTINGS.into_iter().map(of_setting).collect();
+    let mut plans: Vec<Plan> = settings().into_iter().map(of_setting).collect();
     for subset in subsets(scene) {
-        plans.push(plan(SUBSETS_BY, &subset, Kind::Method));
+        plans.push(of_method(subsets_by(), &subset));
     }
     let heard = |domain: &Domain| matches!(domain, Domain::Spectrum { .. });
     if let Some(sounds) = of_domain(scene, heard) {
@@ -205,7 +214,7 @@ fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        plans.push(plan(&format!("{ids} below {CONTROL_HZ} Hz alone"), &below, Kind::Control));
+        plans.push(plan(&format!("{ids} below {CONTROL_HZ} Hz alone"), &below, Kind::Control(subsets_by())));
         plans.push(plan(&format!("loudness of {ids} alone"), &sounds, Kind::Loudness));
     }
     plans
@@ -255,26 +264,39 @@ fn drag_s(choice: &Choice) -> Result<Option<f64>, Failure> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+    use crate::cli::method::MethodArgs;
+
+    /// A method's options without a command around them.
+    #[derive(clap::Parser)]
+    struct Options {
+        #[command(flatten)]
+        method: MethodArgs,
+    }
 
     #[test]
-    fn every_setting_is_one_of_this_program() {
-        for (setting, _) in SETTINGS {
-            assert!(Options::try_parse_from(words(setting)).is_ok(), "{setting}");
+    fn every_setting_is_called_by_the_options_that_ask_for_it() {
+        for (method, _) in settings() {
+            let words = options_of(&method);
+            let words = std::iter::once("surfaced").chain(words.split(' '));
+            let asked = Options::try_parse_from(words).unwrap();
+            assert_eq!(asked.method.spec().ok(), Some(method));
         }
     }
 
     #[test]
     fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
         let scene = Scene::lmt108();
-        let controls = |plans: &[Plan]| plans.iter().filter(|p| p.kind != Kind::Method).count();
+        let controls = |plans: &[Plan]| plans.iter().filter(|plan| plan.is_control()).count();
         let all = plans(&scene, Some(4.8));
         assert_eq!(controls(&all), 2);
         // Eight sources alone, three spectra, three series, two pictures.
-        assert_eq!(all.len(), SETTINGS.len() + 8 + 3 + 2);
+        assert_eq!(all.len(), settings().len() + 8 + 3 + 2);
         let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
         let alone = plans(&mi2, Some(0.8));
-        assert_eq!((controls(&alone), alone.len()), (2, SETTINGS.len() + 2));
+        assert_eq!((controls(&alone), alone.len()), (2, settings().len() + 2));
         assert_eq!(alone[3].seconds, [None, Some(0.5)]);
     }
 }

@@ -17,7 +17,7 @@ use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
-use crate::recognise::{AnyMethod, without_flawed};
+use crate::recognise::{Method, without_flawed};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -170,7 +170,7 @@ impl Evaluation<'_> {
     ///
     /// # Errors
     /// If a trial cannot be read or compared.
-    pub fn of(&self, method: &AnyMethod) -> Result<Evaluated, EvaluateError> {
+    pub fn of(&self, method: &dyn Method) -> Result<Evaluated, EvaluateError> {
         let steps = show::Steps::new();
         let left_out = LeftOut::default();
         let (scene, seconds) = (self.scene, self.seconds);
@@ -183,7 +183,7 @@ impl Evaluation<'_> {
         for remark in &prepared.remarks {
             eprintln!("{remark}");
         }
-        let (entries, folds, prepared) = (self.entries, self.folds, &prepared.trials);
+        let (entries, folds, prepared) = (self.entries, self.folds, &prepared);
         let Also { settle, leave_out, false_rejections } = self.also;
         let settled = settle.map(|loss| {
             let limits = (loss, None);
@@ -270,14 +270,14 @@ pub fn run(args: &Args) -> Done {
     let choice = choose(&library, scene, Some(protocol))?;
     let Choice { scene, entries, folds, .. } = &choice;
     let query_seconds = args.query_seconds;
-    let cache = args.method.cache_beside(data);
+    let cache = args.method.uses_cache().then_some(data.as_path());
     let also = Also {
         settle: args.settle.then_some(args.answers.settle_loss),
         leave_out: args.leave_surfaces_out,
         false_rejections: args.answers.false_rejections(),
     };
     let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
-    let mut done = evaluation.of(&args.method.method(scene)?)?;
+    let mut done = evaluation.of(&*args.method.spec()?.build(scene))?;
     // There is one length, so one outcome.
     let (outcome, predictions) = done.each.swap_remove(0);
     let report = Report {

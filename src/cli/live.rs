@@ -15,12 +15,12 @@ use super::terminal::{Keys, Terminal, watch_signals};
 use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
-use crate::recognise::{LOOK_S, Method, prepare_library};
+use crate::recognise::{LOOK_S, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
+    Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
 };
 
 /// Which station.
@@ -79,7 +79,7 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
         let usable = || {
             let scene = how.narrow(library.scene.clone())?;
             let entries = within(&library, &scene)?;
-            let method = how.method.method(&scene)?;
+            let method = how.method.build(&scene);
             Ok((scene, entries, method))
         };
         let (scene, entries, method) = match usable() {
@@ -89,16 +89,15 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
             }
         };
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let beside = how.method.cache_beside(&path);
+        let beside = how.cache.then_some(path.as_path());
         let all = (0..entries.len()).collect();
-        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
+        let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
-        let trials = prepared.trials.into_iter().flatten().collect();
-        let model = method.fit(trials).map_err(|error| error.to_string())?;
+        let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
         let needs = Needs::of(&scene, entries, state.synthetic);
-        let mut by = ByMethod::new(method, model, needs, state);
+        let mut by = Recogniser::new(model, needs, state);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
-        Ok(Arc::new(by) as Arc<dyn Recogniser>)
+        Ok(Arc::new(by))
     })
 }
 

@@ -1,17 +1,48 @@
 //! Which method compares trials, and with what settings.
 
-use std::path::Path;
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
 
 use super::Failure;
-use crate::evaluate::plan::{Plan, Setting};
-use crate::recognise::classify::{
-    AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
-};
 use crate::recognise::{
-    AnyMethod, Embedding, EmbeddingOptions, MethodName, PositionMode, Precision, Reference,
-    ReferenceOptions, STAGES,
+    EmbeddingOptions, MethodName, MethodSpec, PositionMode, Precision, ReferenceOptions, STAGES,
+    TreeOptions,
 };
-use crate::scene::Scene;
+
+/// A method's name on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MethodArg(pub MethodName);
+
+impl ValueEnum for MethodArg {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [MethodArg; MethodName::ALL.len()] = {
+            let mut all = [MethodArg(MethodName::Reference); MethodName::ALL.len()];
+            let mut at = 0;
+            while at < all.len() {
+                all[at] = MethodArg(MethodName::ALL[at]);
+                at += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self.0 {
+            MethodName::Reference => "The paper's method, exactly",
+            MethodName::Embedding => "Fourier features and a shrinkage discriminant",
+            MethodName::NaiveBayes => "Hand-made features: Gaussian naive Bayes",
+            MethodName::Svm => "Hand-made features: support vector machine with RBF kernel",
+            MethodName::Knn => "Hand-made features: nearest neighbours",
+            MethodName::Mahalanobis => {
+                "Hand-made features: nearest neighbours by Mahalanobis distance"
+            }
+            MethodName::Adaboost => "Hand-made features: boosted trees",
+            MethodName::RandomForest => "Hand-made features: random forest",
+        };
+        Some(PossibleValue::new(self.0.as_str()).help(help))
+    }
+}
 
 /// How positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -27,7 +58,7 @@ pub enum Positions {
 pub struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
     #[arg(long, value_enum, value_name = "METHOD")]
-    method: Option<MethodName>,
+    method: Option<MethodArg>,
     /// With `reference`: how sample positions are drawn (default: shared)
     #[arg(long, value_enum)]
     positions: Option<Positions>,
@@ -72,24 +103,6 @@ pub fn at_least_one(text: &str) -> Result<usize, String> {
 }
 
 impl MethodArgs {
-    /// A method with its usual settings, but for `reference` the quick way.
-    pub fn quick(method: MethodName) -> Self {
-        Self {
-            method: Some(method),
-            positions: None,
-            n: None,
-            repetitions: None,
-            neighbours: None,
-            seed: 1,
-            exact: false,
-            harmonics: None,
-            no_discriminant: false,
-            halving: method == MethodName::Reference,
-            no_tables: false,
-            no_cache: true,
-        }
-    }
-
     /// The method that was asked for, by name or by options that it alone has.
     fn name(&self) -> Result<MethodName, Failure> {
         let counts = [self.n, self.repetitions, self.neighbours];
@@ -101,15 +114,15 @@ impl MethodArgs {
         let of_embedding = self.no_discriminant || self.harmonics.is_some();
         let by_options =
             [(of_reference, MethodName::Reference), (of_embedding, MethodName::Embedding)];
-        let mut named = self.method;
+        let mut named = self.method.map(|MethodArg(name)| name);
         for (_, its) in by_options.into_iter().filter(|(given, _)| *given) {
             match named {
                 Some(other) if other != its => {
                     return Err(Failure::Usage(format!(
                         "an option was given that goes with --method {} alone, not with {}; see \
                          --help",
-                        its.name(),
-                        other.name()
+                        its.as_str(),
+                        other.as_str()
                     )));
                 }
                 _ => named = Some(its),
@@ -118,41 +131,30 @@ impl MethodArgs {
         Ok(named.unwrap_or(MethodName::Embedding))
     }
 
-    /// The method that was asked for, on the sources of a scene.
+    /// The method that was asked for.
     ///
     /// # Errors
     /// Wrong usage, if options of different methods are given.
-    pub fn method(&self, scene: &Scene) -> Result<AnyMethod, Failure> {
-        let name = self.name()?;
-        let (scene, seed) = (scene.clone(), self.seed);
-        let neighbours =
-            |scene, distance| AnyMethod::new(OnFeatures::new(scene, Neighbours { distance }));
-        Ok(match name {
-            MethodName::Reference => {
-                AnyMethod::new(Reference::new(scene, self.reference_options()))
-            }
-            MethodName::Embedding => {
-                AnyMethod::new(Embedding::new(scene, self.embedding_options()))
-            }
-            MethodName::NaiveBayes => AnyMethod::new(OnFeatures::new(scene, NaiveBayes)),
-            MethodName::Svm => AnyMethod::new(OnFeatures::new(scene, Svm)),
-            MethodName::Knn => neighbours(scene, Distance::Euclidean),
-            MethodName::Mahalanobis => neighbours(scene, Distance::Mahalanobis),
-            MethodName::Adaboost => AnyMethod::new(OnFeatures::new(scene, AdaBoost { seed })),
-            MethodName::RandomForest => {
-                AnyMethod::new(OnFeatures::new(scene, RandomForest { seed }))
-            }
+    pub fn spec(&self) -> Result<MethodSpec, Failure> {
+        let trees = TreeOptions { seed: self.seed };
+        Ok(match self.name()? {
+            MethodName::Reference => MethodSpec::Reference(self.reference_options()),
+            MethodName::Embedding => MethodSpec::Embedding(self.embedding_options()),
+            MethodName::Adaboost => MethodSpec::Adaboost(trees),
+            MethodName::RandomForest => MethodSpec::RandomForest(trees),
+            other => other.into(),
         })
     }
 
-    /// These settings, but for what a plan says.
-    pub fn planned(&self, plan: &Plan) -> Self {
-        let planned = Self { method: Some(plan.setting.method()), ..self.clone() };
-        match plan.setting {
-            Setting::Reference { n, repetitions } => {
-                Self { n: Some(n), repetitions: Some(repetitions), ..planned }
+    /// The method of a plan, with those of these settings that a plan leaves open.
+    pub fn planned(&self, plan: &MethodSpec) -> MethodSpec {
+        match plan {
+            MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
+                let (samples, repetitions) = (*samples, *repetitions);
+                let open = self.reference_options();
+                MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..open })
             }
-            Setting::Embedding => planned,
+            other => other.clone(),
         }
     }
 
@@ -165,9 +167,9 @@ impl MethodArgs {
         }
     }
 
-    /// Where prepared trials of a library in a folder are kept, if they are.
-    pub fn cache_beside<'a>(&self, library: &'a Path) -> Option<&'a Path> {
-        (!self.no_cache).then_some(library)
+    /// Whether prepared trials are kept beside their library.
+    pub fn uses_cache(&self) -> bool {
+        !self.no_cache
     }
 
     /// The settings of `reference`.
@@ -187,4 +189,27 @@ impl MethodArgs {
             halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
+}
+
+/// The options that ask for a method, as far as charts and people tell settings apart by them.
+pub fn options_of(method: &MethodSpec) -> String {
+    let mut options = format!("--method {}", method.name().as_str());
+    match method {
+        MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) => {
+            options += &format!(" --n {samples} --repetitions {repetitions}");
+            if !halving.is_empty() {
+                options += " --halving";
+            }
+        }
+        MethodSpec::Embedding(EmbeddingOptions { discriminant, harmonics, .. }) => {
+            if !discriminant {
+                options += " --no-discriminant";
+            }
+            if let Some(harmonics) = harmonics {
+                options += &format!(" --harmonics {harmonics}");
+            }
+        }
+        _ => {}
+    }
+    options
 }

@@ -10,6 +10,7 @@ use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
+use crate::recognise::MethodSpec;
 use crate::scene::Scene;
 
 /// Find the cheapest setting that names this library's surfaces well enough
@@ -58,10 +59,10 @@ impl ComparingArgs {
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
     pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let sources = self.sources.clone();
+        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
         let Some(path) = &self.plan else {
-            let method = self.method.clone();
-            return Ok(Comparing { plan: None, sources, method, query_seconds });
+            let method = self.method.spec()?;
+            return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
@@ -70,10 +71,10 @@ impl ComparingArgs {
             "plan for {}: {} by {}{used}",
             plan.library,
             names.join(" + "),
-            plan.setting.method().name()
+            plan.method.name().as_str()
         );
-        let (method, query_seconds) = (self.method.planned(&plan), plan.scan_s);
-        Ok(Comparing { plan: Some(plan), sources, method, query_seconds })
+        let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
+        Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
     }
 }
 
@@ -84,7 +85,9 @@ pub struct Comparing {
     pub plan: Option<Plan>,
     sources: SourceArgs,
     /// The method.
-    pub method: MethodArgs,
+    pub method: MethodSpec,
+    /// Whether prepared trials are kept beside the library.
+    pub cache: bool,
     /// How much of each drag is used, in seconds, if not all of it.
     pub query_seconds: Option<f64>,
 }
@@ -148,7 +151,7 @@ fn tell(planned: &Planned) {
     eprintln!(
         "plan: {} by {}, {:.1} s of scan, {:.2} ms",
         sources.join(" + "),
-        planned.plan.setting.method().name(),
+        planned.plan.method.name().as_str(),
         e.scan_s,
         e.latency_ms
     );

@@ -16,11 +16,11 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{self, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{AnyMethod, AnyModel, LOOK_S, Method, RecogniseError};
+use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
-use crate::station::{ByMethod, Keep, LibraryState, Needs, Notice, Station};
+use crate::station::{Keep, LibraryState, Needs, Notice, Recogniser, Station};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -168,14 +168,13 @@ fn recogniser(
     args: &Args,
     how: &Comparing,
     stage: &Stage,
-) -> Result<(ByMethod<AnyMethod>, bool), Failure> {
-    let method = how.method.method(&stage.scene)?;
-    let models = models(&method, stage)?;
+) -> Result<(Recogniser, bool), Failure> {
+    let models = models(&*how.method.build(&stage.scene), stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
     let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-    let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+    let mut recogniser = Recogniser::with_folds(models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;
     applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
     Ok((recogniser, applied.follows))
@@ -199,13 +198,10 @@ impl Stage {
     }
 }
 
-fn models(method: &AnyMethod, stage: &Stage) -> Result<Vec<AnyModel>, RecogniseError> {
+fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
-    let wanted: BTreeSet<usize> = stage.folds.iter().flat_map(|f| f.library.clone()).collect();
     let progress = |step, done, of| steps.tell(step, done, of);
-    let prepared = evaluate::prepare(method, &stage.entries, &wanted, &progress)?;
-    let fit = |fold: &Fold| {
-        method.fit(fold.library.iter().filter_map(|&i| prepared[i].clone()).collect())
-    };
-    stage.folds.iter().map(fit).collect()
+    let prepared =
+        evaluate::prepare_folds(method, &stage.entries, &stage.folds, None, &progress)?;
+    stage.folds.iter().map(|fold| prepared.fit(method, &fold.library)).collect()
 }

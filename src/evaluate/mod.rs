@@ -18,7 +18,7 @@ pub use fold::{Fold, Protocol, folds};
 pub use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
 pub use run::{
-    Progress, first_seconds, prepare, prepare_folds, run, run_features, run_prepared, run_variants,
+    Progress, first_seconds, prepare_folds, run, run_features, run_prepared, run_variants,
 };
 pub use settled::{SettledOutcome, follow, run_settled};
 pub use unknown::{UnknownOutcome, run_unknown};

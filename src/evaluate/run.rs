@@ -9,7 +9,10 @@ use super::outcome::{Outcome, Prediction};
 use super::{EvaluateError, Fold};
 use crate::library::Entry;
 use crate::recognise::features::FeatureVector;
-use crate::recognise::{Method, Preparation, Ranking, RecogniseError, prepare_library};
+use crate::recognise::{
+    LibraryShape, Method, Model, Prepared, PreparedLibrary, Ranking, RecogniseError,
+    prepare_library,
+};
 use crate::scene::{Phase, Scene};
 use crate::trial::TrialKey;
 
@@ -27,15 +30,15 @@ const PREPARING: &str = "preparing the library";
 ///
 /// # Errors
 /// If a trial cannot be read or compared.
-pub fn run<M: Method>(
-    method: &M,
+pub fn run(
+    method: &dyn Method,
     entries: &[Entry],
     folds: &[Fold],
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
     let prepared = prepare_folds(method, entries, folds, None, progress)?;
-    run_prepared(method, entries, folds, &prepared.trials, as_query, progress)
+    run_prepared(method, entries, folds, &prepared, as_query, progress)
 }
 
 /// Prepares the libraries of all folds, each trial once. `beside` is the folder of the data, where
@@ -43,13 +46,13 @@ pub fn run<M: Method>(
 ///
 /// # Errors
 /// If a trial cannot be read or does not fit the scene.
-pub fn prepare_folds<M: Method>(
-    method: &M,
+pub fn prepare_folds(
+    method: &dyn Method,
     entries: &[Entry],
     folds: &[Fold],
     beside: Option<&Path>,
     progress: Progress<'_>,
-) -> Result<Preparation<M::Prepared>, RecogniseError> {
+) -> Result<PreparedLibrary, RecogniseError> {
     let told = |done, of| progress(PREPARING, done, of);
     prepare_library(method, entries, &in_libraries(folds), beside, &told)
 }
@@ -63,11 +66,11 @@ fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
 ///
 /// # Errors
 /// If a trial cannot be read or compared.
-pub fn run_prepared<M: Method>(
-    method: &M,
+pub fn run_prepared(
+    method: &dyn Method,
     entries: &[Entry],
     folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
+    prepared: &PreparedLibrary,
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
@@ -81,11 +84,11 @@ pub fn run_prepared<M: Method>(
 ///
 /// # Errors
 /// If a trial cannot be read or compared.
-pub fn run_variants<M: Method>(
-    method: &M,
+pub fn run_variants(
+    method: &dyn Method,
     entries: &[Entry],
     folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
+    prepared: &PreparedLibrary,
     variants: usize,
     as_query: impl Fn(usize, &Entry) -> Entry,
     progress: Progress<'_>,
@@ -95,9 +98,8 @@ pub fn run_variants<M: Method>(
         let entry = as_query(variant, &entries[i]);
         let trial = entry.load().map_err(RecogniseError::from)?;
         let start = Instant::now();
-        let query = method.prepare(&entry, &trial)?;
-        let ranking = method.rank(model, &query)?;
-        Ok((ranking, start))
+        let query = model.prepare(&entry, &trial)?;
+        Ok((model.rank(&query)?, start))
     })
 }
 
@@ -106,45 +108,47 @@ pub fn run_variants<M: Method>(
 ///
 /// # Errors
 /// If a trial cannot be compared, or the method needs recordings.
-pub fn run_features<M: Method>(
-    method: &M,
+pub fn run_features(
+    method: &dyn Method,
     trials: &[FeatureVector],
     folds: &[Fold],
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let prepare = |trial: &FeatureVector| method.of_features(trial.clone()).map(Arc::new);
-    let prepared: Vec<_> = trials.iter().map(prepare).collect();
-    if prepared.iter().any(Option::is_none) {
-        return Err(RecogniseError::NeedsRecordings(method.name()).into());
-    }
+    let prepare = |trial: &FeatureVector| Prepared::Features(Arc::new(trial.clone()));
+    let queries: Vec<Prepared> = trials.iter().map(prepare).collect();
+    let library = PreparedLibrary {
+        shape: Arc::new(LibraryShape::default()),
+        trials: queries.iter().cloned().map(Some).collect(),
+        remarks: Vec::new(),
+        from_cache: 0,
+    };
     let keys = |i: usize| &trials[i].key;
-    let mut all = name_queries(method, &keys, folds, &prepared, 1, progress, |model, i, _| {
+    let mut all = name_queries(method, &keys, folds, &library, 1, progress, |model, i, _| {
         let start = Instant::now();
-        Ok((method.rank(model, prepared[i].as_ref().expect("seen above"))?, start))
+        Ok((model.rank(&queries[i])?, start))
     })?;
     Ok(all.swap_remove(0))
 }
 
 /// Names the queries of all folds, one after the other, each in all its variants; `answer` is asked
 /// for query and variant, and also says when it began.
-fn name_queries<'a, M: Method>(
-    method: &M,
+fn name_queries<'a>(
+    method: &dyn Method,
     keys: &dyn Fn(usize) -> &'a TrialKey,
     folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
+    prepared: &PreparedLibrary,
     variants: usize,
     progress: Progress<'_>,
-    answer: impl Fn(&M::Model, usize, usize) -> Result<(Ranking, Instant), RecogniseError>,
+    answer: impl Fn(&dyn Model, usize, usize) -> Result<(Ranking, Instant), RecogniseError>,
 ) -> Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError> {
     let total = variants * folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
     let mut predictions: Vec<Vec<Prediction>> = vec![Vec::new(); variants];
     let mut done = 0;
     for (index, fold) in folds.iter().enumerate() {
-        let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let model = method.fit(library)?;
+        let model = prepared.fit(method, &fold.library)?;
         for (variant, predictions) in predictions.iter_mut().enumerate() {
             for &query in &fold.queries {
-                let (ranking, start) = answer(&model, query, variant)?;
+                let (ranking, start) = answer(&*model, query, variant)?;
                 let query_ms = start.elapsed().as_secs_f64() * 1e3;
                 predictions.push(Prediction {
                     key: keys(query).clone(),
@@ -181,18 +185,4 @@ pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entr
             scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
         })
     })
-}
-
-/// Loads and prepares those trials that are `wanted`, by index; the others stay `None`.
-///
-/// # Errors
-/// If one of them cannot be read or does not fit the scene.
-pub fn prepare<M: Method>(
-    method: &M,
-    entries: &[Entry],
-    wanted: &BTreeSet<usize>,
-    progress: Progress<'_>,
-) -> Result<Vec<Option<Arc<M::Prepared>>>, RecogniseError> {
-    let told = |done, of| progress(PREPARING, done, of);
-    prepare_library(method, entries, wanted, None, &told).map(|prepared| prepared.trials)
 }

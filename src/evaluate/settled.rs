@@ -1,14 +1,13 @@
 //! Accuracy of answers given as soon as they are settled, and the scan time they take.
 
-use std::sync::Arc;
-
 use rustix::time::{ClockId, clock_gettime};
 
 use super::run::Progress;
 use super::{EvaluateError, Fold, wilson_interval};
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, Method, RecogniseError, Settling,
+    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, Method, PreparedLibrary,
+    RecogniseError, Settling,
 };
 use crate::scene::{Phase, Scene};
 use crate::trial::{Series, Signal, Trial};
@@ -59,23 +58,22 @@ struct Stopped {
 ///
 /// # Errors
 /// If a trial cannot be read or compared, or if the method cannot follow scans.
-pub fn run_settled<M: Method>(
-    method: &M,
+pub fn run_settled(
+    method: &dyn Method,
     scene: &Scene,
     entries: &[Entry],
     folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
+    prepared: &PreparedLibrary,
     (loss, false_rejections): (f64, Option<f64>),
     progress: Progress<'_>,
 ) -> Result<SettledOutcome, EvaluateError> {
     let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
     let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
     for fold in folds {
-        let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let model = Arc::new(method.fit(library)?);
-        let rejection = false_rejections.map(|rate| method.rejection(&model, rate)).transpose()?;
-        let mut follower = method
-            .follow(&model, &FollowOptions { loss, rejection })
+        let model = prepared.fit(method, &fold.library)?;
+        let rejection = false_rejections.map(|rate| model.rejection(rate)).transpose()?;
+        let mut follower = (model.clone())
+            .follow(&FollowOptions { loss, rejection })
             .ok_or(EvaluateError::Follow { method: method.name() })?;
         rules.push(follower.settling().clone());
         for &query in &fold.queries {
@@ -85,7 +83,7 @@ pub fn run_settled<M: Method>(
             let begun_s = processor_s();
             let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
             busy_s += processor_s() - begun_s;
-            let whole = method.rank(&model, &method.prepare(entry, &trial)?)?;
+            let whole = model.rank(&model.prepare(entry, &trial)?)?;
             all.push(Stopped {
                 truth: entry.key.surface.clone(),
                 whole: whole.surface().into(),

@@ -1,12 +1,11 @@
 //! How well a method tells surfaces that are not in the library: whole surfaces are left out.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 use super::run::Progress;
 use super::{EvaluateError, Fold, wilson_interval};
 use crate::library::Entry;
-use crate::recognise::{Method, RecogniseError, Rejection};
+use crate::recognise::{Method, PreparedLibrary, RecogniseError, Rejection};
 
 /// Queries of surfaces that were left out of the library, and of those that were not. Shares are
 /// fractions from 0 to 1, with 95 % Wilson intervals.
@@ -41,11 +40,11 @@ pub struct UnknownOutcome {
 /// # Errors
 /// If a trial cannot be compared, or if the method or a library cannot tell unknown surfaces at
 /// `rate` false rejections.
-pub fn run_unknown<M: Method>(
-    method: &M,
+pub fn run_unknown(
+    method: &dyn Method,
     entries: &[Entry],
     folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
+    prepared: &PreparedLibrary,
     as_query: impl Fn(&Entry) -> Entry,
     (groups, rate): (usize, f64),
     progress: Progress<'_>,
@@ -63,18 +62,22 @@ pub fn run_unknown<M: Method>(
     let (mut unknown, mut caught, mut known, mut rejected) = (0, 0, 0, 0);
     let mut stated: Option<Rejection> = None;
     for (index, fold) in folds.iter().enumerate() {
-        let query = |&i: &usize| -> Result<_, RecogniseError> {
-            let entry = as_query(&entries[i]);
-            Ok((i, method.prepare(&entry, &entry.load()?)?))
-        };
-        let queries: Vec<_> = fold.queries.iter().map(query).collect::<Result<_, _>>()?;
+        let mut queries = Vec::new();
         for left_out in 0..groups {
             let kept = fold.library.iter().filter(|&&i| group(i) != left_out);
-            let model = method.fit(kept.filter_map(|&i| prepared[i].clone()).collect())?;
-            let rejection = method.rejection(&model, rate)?;
+            let model = prepared.fit(method, kept)?;
+            let rejection = model.rejection(rate)?;
+            if queries.is_empty() {
+                // The libraries have one shape, so what one model prepares serves all.
+                let query = |&i: &usize| -> Result<_, RecogniseError> {
+                    let entry = as_query(&entries[i]);
+                    Ok((i, model.prepare(&entry, &entry.load()?)?))
+                };
+                queries = fold.queries.iter().map(query).collect::<Result<_, _>>()?;
+            }
             for (i, query) in &queries {
-                let fit = method.rank(&model, query)?.fit;
-                let is_unknown = usize::from(fit.is_some_and(|fit| rejection.rejects(fit)));
+                let p_value = model.rank(query)?.p_value;
+                let is_unknown = usize::from(p_value.is_some_and(|p| rejection.rejects(p)));
                 if group(*i) == left_out {
                     (unknown, caught) = (unknown + 1, caught + is_unknown);
                 } else {

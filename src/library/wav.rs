@@ -15,6 +15,7 @@ use crate::trial::Series;
 pub(crate) struct Header {
     pub rate_hz: f64,
     pub channels: usize,
+    pub frames: usize,
 }
 
 /// Reads a header and checks that the file is long enough to hold what it promises.
@@ -46,7 +47,9 @@ pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
     if rest < promised {
         return Err(truncated(path, Some((rest, promised))));
     }
-    Ok(Header { rate_hz: f64::from(spec.sample_rate), channels: usize::from(spec.channels) })
+    let channels = usize::from(spec.channels);
+    let frames = samples as usize / channels.max(1);
+    Ok(Header { rate_hz: f64::from(spec.sample_rate), channels, frames })
 }
 
 /// Reads a whole file; integers are scaled to ±1, that is value / 2^(bits − 1).

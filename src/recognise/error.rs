@@ -49,6 +49,16 @@ pub enum RecogniseError {
          or random-forest"
     )]
     NeedsRecordings(&'static str),
+    /// a trial that another kind of method prepared
+    #[error("{trial} was prepared for {by}, and cannot be compared by {method}")]
+    PreparedByAnother {
+        /// the method that it was given to
+        method: &'static str,
+        /// the method that it was prepared for
+        by: &'static str,
+        /// the trial
+        trial: String,
+    },
     /// a number of channels that the scene does not describe
     #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
     Channels {

@@ -1,92 +1,113 @@
-//! A way of comparing trials.
+//! What a way of comparing trials is, and a library made ready by it.
 
 use std::sync::Arc;
 
 use super::decide::conformal::{Rejection, RejectionError};
 use super::error::RecogniseError;
-use super::features::FeatureVector;
 use super::follow::{Follow, FollowOptions};
+use super::prepared::Prepared;
 use super::rank::Ranking;
+use super::shape::LibraryShape;
 use crate::library::Entry;
+use crate::scene::SourceId;
 use crate::trial::Trial;
 
-/// A way of comparing trials.
+/// A way of comparing trials, with its settings.
 pub trait Method: Send + Sync {
-    /// What a comparison needs to know of one trial.
-    type Prepared: Send + Sync;
-    /// A library, ready to be compared with.
-    type Model: Send + Sync;
-
-    /// The method's name, as on the command line.
+    /// The method's name.
     fn name(&self) -> &'static str;
 
-    /// Does for one trial what need be done but once, whatever it is then compared with. `entry`
-    /// can load the trial again, so that its raw samples need not stay in memory.
+    /// A number for all settings that prepared trials of such a library depend on.
+    fn settings_key(&self, shape: &LibraryShape) -> u64;
+
+    /// Prepares a trial of a library of this shape, once, whatever it is then compared with.
+    /// `entry` can load the trial again, so that its raw samples need not stay in memory.
     ///
     /// # Errors
     /// If the trial does not fit the scene.
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Self::Prepared, RecogniseError>;
-
-    /// The same for a trial of a library, which many queries will be compared with.
-    ///
-    /// # Errors
-    /// As [`Method::prepare`].
-    fn prepare_for_library(
+    fn prepare(
         &self,
         entry: &Entry,
         trial: &Trial,
-    ) -> Result<Self::Prepared, RecogniseError> {
-        self.prepare(entry, trial)
-    }
+        shape: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError>;
 
-    /// A trial of which hand-made features are all that is known; `None` for a method that needs
-    /// recordings.
-    fn of_features(&self, _features: FeatureVector) -> Option<Self::Prepared> {
-        None
-    }
-
-    /// A number for all settings that prepared trials depend on, if they can be stored.
-    fn storage_key(&self) -> Option<u64> {
-        None
-    }
-
-    /// A prepared trial as bytes; asked for only where there is a [`Method::storage_key`].
-    fn store(&self, _prepared: &Self::Prepared) -> Vec<u8> {
-        Vec::new()
-    }
-
-    /// A prepared trial from bytes that [`Method::store`] made under the same key, or nothing.
-    fn restore(&self, _entry: &Entry, _bytes: &[u8]) -> Option<Self::Prepared> {
-        None
-    }
-
-    /// Makes a model of a library.
+    /// Makes a model of a prepared library, or of part of one; `shape` is that which its trials
+    /// were prepared for.
     ///
     /// # Errors
-    /// If the library holds fewer than two surfaces.
-    fn fit(&self, library: Vec<Arc<Self::Prepared>>) -> Result<Self::Model, RecogniseError>;
+    /// If the trials are of fewer than two surfaces, cannot be compared with each other, or were
+    /// prepared by another kind of method.
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        shape: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError>;
+}
+
+/// A library, ready to be compared with.
+pub trait Model: Send + Sync {
+    /// Prepares a query. One that a model has prepared serves all models of the same method and
+    /// library shape.
+    ///
+    /// # Errors
+    /// If the trial does not fit the scene.
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError>;
 
     /// Ranks the library's surfaces, the most alike first.
     ///
     /// # Errors
-    /// If the query has no source in common with the library, or another sample rate.
-    fn rank(&self, model: &Self::Model, query: &Self::Prepared) -> Result<Ranking, RecogniseError>;
+    /// If the query has no source in common with the library, has another sample rate, or was
+    /// prepared by another kind of method.
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// Follows scans while they go on; `None` for a method that cannot. The first time, the stop
+    /// What each source says alone; `None` by a method that cannot take them apart.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    fn explain(&self, _query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        Ok(None)
+    }
+
+    /// Follows scans while they go on; `None` by a method that cannot. The first time, the stop
     /// rule is calibrated, which takes a while.
-    fn follow(
-        &self,
-        _model: &Arc<Self::Model>,
-        _options: &FollowOptions,
-    ) -> Option<Box<dyn Follow>> {
+    fn follow(self: Arc<Self>, _options: &FollowOptions) -> Option<Box<dyn Follow>> {
         None
     }
 
-    /// The fit at or below which a query is called unknown, for a stated rate of false rejections.
+    /// The p-value at or below which a query is called unknown, for a stated rate of false
+    /// rejections.
     ///
     /// # Errors
-    /// If the method has no measure of fit, or the library too few trials.
-    fn rejection(&self, _model: &Self::Model, _rate: f64) -> Result<Rejection, RejectionError> {
-        Err(RejectionError::Method(self.name()))
+    /// If the method gives no p-value, or the library has too few trials.
+    fn rejection(&self, _rate: f64) -> Result<Rejection, RejectionError> {
+        Err(RejectionError::NoPValue)
     }
+
+    /// For people: what the library was too small for, a line each.
+    fn remarks(&self) -> &[String] {
+        &[]
+    }
+}
+
+/// How unlike a query each surface is, source by source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evidence {
+    /// The surfaces of the library, sorted.
+    pub surfaces: Vec<String>,
+    /// What each source says.
+    pub sources: Vec<SourceEvidence>,
+}
+
+/// How unlike a query each surface is by one source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceEvidence {
+    /// The source.
+    pub source: SourceId,
+    /// Whether the method learnt from the library how far to trust it. Where some sources are
+    /// trained, the others do not count.
+    pub trained: bool,
+    /// The term of each surface: those of the sources that count add up to what surfaces are
+    /// ranked by, the smallest first. Infinite for a surface that lacks the source.
+    pub terms: Vec<f64>,
 }

@@ -1,10 +1,15 @@
-//! Names the surface of a trial: sampling ─► kernel ─► score ─► rank.
+//! Names the surface of a trial.
 //!
-//! A [`Method`] is a way of comparing trials. It prepares each trial once, fits a model to the
-//! prepared library, and ranks the library's surfaces for a prepared query. [`Reference`] is the
-//! paper's method, exactly.
+//! ```text
+//! MethodSpec ─► Method: prepare ─► Prepared (cached beside the library) ─► fit ─► Model
+//!               query ─► Model: prepare ─► rank ─► Ranking ─► decide
+//! ```
+//!
+//! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
+//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`reference`]
+//! is the paper's method, exactly; [`embedding`] the default; [`classify`] are the paper's
+//! comparison classifiers.
 
-mod any;
 mod checks;
 pub mod classify;
 mod combine;
@@ -15,27 +20,31 @@ mod error;
 pub mod features;
 mod follow;
 mod method;
-mod prepare;
+mod prepared;
+mod prepared_library;
 mod rank;
 pub mod reference;
+mod shape;
 mod spec;
 
-pub use any::{AnyMethod, AnyModel, AnyPrepared};
+pub use combine::{log_discrepancy, medians};
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use decide::conformal::{Conformity, Rejection, RejectionError, nonconformity};
 pub use decide::dead_sensor::without_flawed;
 pub use decide::interval::jeffreys_quantile;
 pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior, SourceDistances};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
 pub use error::RecogniseError;
 pub use features::{FrameFeatures, FrameStream, amplitude_spectrum, band_bins, hsv};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
-pub use method::Method;
-pub use prepare::{Preparation, prepare_library};
+pub use method::{Evidence, Method, Model, SourceEvidence};
+pub use prepared::Prepared;
+pub use prepared_library::{PreparedLibrary, prepare_library};
 pub use rank::{Candidate, RankedSurface, Ranking, rank};
 pub use reference::{
     DomainSamples, Extent, IMAGE_COLS, IMAGE_ROWS, PositionMode, Positions, Precision,
-    PreparedTrial, QuerySet, Reference, ReferenceOptions, SCORE_FLOOR, STAGES, SampleScore,
+    PreparedTrial, QuerySet, Reference, ReferenceModel, ReferenceOptions, SCORE_FLOOR, STAGES, SampleScore,
     SampleSet, Scratch, Stage, draw_positions, image_grid, log_score, score_samples, score_sets,
 };
-pub use spec::MethodName;
+pub use shape::{LibraryShape, SourceShape};
+pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};

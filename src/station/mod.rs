@@ -19,5 +19,5 @@ pub use assemble::{Assembled, assemble};
 pub use keep::Keep;
 pub use need::Needs;
 pub use notice::{Answer, Enrolled, Guess, LibraryState, Listener, Named, Notice, Order};
-pub use recogniser::{ByMethod, Load, Recogniser, Verdict};
+pub use recogniser::{Load, Recogniser, Verdict};
 pub use run::Station;

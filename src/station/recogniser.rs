@@ -1,4 +1,4 @@
-//! Names scans against a library, whatever the method: its types end here.
+//! Names scans against a library, whatever the method.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use super::need::Needs;
 use super::notice::LibraryState;
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
+    Follow, FollowOptions, Model, Ranking, RecogniseError, Rejection, RejectionError, Settling,
     without_flawed,
 };
 use crate::scan::Scan;
@@ -26,31 +26,12 @@ pub struct Verdict {
     pub remarks: Vec<String>,
 }
 
-/// A library, ready to name scans.
-pub trait Recogniser: Send + Sync {
-    /// Names a scan.
-    ///
-    /// # Errors
-    /// If the scan has no source in common with the library, or does not fit the scene.
-    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError>;
-
-    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
-    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>>;
-
-    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
-    fn needed_s(&self, surface: &str) -> Option<f64>;
-
-    /// For people: what scans are compared with.
-    fn library(&self) -> LibraryState;
-}
-
 /// Reads a library: again and again, if it is told to.
-pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Sync>;
+pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
-/// A method and the models that it made.
-pub struct ByMethod<M: Method> {
-    method: M,
-    models: Vec<Arc<M::Model>>,
+/// A library, ready to name scans.
+pub struct Recogniser {
+    models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
@@ -58,10 +39,10 @@ pub struct ByMethod<M: Method> {
     library: LibraryState,
 }
 
-impl<M: Method> ByMethod<M> {
+impl Recogniser {
     /// Names scans by one model.
-    pub fn new(method: M, model: M::Model, needs: Needs, library: LibraryState) -> Self {
-        Self::with_folds(method, vec![model], BTreeMap::new(), needs, library)
+    pub fn new(model: Arc<dyn Model>, needs: Needs, library: LibraryState) -> Self {
+        Self::with_folds(vec![model], BTreeMap::new(), needs, library)
     }
 
     /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
@@ -69,26 +50,24 @@ impl<M: Method> ByMethod<M> {
     /// # Panics
     /// If there is no model, or `model_of` names one that there is not.
     pub fn with_folds(
-        method: M,
-        models: Vec<M::Model>,
+        models: Vec<Arc<dyn Model>>,
         model_of: BTreeMap<TrialKey, usize>,
         needs: Needs,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        let models = models.into_iter().map(Arc::new).collect();
-        Self { method, models, model_of, following, needs, library }
+        Self { models, model_of, following, needs, library }
     }
 
     /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
     /// rests on, for each model.
     ///
     /// # Errors
-    /// If the method has no measure of fit, or a library has too few trials; no scan is called
+    /// If the method gives no p-value, or a library has too few trials; no scan is called
     /// unknown then.
     pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
-        let rejections = self.models.iter().map(|model| self.method.rejection(model, rate));
+        let rejections = self.models.iter().map(|model| model.rejection(rate));
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {
             following.rejection = Some(rejection.clone());
@@ -101,7 +80,7 @@ impl<M: Method> ByMethod<M> {
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
-        let followers = with_options.filter_map(|(m, options)| self.method.follow(m, options));
+        let followers = with_options.filter_map(|(model, options)| model.clone().follow(options));
         followers.map(|follower| follower.settling().clone()).collect()
     }
 
@@ -131,31 +110,36 @@ impl<M: Method> ByMethod<M> {
         remarks.extend(self.needs.warnings(ranking, scan.scan_s));
         remarks
     }
-}
 
-impl<M: Method> Recogniser for ByMethod<M> {
-    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
+    /// Names a scan.
+    ///
+    /// # Errors
+    /// If the scan has no source in common with the library, or does not fit the scene.
+    pub fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
+        let model = &self.models[at];
         // What came out of the rings, and nothing else; less what no comparison should see.
         let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
-        let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
-        let ranking = self.method.rank(&self.models[at], &query)?;
+        let ranking = model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)?;
         let rejection = self.following[at].rejection.as_ref();
-        let unknown = ranking.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
         let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
         Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
     }
 
-    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
+    pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
         let at = self.model(truth);
-        self.method.follow(&self.models[at], &self.following[at])
+        self.models[at].clone().follow(&self.following[at])
     }
 
-    fn needed_s(&self, surface: &str) -> Option<f64> {
+    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
+    pub fn needed_s(&self, surface: &str) -> Option<f64> {
         self.needs.scan_s(surface, &self.library.sources)
     }
 
-    fn library(&self) -> LibraryState {
+    /// For people: what scans are compared with.
+    pub fn library(&self) -> LibraryState {
         self.library.clone()
     }
 }

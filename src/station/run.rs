@@ -20,7 +20,7 @@ const BACKLOG: usize = 64;
 pub struct Station<'a> {
     devices: Vec<Box<dyn Device>>,
     options: Options,
-    recogniser: Option<Arc<dyn Recogniser>>,
+    recogniser: Option<Arc<Recogniser>>,
     load: Option<Load>,
     keep: Option<Keep>,
     listeners: Vec<Box<dyn Listener + 'a>>,
@@ -42,7 +42,7 @@ impl<'a> Station<'a> {
     }
 
     /// Names scans with this, from the begin on.
-    pub fn recogniser(mut self, recogniser: Arc<dyn Recogniser>) -> Self {
+    pub fn recogniser(mut self, recogniser: Arc<Recogniser>) -> Self {
         self.recogniser = Some(recogniser);
         self
     }
@@ -127,12 +127,12 @@ impl<'a> Station<'a> {
 enum Naming {
     /// The library is being read; scans wait.
     Loading,
-    Ready(Arc<dyn Recogniser>),
+    Ready(Arc<Recogniser>),
     /// They cannot be named: why.
     None(String),
 }
 
-type Loaded = Result<Arc<dyn Recogniser>, String>;
+type Loaded = Result<Arc<Recogniser>, String>;
 
 /// A station at work.
 struct Run<'a> {

@@ -23,7 +23,7 @@ pub(super) enum Job {
 /// What is to be recognised, and by what.
 pub(super) struct Work {
     pub job: Job,
-    pub by: Arc<dyn Recogniser>,
+    pub by: Arc<Recogniser>,
 }
 
 /// What the thread has found.
@@ -62,9 +62,9 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        Told::Named(name(&scan, &*by, from, settled_s))
+                        Told::Named(name(&scan, &by, from, settled_s))
                     }
-                    Job::Progress(progress) => Told::Guess(followed.guess(&progress, &*by)),
+                    Job::Progress(progress) => Told::Guess(followed.guess(&progress, &by)),
                 };
                 if tell.send(told).is_err() {
                     return;
@@ -94,7 +94,7 @@ struct Followed {
 
 impl Followed {
     /// Adds what is new, and says how the scan looks.
-    fn guess(&mut self, progress: &Progress, by: &dyn Recogniser) -> Guess {
+    fn guess(&mut self, progress: &Progress, by: &Recogniser) -> Guess {
         if self.scan != progress.number {
             let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
             *self = Self { scan: progress.number, follower, last: None };
@@ -147,7 +147,7 @@ fn look(
     follower.look(progress.scan_s)
 }
 
-fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>) -> Named {
+fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> Named {
     let verdict = caught(|| by.name(scan))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
@@ -164,7 +164,7 @@ fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>)
         synthetic: scan.synthetic,
         margin: ranking.margin,
         confidence: ranking.confidence,
-        fit: ranking.fit,
+        fit: ranking.p_value,
         latency_ms,
         scan_s: scan.scan_s,
         settled_s,
@@ -245,7 +245,7 @@ mod tests {
         fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
             self.by.reach("look");
             let named = vec![("oak".into(), 1.0)];
-            Ok(Some(GuessSoFar { scan_s, named, fit: None, settled: None }))
+            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled: None }))
         }
 
         fn settling(&self) -> &Settling {
@@ -277,7 +277,7 @@ mod tests {
             ("name", true, true, false),
         ] {
             let worker = Worker::start(false).unwrap();
-            let by: Arc<dyn Recogniser> = Arc::new(PanicsIn(part));
+            let by: Arc<Recogniser> = Arc::new(PanicsIn(part));
             for number in 1..=2 {
                 let progress = Progress {
                     number,

@@ -26,10 +26,10 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
     );
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
     let folds = evaluate::folds(protocol, &keys)?;
-    let method = args.method.method(&Scene::lmt108())?;
+    let method = args.method.spec()?.build(&Scene::lmt108());
     let steps = show::Steps::new();
     let progress = |step, done, of| steps.tell(step, done, of);
-    let (outcome, predictions) = evaluate::run_features(&method, &trials, &folds, &progress)
+    let (outcome, predictions) = evaluate::run_features(&*method, &trials, &folds, &progress)
         .map_err(|error| match error {
             EvaluateError::Recognise(e @ RecogniseError::NeedsRecordings(_)) => {
                 Failure::Usage(e.to_string())

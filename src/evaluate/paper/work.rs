@@ -7,9 +7,9 @@ use super::part::{Part, RowPart, Shard};
 use super::rows::{Row, rows};
 use super::stream::Stream;
 use super::table::{LogScores, nearest};
-use crate::evaluate::{EvaluateError, Fold, Progress, Protocol, folds, prepare};
+use crate::evaluate::{EvaluateError, Fold, Progress, Protocol, folds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, Ranking, RecogniseError, Reference, ReferenceOptions};
+use crate::recognise::{Model, RecogniseError, Reference, ReferenceOptions, prepare_library};
 use crate::trial::TrialKey;
 
 /// Names the queries of a shard in all settings of the paper.
@@ -204,9 +204,6 @@ impl Asked {
 }
 
 /// ln of the scores of one stream, by query.
-///
-/// Every library trial is a class of its own here, so that the ranking of the method `reference`
-/// holds the score of each of them.
 fn score(
     stream: Stream,
     library: &Library,
@@ -216,43 +213,26 @@ fn score(
 ) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
     let mut scores = BTreeMap::new();
     let Some(scene) = stream.scene(&library.scene) else { return Ok(scores) };
-    let own: Vec<Entry> = (entries.iter().enumerate())
-        .map(|(at, entry)| {
-            let mut entry = stream.entry(entry, &scene);
-            entry.key.surface = at.to_string();
-            entry
-        })
-        .collect();
+    let own: Vec<Entry> = entries.iter().map(|entry| stream.entry(entry, &scene)).collect();
     let has = |at: &usize| !own[*at].sources.is_empty();
     let groups = asked.groups();
     let wanted: BTreeSet<usize> =
         groups.iter().flat_map(|(library, _)| library.iter().copied().filter(has)).collect();
     let method = Reference::new(scene, options.clone());
-    let prepared = prepare(&method, &own, &wanted, &|_, _, _| {})?;
+    let prepared = prepare_library(&method, &own, &wanted, None, &|_, _| {})?;
     for (library, queries) in groups {
         let library: Arc<[usize]> = library.into_iter().filter(has).collect();
         if library.len() < 2 {
             continue;
         }
-        let trials = library.iter().filter_map(|&at| prepared[at].clone()).collect();
-        let model = method.fit(trials)?;
+        let trials = library.iter().filter_map(|&at| prepared.trials[at].clone());
+        let model = method.model(&trials.collect::<Vec<_>>())?;
         for query in queries.into_iter().filter(has) {
             let trial = own[query].load().map_err(RecogniseError::from)?;
-            let ranking = method.rank(&model, &method.prepare(&own[query], &trial)?)?;
-            let values = by_trial(&ranking, &library);
+            let values = model.log_scores(&model.prepare(&own[query], &trial)?)?;
+            let values = values.into_iter().map(|score| score.unwrap_or(f64::NAN)).collect();
             scores.insert(query, LogScores { library: Arc::clone(&library), values });
         }
     }
     Ok(scores)
-}
-
-fn by_trial(ranking: &Ranking, library: &[usize]) -> Vec<f64> {
-    let mut values = vec![f64::NAN; library.len()];
-    for ranked in &ranking.ranked {
-        let at = ranked.surface.parse().ok().and_then(|at: usize| library.binary_search(&at).ok());
-        if let Some(at) = at {
-            values[at] = ranked.score.ln();
-        }
-    }
-    values
 }

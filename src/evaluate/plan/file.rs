@@ -5,8 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::Setting;
-use crate::recognise::MethodName;
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::{Scene, SceneError, SourceId};
 
 /// Why a plan cannot be used.
@@ -72,7 +71,7 @@ pub struct Plan {
     pub sources: Vec<SourceId>,
     /// How trials are compared.
     #[serde(flatten)]
-    pub setting: Setting,
+    pub method: MethodSpec,
     /// How much of the drag is used, in seconds; all of it where nothing is said.
     pub scan_s: Option<f64>,
     /// What comes of it.
@@ -119,9 +118,12 @@ impl Plan {
         let sources = file.sources.iter().map(|name| SourceId::new(name));
         let sources: Vec<SourceId> =
             sources.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
-        let setting = match (file.method, file.n, file.repetitions) {
-            (MethodName::Reference, Some(n), Some(repetitions)) if n > 0 && repetitions > 0 => {
-                Setting::Reference { n, repetitions }
+        let method = match (file.method, file.n, file.repetitions) {
+            (MethodName::Reference, Some(samples), Some(repetitions))
+                if samples > 0 && repetitions > 0 =>
+            {
+                let usual = ReferenceOptions::default();
+                MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..usual })
             }
             (MethodName::Reference, _, _) => {
                 return Err("method = \"reference\" needs n and repetitions, 1 or more".into());
@@ -129,9 +131,9 @@ impl Plan {
             (_, Some(_), _) | (_, _, Some(_)) => {
                 return Err("n and repetitions go with method = \"reference\" alone".into());
             }
-            (MethodName::Embedding, None, None) => Setting::Embedding,
+            (MethodName::Embedding, None, None) => MethodName::Embedding.into(),
             (other, None, None) => {
-                let name = other.name();
+                let name = other.as_str();
                 return Err(format!("method = \"{name}\"; a plan knows reference and embedding"));
             }
         };
@@ -139,7 +141,7 @@ impl Plan {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
         }
         let PlanFile { library, synthetic, scan_s, expected, .. } = file;
-        Ok(Self { library, synthetic, sources, setting, scan_s, expected })
+        Ok(Self { library, synthetic, sources, method, scan_s, expected })
     }
 
     /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
@@ -174,10 +176,11 @@ impl Plan {
         }
         line("\n# Sources to compare; devices for others need not be opened.".into());
         line(format!("sources = [{}]", sources.join(", ")));
-        line(format!("method = {}", quoted(self.setting.method().name())));
-        if let Setting::Reference { n, repetitions } = self.setting {
+        line(format!("method = {}", quoted(self.method.name().as_str())));
+        if let MethodSpec::Reference(options) = &self.method {
+            let ReferenceOptions { samples, repetitions, .. } = options;
             line("# Samples drawn from a source, and repetitions.".into());
-            line(format!("n = {n}\nrepetitions = {repetitions}"));
+            line(format!("n = {samples}\nrepetitions = {repetitions}"));
         }
         match self.scan_s {
             Some(scan_s) => {
@@ -212,12 +215,12 @@ impl Plan {
 mod tests {
     use super::*;
 
-    fn plan(setting: Setting) -> Plan {
+    fn plan(method: MethodSpec) -> Plan {
         Plan {
             library: "a \"quoted\" name".into(),
             synthetic: true,
             sources: vec![SourceId::new("ca1").unwrap(), SourceId::new("mi2").unwrap()],
-            setting,
+            method,
             scan_s: Some(0.5),
             expected: Expected {
                 target: 0.99,
@@ -237,8 +240,9 @@ mod tests {
 
     #[test]
     fn a_plan_survives_being_written() {
-        for setting in [Setting::Embedding, Setting::Reference { n: 100, repetitions: 1 }] {
-            let mut plan = plan(setting);
+        let few = ReferenceOptions { samples: 100, repetitions: 1, ..Default::default() };
+        for method in [MethodName::Embedding.into(), MethodSpec::Reference(few)] {
+            let mut plan = plan(method);
             assert_eq!(Plan::from_toml(&plan.to_toml()).unwrap(), plan);
             (plan.scan_s, plan.synthetic) = (None, false);
             plan.expected.reached = false;
@@ -248,7 +252,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_with_its_place() {
-        let good = plan(Setting::Embedding).to_toml();
+        let good = plan(MethodName::Embedding.into()).to_toml();
         let error = |from: &str, to: &str| Plan::from_toml(&good.replace(from, to)).unwrap_err();
         let unknown = error("format = 1", "format = 1\ncolour = 3");
         assert!(unknown.contains("line 4") && unknown.contains("colour"), "{unknown}");

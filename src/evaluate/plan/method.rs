@@ -2,45 +2,30 @@
 
 use std::path::Path;
 
-use serde::Serialize;
-
 use crate::evaluate::run::{Progress, first_seconds, prepare_folds, run_prepared};
 use crate::evaluate::{EvaluateError, Fold, Outcome};
 use crate::library::Entry;
-use crate::recognise::{
-    AnyMethod, Embedding, EmbeddingOptions, MethodName, Reference, ReferenceOptions,
-};
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::Scene;
 
-/// Settings of `reference` that may take the place of `embedding`, the cheapest first.
-const CHEAPER: [Setting; 3] = [
-    Setting::Reference { n: 100, repetitions: 1 },
-    Setting::Reference { n: 400, repetitions: 1 },
-    Setting::Reference { n: 100, repetitions: 10 },
-];
+/// Settings of `reference` that may take the place of `embedding`, n and R, the cheapest first.
+const CHEAPER: [(usize, usize); 3] = [(100, 1), (400, 1), (100, 10)];
 
 /// They do where they take at most this share of its time: differences of less are noise.
 const CHEAPER_BY: f64 = 0.25;
 
-/// Settings that are tried where `embedding` does not reach the target.
-const SHARPER: [Setting; 1] = [Setting::Reference { n: 400, repetitions: 10 }];
+/// Setting of `reference` that is tried where `embedding` does not reach the target.
+const SHARPER: (usize, usize) = (400, 10);
 
 /// Queries by which a setting's time is first guessed.
 const GLIMPSE: usize = 5;
 
-/// A method and its settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(tag = "method", rename_all = "lowercase")]
-pub enum Setting {
-    /// The method `embedding`.
-    Embedding,
-    /// The method `reference`.
-    Reference {
-        /// samples drawn from a source
-        n: usize,
-        /// repetitions whose scores are averaged
-        repetitions: usize,
-    },
+fn embedding() -> MethodSpec {
+    MethodSpec::from(MethodName::Embedding)
+}
+
+fn reference((samples, repetitions): (usize, usize)) -> MethodSpec {
+    MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..Default::default() })
 }
 
 /// What a setting is tried on.
@@ -52,33 +37,6 @@ pub(super) struct Trying<'a> {
     pub scan_s: Option<f64>,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
-}
-
-impl Setting {
-    /// The method's name.
-    pub fn method(self) -> MethodName {
-        match self {
-            Self::Embedding => MethodName::Embedding,
-            Self::Reference { .. } => MethodName::Reference,
-        }
-    }
-
-    /// Names all queries as `surfaced eval` would.
-    pub(super) fn run(
-        self,
-        on: Trying<'_>,
-        progress: Progress<'_>,
-    ) -> Result<Outcome, EvaluateError> {
-        let scene = on.scene.clone();
-        let method = match self {
-            Self::Embedding => AnyMethod::new(Embedding::new(scene, EmbeddingOptions::default())),
-            Self::Reference { n, repetitions } => {
-                let options = ReferenceOptions { samples: n, repetitions, ..Default::default() };
-                AnyMethod::new(Reference::new(scene, options))
-            }
-        };
-        run(&method, on, progress)
-    }
 }
 
 /// How many queries were named right.
@@ -98,31 +56,32 @@ pub(super) struct ChoosingMethod<'a> {
 
 impl ChoosingMethod<'_> {
     /// The setting, and what it does.
-    pub fn choose(mut self) -> Result<(Setting, Outcome), EvaluateError> {
-        let embedded = Setting::Embedding.run(self.on, self.progress)?;
+    pub fn choose(mut self) -> Result<(MethodSpec, Outcome), EvaluateError> {
+        let embedded = run(&embedding(), self.on, self.progress)?;
         match self.cheaper(&embedded)? {
             Some(cheaper) => Ok(cheaper),
-            None if (self.reaches)(right(&embedded)) => Ok((Setting::Embedding, embedded)),
+            None if (self.reaches)(right(&embedded)) => Ok((embedding(), embedded)),
             None => self.sharper(embedded),
         }
     }
 
     /// A setting that reaches the target and is far cheaper than `embedding`.
-    fn cheaper(&mut self, embedded: &Outcome) -> Result<Option<(Setting, Outcome)>, EvaluateError> {
+    fn cheaper(&mut self, embedded: &Outcome) -> Result<Option<(MethodSpec, Outcome)>, EvaluateError> {
         let limit_ms = CHEAPER_BY * embedded.query_ms_p50;
-        for setting in CHEAPER {
+        for setting in CHEAPER.map(reference) {
             let mut glimpse = self.on.folds[..1].to_vec();
             glimpse[0].queries.truncate(GLIMPSE);
             let glimpse = Trying { folds: &glimpse, ..self.on };
             // One that cannot compare these sources is no candidate.
-            let Ok(quick) = setting.run(glimpse, self.progress) else { continue };
+            let Ok(quick) = run(&setting, glimpse, self.progress) else { continue };
             if quick.query_ms_p50 > limit_ms {
                 continue;
             }
-            let outcome = setting.run(self.on, self.progress)?;
+            let outcome = run(&setting, self.on, self.progress)?;
             if (self.reaches)(right(&outcome)) {
                 self.told.push(format!(
-                    "{setting:?} is as good, and takes {:.2} ms instead of {:.2} ms",
+                    "{} is as good, and takes {:.2} ms instead of {:.2} ms",
+                    shown(&setting),
                     outcome.query_ms_p50, embedded.query_ms_p50
                 ));
                 return Ok(Some((setting, outcome)));
@@ -131,27 +90,31 @@ impl ChoosingMethod<'_> {
         Ok(None)
     }
 
-    /// The best of `embedding`, which has missed the target, and of what may yet reach it; of
+    /// The better of `embedding`, which has missed the target, and of what may yet reach it; of
     /// equals the first.
-    fn sharper(&mut self, embedded: Outcome) -> Result<(Setting, Outcome), EvaluateError> {
-        let mut best = (Setting::Embedding, embedded);
-        for setting in SHARPER {
-            let outcome = setting.run(self.on, self.progress)?;
-            let (found, so_far) = (right(&outcome), right(&best.1));
-            self.told.push(format!("{setting:?} names {found} right, {:?} {so_far}", best.0));
-            if found > so_far {
-                best = (setting, outcome);
-            }
-            if (self.reaches)(right(&best.1)) {
-                break;
-            }
-        }
-        Ok(best)
+    fn sharper(&mut self, embedded: Outcome) -> Result<(MethodSpec, Outcome), EvaluateError> {
+        let setting = reference(SHARPER);
+        let outcome = run(&setting, self.on, self.progress)?;
+        let (found, so_far) = (right(&outcome), right(&embedded));
+        let (its, others) = (shown(&setting), shown(&embedding()));
+        self.told.push(format!("{its} names {found} right, {others} {so_far}"));
+        Ok(if found > so_far { (setting, outcome) } else { (embedding(), embedded) })
     }
 }
 
+/// A setting for people.
+fn shown(setting: &MethodSpec) -> String {
+    match setting {
+        MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
+            format!("reference at n = {samples}, R = {repetitions}")
+        }
+        other => other.name().as_str().into(),
+    }
+}
+
+/// Names all queries as `surfaced eval` would.
 fn run(
-    method: &AnyMethod,
+    setting: &MethodSpec,
     on: Trying<'_>,
     progress: Progress<'_>,
 ) -> Result<Outcome, EvaluateError> {
@@ -164,8 +127,8 @@ fn run(
     });
     let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
     let as_query = |entry: &Entry| first_seconds(entry, on.scene, on.scan_s);
+    let method = &*setting.build(on.scene);
     let prepared = prepare_folds(method, &entries, &folds, on.cache, progress)?;
-    let (outcome, _) =
-        run_prepared(method, &entries, &folds, &prepared.trials, as_query, progress)?;
+    let (outcome, _) = run_prepared(method, &entries, &folds, &prepared, as_query, progress)?;
     Ok(outcome)
 }

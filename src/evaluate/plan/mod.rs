@@ -35,5 +35,4 @@ mod search;
 mod study;
 
 pub use file::{Expected, Plan, PlanError};
-pub use method::Setting;
 pub use search::{PlanOptions, Planned, SourceCost, search};

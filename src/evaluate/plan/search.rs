@@ -94,7 +94,7 @@ pub fn search(
     };
     let mut told = Vec::new();
     let reaches = |right| search.reaches(right);
-    let (setting, outcome) =
+    let (method, outcome) =
         ChoosingMethod { on, reaches: &reaches, told: &mut told, progress }.choose()?;
     search.steps.extend(told);
     let expected = search.expected(&outcome, &choice, options.protocol);
@@ -102,7 +102,7 @@ pub fn search(
         library: library.name.clone(),
         synthetic: library.synthetic,
         sources: ids,
-        setting,
+        method,
         scan_s: on.scan_s,
         expected,
     };

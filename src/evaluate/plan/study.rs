@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::evaluate::run::{Progress, first_seconds, prepare_folds};
 use crate::evaluate::{EvaluateError, Fold};
 use crate::library::Entry;
-use crate::recognise::{Embedding, EmbeddingOptions, Method, RecogniseError, SourceDistances};
+use crate::recognise::{MethodName, MethodSpec, Model, RecogniseError, SourceEvidence};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
@@ -54,7 +54,7 @@ struct Query {
     truth: usize,
     surfaces: usize,
     /// For each time, what each source told, if it told anything.
-    told: Vec<Vec<Option<SourceDistances>>>,
+    told: Vec<Vec<Option<SourceEvidence>>>,
 }
 
 /// See the module.
@@ -72,8 +72,8 @@ impl Study {
         folds: &[Fold],
         progress: Progress<'_>,
     ) -> Result<Self, EvaluateError> {
-        let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
-        let prepared = prepare_folds(&method, entries, folds, None, progress)?.trials;
+        let method = MethodSpec::from(MethodName::Embedding).build(scene);
+        let prepared = prepare_folds(&*method, entries, folds, None, progress)?;
         let mut sources = studied(scene, entries)?;
         let longest =
             sources.iter().filter(|s| s.phase == Phase::Drag).fold(0.0, |t, s| s.whole_s.max(t));
@@ -83,30 +83,30 @@ impl Study {
         let mut queries = Vec::with_capacity(total);
         let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
         for fold in folds {
-            let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-            let model = method.fit(library)?;
+            let model = prepared.fit(&*method, &fold.library)?;
             for &i in &fold.queries {
                 let entry = &entries[i];
                 let trial = entry.load().map_err(RecogniseError::from)?;
                 let kept = Entry::in_memory(trial.clone());
-                let mut told = Vec::with_capacity(times.len());
+                let (mut told, mut surfaces) = (Vec::with_capacity(times.len()), Vec::new());
                 for &time in &times {
                     let query = first_seconds(&kept, scene, time);
                     let query = query.load().map_err(RecogniseError::from)?;
-                    let query = method.prepare(&kept, &query)?;
-                    let mut by_source = model.by_source(&query)?;
+                    let query = model.prepare(&kept, &query)?;
+                    // `embedding` takes its sources apart.
+                    let Some(mut evidence) = model.explain(&query)? else { continue };
                     let of_source = |source: &StudiedSource| {
-                        let at = by_source.iter().position(|told| told.source == source.id)?;
-                        Some(by_source.swap_remove(at))
+                        let at = evidence.sources.iter().position(|s| s.source == source.id)?;
+                        Some(evidence.sources.swap_remove(at))
                     };
                     told.push(sources.iter().map(of_source).collect());
+                    surfaces = evidence.surfaces;
                 }
                 if queries.len() < TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
-                        latencies.extend(time_alone(&method, &model, &trial, &source.id));
+                        latencies.extend(time_alone(&*model, &trial, &source.id));
                     }
                 }
-                let surfaces = model.surfaces();
                 // Every query's surface is in its fold's library.
                 let truth = surfaces.iter().position(|s| *s == entry.key.surface).unwrap_or(0);
                 queries.push(Query { truth, surfaces: surfaces.len(), told });
@@ -130,12 +130,12 @@ impl Study {
     /// there it takes the nearest trial by all, and this the nearest by each.
     pub fn right(&self, sources: &[usize], time: usize) -> usize {
         let is_right = |query: &&Query| {
-            let mut told: Vec<&SourceDistances> =
+            let mut told: Vec<&SourceEvidence> =
                 sources.iter().filter_map(|&s| query.told[time][s].as_ref()).collect();
             if told.iter().any(|told| told.trained) {
                 told.retain(|told| told.trained);
             }
-            let sum = |surface: usize| told.iter().map(|t| t.distances[surface]).sum::<f64>();
+            let sum = |surface: usize| told.iter().map(|t| t.terms[surface]).sum::<f64>();
             let mut best = (f64::INFINITY, None);
             for surface in 0..query.surfaces {
                 let sum = sum(surface);
@@ -151,8 +151,7 @@ impl Study {
 
 /// Milliseconds from the raw samples of one source to its answer.
 fn time_alone(
-    method: &Embedding,
-    model: &<Embedding as Method>::Model,
+    model: &dyn Model,
     trial: &Trial,
     id: &SourceId,
 ) -> Option<f64> {
@@ -160,8 +159,8 @@ fn time_alone(
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
     let entry = Entry::in_memory(alone.clone());
     let start = Instant::now();
-    let query = method.prepare(&entry, &alone).ok()?;
-    method.rank(model, &query).ok()?;
+    let query = model.prepare(&entry, &alone).ok()?;
+    model.rank(&query).ok()?;
     Some(start.elapsed().as_secs_f64() * 1e3)
 }
 

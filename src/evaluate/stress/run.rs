@@ -7,9 +7,11 @@ use rayon::prelude::*;
 
 use super::disturb::{Disturbance, Kind, Setting};
 use super::report::{Cell, Level, MethodReport, Series};
-use crate::evaluate::{EvaluateError, Fold, Progress, prepare};
+use crate::evaluate::{EvaluateError, Fold, Progress, prepare_folds};
 use crate::library::Entry;
-use crate::recognise::{Method, Ranking, RecogniseError, without_flawed};
+use crate::recognise::{
+    Method, Model, PreparedLibrary, Ranking, RecogniseError, prepare_library, without_flawed,
+};
 use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
@@ -83,23 +85,20 @@ struct Named {
 ///
 /// # Errors
 /// If the library cannot be prepared. Queries that a method refuses count as named wrong.
-pub fn run<M: Method>(
-    method: &M,
+pub fn run(
+    method: &dyn Method,
     plan: &Plan<'_>,
     progress: Progress<'_>,
 ) -> Result<MethodReport, EvaluateError> {
-    let wanted: BTreeSet<usize> =
-        plan.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
-    let prepared = prepare(method, plan.entries, &wanted, progress)?;
+    let prepared = prepare_folds(method, plan.entries, plan.folds, None, progress)?;
     let levels: usize = plan.disturbances.iter().map(|d| d.levels.len()).sum();
     let (mut done, total) = (0, plan.folds.len() * levels);
     let mut clean = Vec::new();
     let mut cells: Vec<Vec<Vec<Answer>>> =
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
-        let library: Vec<_> = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let models = Models::fit(method, plan, fold, library)?;
-        let queries = Queries::load(method, plan, fold)?;
+        let models = Models::fit(method, plan, fold, &prepared, &fold.library)?;
+        let queries = Queries::load(plan, fold)?;
         clean.extend(queries.answers(&models, Trial::clone));
         // Level by level, so that a library that has to be cut to the length of disturbed queries
         // is cut once for all of them.
@@ -122,9 +121,10 @@ pub fn run<M: Method>(
                         let entries =
                             change(entries.collect(), level, &mut seed::rng(plan.seed, &key));
                         let all = (0..entries.len()).collect();
-                        let prepared = prepare(method, &entries, &all, &|_, _, _| {})?;
-                        let prepared = prepared.into_iter().flatten().collect();
-                        queries.answers(&Models::fit(method, plan, fold, prepared)?, Trial::clone)
+                        let changed = prepare_library(method, &entries, &all, None, &|_, _| {})?;
+                        let places: Vec<usize> = (0..entries.len()).collect();
+                        let models = Models::fit(method, plan, fold, &changed, &places)?;
+                        queries.answers(&models, Trial::clone)
                     }
                 });
                 done += 1;
@@ -135,61 +135,58 @@ pub fn run<M: Method>(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The queries of a fold, undisturbed, and who answers them.
-struct Queries<'a, M: Method> {
-    method: &'a M,
+/// The queries of a fold, undisturbed.
+struct Queries<'a> {
     plan: &'a Plan<'a>,
     trials: Vec<(usize, Trial)>,
 }
 
-impl<'a, M: Method> Queries<'a, M> {
-    fn load(method: &'a M, plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
+impl<'a> Queries<'a> {
+    fn load(plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
         let load = |&query: &usize| Ok((query, plan.entries[query].load()?));
         let trials = fold.queries.par_iter().map(load).collect::<Result<_, RecogniseError>>()?;
-        Ok(Self { method, plan, trials })
+        Ok(Self { plan, trials })
     }
 
     /// What a library answers to each of them, changed.
-    fn answers(&self, models: &Models<M>, change: impl Fn(&Trial) -> Trial + Sync) -> Vec<Answer> {
-        let answer = |(query, raw): &(usize, Trial)| {
-            models.answer(self.method, self.plan, *query, change(raw))
-        };
+    fn answers(&self, models: &Models, change: impl Fn(&Trial) -> Trial + Sync) -> Vec<Answer> {
+        let answer =
+            |(query, raw): &(usize, Trial)| models.answer(self.plan, *query, change(raw));
         self.trials.par_iter().map(answer).collect()
     }
 }
 
 /// A model of the library, and one without the surfaces that are to be unknown.
-struct Models<M: Method> {
-    all: M::Model,
-    without: Option<M::Model>,
+struct Models {
+    all: Arc<dyn Model>,
+    without: Option<Arc<dyn Model>>,
 }
 
-impl<M: Method> Models<M> {
+impl Models {
+    /// `places` are those of the fold's trials in the prepared library. A library that was changed
+    /// in size has no unknown surfaces.
     fn fit(
-        method: &M,
+        method: &dyn Method,
         plan: &Plan<'_>,
         fold: &Fold,
-        library: Vec<Arc<M::Prepared>>,
+        library: &PreparedLibrary,
+        places: &[usize],
     ) -> Result<Self, EvaluateError> {
-        // Prepared trials do not tell their surface, so the smaller library goes by the fold's own
-        // trials; a changed library has no unknown surfaces.
-        let without = (library.len() == fold.library.len())
-            .then(|| {
-                (fold.library.iter().zip(&library))
-                    .filter(|(trial, _)| !plan.is_unknown(**trial))
-                    .map(|(_, prepared)| Arc::clone(prepared))
-                    .collect::<Vec<_>>()
-            })
-            .filter(|kept| kept.len() < library.len());
-        let without = without.map(|kept| method.fit(kept)).transpose()?;
-        Ok(Self { all: method.fit(library)?, without })
+        let known = (fold.library.iter().zip(places))
+            .filter(|(trial, _)| !plan.is_unknown(**trial))
+            .map(|(_, place)| place);
+        let known: Vec<&usize> = known.collect();
+        let some_unknown = fold.library.len() == places.len() && known.len() < places.len();
+        let without = some_unknown.then(|| library.fit(method, known)).transpose()?;
+        Ok(Self { all: library.fit(method, places)?, without })
     }
 
-    fn answer(&self, method: &M, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
+    fn answer(&self, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
         let truth = &plan.entries[query].key.surface;
         let trial = if plan.keep_flawed { trial } else { without_flawed(trial, plan.scene).0 };
         let trial = Arc::new(trial);
-        let Ok(prepared) = method.prepare(&Entry::in_memory(Arc::clone(&trial)), &trial) else {
+        // The two libraries have one shape.
+        let Ok(prepared) = self.all.prepare(&Entry::in_memory(Arc::clone(&trial)), &trial) else {
             return Answer::default();
         };
         let named = |ranking: Ranking| Named {
@@ -197,7 +194,7 @@ impl<M: Method> Models<M> {
             margin: ranking.margin,
             confidence: ranking.confidence,
         };
-        let rank = |model| method.rank(model, &prepared).ok().map(named);
+        let rank = |model: &Arc<dyn Model>| model.rank(&prepared).ok().map(named);
         let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));
         Answer { known: rank(&self.all), unknown: unknown.map(rank) }
     }

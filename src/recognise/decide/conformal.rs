@@ -1,8 +1,8 @@
 //! Whether a query is any surface of the library at all: a conformal test.
 //!
 //! Nonconformity is d₁²/d₂, with d₁ and d₂ the smallest and second smallest distance in discriminant
-//! space: large where the nearest surface is far, or hardly nearer than the next. A query's fit is
-//! the share of left-out library trials that are at least as strange, itself counted among them:
+//! space: large where the nearest surface is far, or hardly nearer than the next. A query's p-value
+//! (`fit` in JSON) is the share of left-out library trials that are at least as strange, itself counted among them:
 //! for a surface of the library, whatever the distribution, it is below α with probability at most
 //! α (Vovk, Gammerman & Shafer 2005, "Algorithmic learning in a random world", §2.2). Left-out
 //! trials meet a model trained with a tenth fewer trials, which errs to the same side.
@@ -65,21 +65,21 @@ impl Conformity {
         self.by_length.last().map_or(0, |(_, values)| values.len())
     }
 
-    /// The fit of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1) to
+    /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1) to
     /// 1. `None` if the scan is shorter than all that was left out.
-    pub fn fit(&self, scan_s: f64, nonconformity: f64) -> Option<f64> {
+    pub fn p_value(&self, scan_s: f64, nonconformity: f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let (_, values) = if scan_s >= WHOLE * whole.0 {
             whole
         } else {
             beginnings.iter().rev().find(|(seconds, _)| *seconds <= scan_s + 1e-9)?
         };
-        let stranger = values.len() - values.partition_point(|&s| s < nonconformity);
-        Some((stranger + 1) as f64 / (values.len() + 1) as f64)
+        let at_least = values.len() - values.partition_point(|&s| s < nonconformity);
+        Some((at_least + 1) as f64 / (values.len() + 1) as f64)
     }
 }
 
-/// Why `unknown` cannot be told.
+/// Why no scan can be called unknown.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RejectionError {
     /// a rate that is none
@@ -87,7 +87,7 @@ pub enum RejectionError {
     Rate(f64),
     /// too few trials
     #[error(
-        "to tell unknown surfaces at {} % false rejections takes {needed} trials that can be left \
+        "calling surfaces unknown at {} % false rejections takes {needed} trials that can be left \
          out, but the library has {trials}: enrol more, or allow more false rejections", 100.0 * rate
     )]
     TooFew {
@@ -98,15 +98,15 @@ pub enum RejectionError {
         /// how many there are
         trials: usize,
     },
-    /// a method without a measure of fit
+    /// a method without a p-value
     #[error(
-        "the method {0} cannot tell whether a surface is unknown: that would take comparing every \
-         trial of the library with all others; use --method embedding"
+        "this method cannot say whether a surface is unknown: that would take comparing every \
+         trial of the library with all others; `embedding` can"
     )]
-    Method(&'static str),
+    NoPValue,
 }
 
-/// At which fit a query is called unknown.
+/// The p-value at or below which a query is called unknown.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Rejection {
     /// Stated rate of false rejections, α.
@@ -125,7 +125,7 @@ impl Rejection {
     /// inductive conformal predictors").
     ///
     /// # Errors
-    /// If no fit can be as low as `rate`: with fewer than 1/α − 1 trials.
+    /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
     pub fn new(trials: usize, rate: f64) -> Result<Self, RejectionError> {
         if !(rate > 0.0 && rate < 1.0) {
             return Err(RejectionError::Rate(rate));
@@ -139,9 +139,9 @@ impl Rejection {
         Ok(Self { rate, trials, rate_low: end(0.025), rate_high: end(0.975) })
     }
 
-    /// Whether a query of this fit is no surface of the library.
-    pub fn rejects(&self, fit: f64) -> bool {
-        fit <= self.rate + 1e-12
+    /// Whether a query of this p-value is no surface of the library.
+    pub fn rejects(&self, p_value: f64) -> bool {
+        p_value <= self.rate + 1e-12
     }
 }
 
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn strangeness_is_of_the_two_nearest() {
+    fn nonconformity_is_of_the_two_nearest() {
         assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY, 4.0]), Some(1.0));
         assert_eq!(nonconformity(&[0.0, 0.0]), Some(0.0));
         assert_eq!(nonconformity(&[1.0, f64::INFINITY]), None);
@@ -173,8 +173,8 @@ mod tests {
         let test = Rejection::new(199, 0.05).unwrap();
         let rejected = (0..1000).filter(|&q| {
             let others = (1..=199).map(|j| value((q + 5 * j) % 1000)).collect();
-            let fit = Conformity::new(vec![(4.8, others)]).fit(4.8, value(q)).unwrap();
-            test.rejects(fit)
+            let p_value = Conformity::new(vec![(4.8, others)]).p_value(4.8, value(q)).unwrap();
+            test.rejects(p_value)
         });
         let share = rejected.count() as f64 / 1000.0;
         assert!((0.03..=0.06).contains(&share), "{share}");
@@ -185,9 +185,9 @@ mod tests {
         let long: Vec<f64> = (0..99).map(f64::from).collect();
         let short: Vec<f64> = long.iter().map(|x| x + 50.0).collect();
         let conformity = Conformity::new(vec![(0.5, short), (4.8, long)]);
-        assert_eq!(conformity.fit(4.7, 90.0), Some(0.10));
-        assert_eq!(conformity.fit(1.0, 90.0), Some(0.60));
-        assert_eq!(conformity.fit(0.4, 90.0), None);
+        assert_eq!(conformity.p_value(4.7, 90.0), Some(0.10));
+        assert_eq!(conformity.p_value(1.0, 90.0), Some(0.60));
+        assert_eq!(conformity.p_value(0.4, 90.0), None);
         assert_eq!(conformity.trials(), 99);
     }
 }

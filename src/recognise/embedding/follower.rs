@@ -18,7 +18,6 @@ const NAMED: usize = 5;
 
 /// See [`Follow`].
 pub(super) struct Follower {
-    scene: Scene,
     model: Arc<EmbeddingModel>,
     rejection: Option<Rejection>,
     settling: Settling,
@@ -51,11 +50,10 @@ struct Waiting {
 }
 
 impl Follower {
-    pub fn new(scene: &Scene, model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
+    pub fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
         let settling = model.settling(options);
-        let scan = ScanSoFar::new(scene, &settling);
-        let (scene, model, rejection) = (scene.clone(), model.clone(), options.rejection.clone());
-        Self { scene, model, rejection, settling, scan }
+        let scan = ScanSoFar::new(&model.scene, &settling);
+        Self { model: model.clone(), rejection: options.rejection.clone(), settling, scan }
     }
 
     fn guess(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
@@ -63,7 +61,7 @@ impl Follower {
         so_far.sources.retain(|id, _| !self.scan.waiting.get(id).is_some_and(|w| w.broken));
         // Dead or stuck so far: as for whole scans, see `without_flawed`.
         let flaw = |id| self.scan.is_flawed(id).then_some(());
-        let flawed = left_out(&self.scene, so_far.sources.keys().map(|id| (id, flaw(id))));
+        let flawed = left_out(&self.model.scene, so_far.sources.keys().map(|id| (id, flaw(id))));
         flawed.iter().for_each(|(id, ())| drop(so_far.sources.remove(id)));
         if so_far.sources.is_empty() {
             return Ok(None);
@@ -71,14 +69,14 @@ impl Follower {
         let Some(posterior) = self.model.posterior(&so_far)? else { return Ok(None) };
         let label = posterior.best();
         let rejection = self.rejection.as_ref();
-        let rejected = posterior.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let rejected = posterior.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
         let probability = posterior.log_posterior[label].exp();
         let look = Look { scan_s, label, probability, fits: !rejected };
         let settled = self.scan.watch.as_mut().and_then(|watch| watch.see(look));
         Ok(Some(GuessSoFar {
             scan_s,
             named: named(&posterior),
-            fit: posterior.fit,
+            p_value: posterior.p_value,
             settled: settled.map(|(label, at)| (posterior.surfaces[label].clone(), at)),
         }))
     }
@@ -140,7 +138,7 @@ impl ScanSoFar {
 
 impl Follow for Follower {
     fn begin(&mut self) {
-        self.scan = ScanSoFar::new(&self.scene, &self.settling);
+        self.scan = ScanSoFar::new(&self.model.scene, &self.settling);
     }
 
     fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {

@@ -144,9 +144,9 @@ impl EmbeddingModel {
             let sum = distances(Some(scan_s))?;
             let log_posterior = log_posterior(&sum, self.temperature);
             let label = most_probable(&log_posterior);
-            let fit = nonconformity(&sum).and_then(|s| self.conformity.fit(scan_s, s));
-            let fits = fit.is_none_or(|fit| {
-                options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(fit))
+            let p_value = nonconformity(&sum).and_then(|s| self.conformity.p_value(scan_s, s));
+            let fits = p_value.is_none_or(|p_value| {
+                options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(p_value))
             });
             Some(Look { scan_s, label, probability: log_posterior[label].exp(), fits })
         };

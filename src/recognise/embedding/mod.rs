@@ -23,6 +23,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use self::calibrate::{HeldOut, best_temperature, log_posterior};
 use self::discriminant::SHRINKAGE;
@@ -31,33 +32,52 @@ use self::left_out::{LeftOut, drag_s, is_alone};
 use self::source::{Window, squared_distance};
 use self::train::{Labels, SourceModel, train};
 use super::checks::nothing_in_common;
-use super::combine::{SourceScores, combine};
+use super::combine::{TrialScores, candidates, medians};
 use super::decide::conformal::{Conformity, Rejection, RejectionError, nonconformity};
 use super::decide::settle::Settling;
 use super::error::RecogniseError;
 use super::features::frame_features::{FrameFeatures, SourceFrames, check_rates, sorted_library};
 use super::follow::{Follow, FollowOptions};
-use super::method::Method;
+use super::method::{Evidence, Method, Model, SourceEvidence};
+use super::prepared::Prepared;
 use super::rank::{Candidate, Ranking, rank};
+use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
+use crate::seed;
 use crate::trial::{Trial, TrialKey};
 
 /// The least squared distance that enters a logarithm.
 const DISTANCE_FLOOR: f64 = 1e-9;
 
-/// Settings of the method.
-#[derive(Clone, Debug)]
+/// The method's name.
+const NAME: &str = "embedding";
+
+/// Settings of the method; what is usual is left out where settings are written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct EmbeddingOptions {
     /// Train a discriminant; without it the nearest trial wins.
+    #[serde(skip_serializing_if = "is_true")]
     pub discriminant: bool,
     /// Harmonics of each band of a spectrum, 1 to 4; by default 4, and 2 where a source has
     /// several channels.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub harmonics: Option<usize>,
     /// Train with copies of the library's spectra to which noise is added.
+    #[serde(skip_serializing_if = "is_true")]
     pub noise_copies: bool,
     /// γ of the discriminant.
+    #[serde(skip_serializing_if = "is_usual_shrinkage")]
     pub shrinkage: f64,
+}
+
+fn is_true(value: &bool) -> bool {
+    *value
+}
+
+fn is_usual_shrinkage(value: &f64) -> bool {
+    *value == SHRINKAGE
 }
 
 impl Default for EmbeddingOptions {
@@ -82,6 +102,7 @@ impl Embedding {
 
 /// A library, embedded and trained.
 pub struct EmbeddingModel {
+    scene: Scene,
     library: Vec<Arc<FrameFeatures>>,
     surfaces: Vec<String>,
     labels: Labels,
@@ -109,19 +130,8 @@ pub struct Posterior {
     pub log_posterior: Vec<f64>,
     /// The sources that were used.
     pub sources: Vec<SourceId>,
-    /// As [`Ranking::fit`]: told where the query has all sources that the model was trained on.
-    pub fit: Option<f64>,
-}
-
-/// How far a query is from each surface by one source.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SourceDistances {
-    /// The source.
-    pub source: SourceId,
-    /// Whether it has a discriminant.
-    pub trained: bool,
-    /// w·f(d/τ) for each surface; of an untrained source w·ln d² to the surface's nearest trial.
-    pub distances: Vec<f64>,
+    /// As [`Ranking::p_value`]: known where the query has all sources that the model was trained on.
+    pub p_value: Option<f64>,
 }
 
 impl Posterior {
@@ -142,16 +152,6 @@ fn most_probable(log_posterior: &[f64]) -> usize {
 }
 
 impl EmbeddingModel {
-    /// For people: what the library was too small for, a line each.
-    pub fn remarks(&self) -> &[String] {
-        &self.remarks
-    }
-
-    /// The surfaces, sorted.
-    pub fn surfaces(&self) -> &[String] {
-        &self.surfaces
-    }
-
     /// Combined distances of left-out library trials under models trained without them, with the
     /// index of each trial's surface. Empty where there is nothing to leave out.
     pub fn held_out(&self) -> &[HeldOut] {
@@ -169,23 +169,18 @@ impl EmbeddingModel {
 
     /// What each of the query's sources says alone. Where some of a set of sources are trained,
     /// the distances of a model with that set alone are the sums over those.
-    ///
-    /// # Errors
-    /// As [`EmbeddingModel::posterior`].
-    pub fn by_source(&self, query: &FrameFeatures) -> Result<Vec<SourceDistances>, RecogniseError> {
+    fn by_source(&self, query: &FrameFeatures) -> Result<Vec<SourceEvidence>, RecogniseError> {
         let vectors = self.embed(query)?;
         let trained = self.terms(query, &vectors).into_iter();
-        let trained =
-            trained.map(|(source, distances)| SourceDistances { source, trained: true, distances });
+        let trained = trained.map(|(source, terms)| SourceEvidence { source, trained: true, terms });
         let untrained = vectors.iter().filter(|v| v.model.discriminant.is_none()).map(|v| {
-            let mut distances = vec![f64::INFINITY; self.surfaces.len()];
+            let mut terms = vec![f64::INFINITY; self.surfaces.len()];
             for (of_trial, &class) in v.model.vectors.iter().zip(&self.labels.class) {
                 let Some(of_trial) = of_trial else { continue };
                 let d2 = squared_distance(&v.vector, of_trial).max(DISTANCE_FLOOR);
-                distances[class] = distances[class].min(v.model.spec.weight * d2.ln());
+                terms[class] = terms[class].min(v.model.spec.weight * d2.ln());
             }
-            let source = v.model.spec.id.clone();
-            SourceDistances { source, trained: false, distances }
+            SourceEvidence { source: v.model.spec.id.clone(), trained: false, terms }
         });
         Ok(trained.chain(untrained).collect())
     }
@@ -227,13 +222,13 @@ impl EmbeddingModel {
         }
         let sources: Vec<SourceId> = terms.into_iter().map(|(id, _)| id).collect();
         let trained = self.sources.values().filter(|model| model.discriminant.is_some()).count();
-        let fit = || {
+        let p_value = || {
             let scan_s = drag_s(&self.sources, query).unwrap_or(f64::INFINITY);
-            self.conformity.fit(scan_s, nonconformity(&distances)?)
+            self.conformity.p_value(scan_s, nonconformity(&distances)?)
         };
-        let fit = if sources.len() == trained { fit() } else { None };
+        let p_value = if sources.len() == trained { p_value() } else { None };
         let log_posterior = log_posterior(&distances, self.temperature);
-        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, fit })
+        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, p_value })
     }
 
     /// What each source that has a discriminant says: see [`SourceModel::add_evidence`].
@@ -253,16 +248,16 @@ impl EmbeddingModel {
         vectors.iter().filter_map(term).collect()
     }
 
-    /// Squared distances to library trials, as logarithms, source by source.
-    fn log_distances(&self, vectors: &[EmbeddedSource<'_>]) -> Vec<(f64, SourceScores)> {
-        let of_source = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
-            let distance = |of_trial: &Option<Vec<f32>>| {
-                let d2 = squared_distance(vector, of_trial.as_ref()?);
-                Some(d2.max(DISTANCE_FLOOR).ln())
-            };
-            (model.spec.weight, model.vectors.iter().map(distance).collect())
+    /// Squared distances to library trials, as logarithms, trial by trial.
+    fn log_distances(&self, vectors: &[EmbeddedSource<'_>]) -> Vec<TrialScores> {
+        let distance = |trial: usize, EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
+            let d2 = squared_distance(vector, model.vectors[trial].as_ref()?);
+            Some(d2.max(DISTANCE_FLOOR).ln())
         };
-        vectors.par_iter().map(of_source).collect()
+        (0..self.library.len())
+            .into_par_iter()
+            .map(|trial| vectors.iter().map(|source| distance(trial, source)).collect())
+            .collect()
     }
 
     /// One candidate a surface: its trial nearest to the query, at −ln posterior.
@@ -295,19 +290,20 @@ struct EmbeddedSource<'a> {
     vector: Vec<f32>,
 }
 
-impl Method for Embedding {
-    type Prepared = FrameFeatures;
-    type Model = EmbeddingModel;
-
-    fn name(&self) -> &'static str {
-        "embedding"
-    }
-
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FrameFeatures, RecogniseError> {
+impl Embedding {
+    /// The frames of a trial.
+    ///
+    /// # Errors
+    /// If the trial does not fit the scene.
+    pub fn frames(&self, entry: &Entry, trial: &Trial) -> Result<FrameFeatures, RecogniseError> {
         FrameFeatures::new(&entry.key, trial, &self.scene)
     }
 
-    fn fit(&self, library: Vec<Arc<FrameFeatures>>) -> Result<EmbeddingModel, RecogniseError> {
+    /// Embeds a library and trains on it.
+    ///
+    /// # Errors
+    /// As [`Method::fit`].
+    pub fn train(&self, library: Vec<Arc<FrameFeatures>>) -> Result<EmbeddingModel, RecogniseError> {
         let library = sorted_library(library)?;
         let labels = Labels::new(library.iter().map(|trial| &trial.key));
         let mut surfaces: Vec<String> =
@@ -326,6 +322,7 @@ impl Method for Embedding {
         let temperature = if held_out.is_empty() { 1.0 } else { best_temperature(&held_out) };
         let remarks = if self.options.discriminant { remarks(&sources) } else { Vec::new() };
         Ok(EmbeddingModel {
+            scene: self.scene.clone(),
             library,
             surfaces,
             labels,
@@ -337,40 +334,83 @@ impl Method for Embedding {
             remarks,
         })
     }
+}
 
-    fn rank(
+impl Method for Embedding {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn settings_key(&self, shape: &LibraryShape) -> u64 {
+        let sources: Vec<_> = self.scene.sources().collect();
+        let shape = shape.key().to_le_bytes();
+        seed::stable_hash(&[NAME.as_bytes(), format!("{sources:?}").as_bytes(), &shape])
+    }
+
+    fn prepare(
         &self,
-        model: &EmbeddingModel,
-        query: &FrameFeatures,
-    ) -> Result<Ranking, RecogniseError> {
-        let vectors = model.embed(query)?;
-        let posterior = model.posterior_of(query, &vectors);
+        entry: &Entry,
+        trial: &Trial,
+        _: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError> {
+        Ok(Prepared::Frames(Arc::new(self.frames(entry, trial)?)))
+    }
+
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        _: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        let library = library.iter().map(|trial| trial.frames(NAME).cloned());
+        Ok(Arc::new(self.train(library.collect::<Result<_, _>>()?)?))
+    }
+}
+
+impl Model for EmbeddingModel {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        let frames = FrameFeatures::new(&entry.key, trial, &self.scene)?;
+        Ok(Prepared::Frames(Arc::new(frames)))
+    }
+
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        let query = query.frames(NAME)?;
+        let vectors = self.embed(query)?;
+        let posterior = self.posterior_of(query, &vectors);
         let (candidates, sources) = match &posterior {
-            Some(posterior) => (model.candidates(posterior, &vectors), posterior.sources.clone()),
+            Some(posterior) => (self.candidates(posterior, &vectors), posterior.sources.clone()),
             None => {
-                let ids = vectors.iter().map(|source| source.model.spec.id.clone()).collect();
-                let keys: Vec<&TrialKey> = model.library.iter().map(|trial| &trial.key).collect();
-                (combine(&model.log_distances(&vectors), &keys), ids)
+                let models = || vectors.iter().map(|source| source.model);
+                let weights: Vec<f64> = models().map(|model| model.spec.weight).collect();
+                let scores = self.log_distances(&vectors);
+                let medians = medians(weights.len(), &scores);
+                let keys = self.library.iter().map(|trial| &trial.key);
+                let ids = models().map(|model| model.spec.id.clone()).collect();
+                (candidates(&weights, &scores, &medians, keys), ids)
             }
         };
         // There is a candidate: every surface has a trial, and some trial has a shared source.
         let mut ranking = rank(candidates, 1, sources).expect("at least one candidate");
         ranking.confidence = posterior.as_ref().map(|p| p.log_posterior[p.best()].exp());
-        ranking.fit = posterior.and_then(|posterior| posterior.fit);
+        ranking.p_value = posterior.and_then(|posterior| posterior.p_value);
         Ok(ranking)
     }
 
-    fn follow(
-        &self,
-        model: &Arc<EmbeddingModel>,
-        options: &FollowOptions,
-    ) -> Option<Box<dyn Follow>> {
-        let trained = model.sources.values().any(|source| source.discriminant.is_some());
-        trained.then(|| Box::new(Follower::new(&self.scene, model, options)) as Box<dyn Follow>)
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        let sources = self.by_source(query.frames(NAME)?)?;
+        Ok(Some(Evidence { surfaces: self.surfaces.clone(), sources }))
     }
 
-    fn rejection(&self, model: &EmbeddingModel, rate: f64) -> Result<Rejection, RejectionError> {
-        Rejection::new(model.conformity.trials(), rate)
+    fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {
+        let trained = self.sources.values().any(|source| source.discriminant.is_some());
+        trained.then(|| Box::new(Follower::new(&self, options)) as Box<dyn Follow>)
+    }
+
+    fn rejection(&self, rate: f64) -> Result<Rejection, RejectionError> {
+        Rejection::new(self.conformity.trials(), rate)
+    }
+
+    fn remarks(&self) -> &[String] {
+        &self.remarks
     }
 }
 

@@ -17,7 +17,7 @@ const LAGS_S: [f64; 5] = [0.001, 0.004, 0.016, 0.064, 0.256];
 const LEAST_PAIRS: usize = 16;
 
 /// A series at about 1 kHz, channel by channel, growing at its end.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct DecimatedSeries {
     /// Its rate in Hz.
     pub rate_hz: f64,

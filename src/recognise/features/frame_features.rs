@@ -15,7 +15,7 @@ use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// One source of a trial.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub enum Framed {
     /// Log-band frames, one view after the other.
     Bands(Vec<ViewFrames>),
@@ -26,7 +26,7 @@ pub enum Framed {
 }
 
 /// One source of a trial, with what it was made of.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct SourceFrames {
     /// What is kept.
     pub data: Framed,

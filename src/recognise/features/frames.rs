@@ -27,7 +27,7 @@ const POWER_FLOOR: f32 = 1e-14;
 const FRAMES_A_TASK: usize = 64;
 
 /// How a source is cut into frames and bands.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FrameView {
     /// Samples a frame, L: a power of two.
     pub points: usize,
@@ -124,7 +124,7 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
 }
 
 /// Frames of one view: `width` values each, one after the other.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct ViewFrames {
     /// How they were made.
     pub view: FrameView,

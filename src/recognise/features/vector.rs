@@ -11,7 +11,7 @@ use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// Features of one source of one trial.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SourceFeatures {
     /// The values, in the order that the documentation of [`super`] gives.
     pub values: Vec<f64>,

@@ -13,7 +13,8 @@ use std::collections::BTreeSet;
 use crate::recognise::rank::{Candidate, RankedSurface, Ranking};
 
 /// After so many repetitions, so many trials stay.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Stage {
     /// Repetitions done by then.
     pub repetitions: usize,

@@ -61,7 +61,8 @@ pub fn score_samples(
 }
 
 /// How kernel sums are computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Precision {
     /// The fastest sums whose error stays within 1e-4: f32 over lanes, expansions on a line, tables;
     /// f64 where samples or sums ask for it.

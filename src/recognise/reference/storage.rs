@@ -12,16 +12,15 @@ use crate::kernel::{NODES, SelfMean};
 use crate::library::Entry;
 use crate::scene::SourceId;
 
-/// Changes whenever the bytes mean something else.
-pub(super) const VERSION: u32 = 2;
-
-/// A trial as bytes.
-pub(super) fn encode(trial: &PreparedTrial) -> Vec<u8> {
+/// A trial as bytes; `None` where positions are drawn for each pair, since then it is as large as
+/// the recording.
+pub fn encode(trial: &PreparedTrial) -> Option<Vec<u8>> {
     let mut out = Vec::new();
-    let mut sources = 0u32;
+    let (mut sources, mut sampled) = (0u32, true);
     put_count(&mut out, 0);
     trial.each_source(|id, shape, sets| {
         sources += 1;
+        sampled &= !sets.is_empty();
         put_count(&mut out, id.as_str().len());
         out.extend(id.as_str().as_bytes());
         let (rate_hz, frames) = shape.unwrap_or((0.0, 0));
@@ -30,7 +29,7 @@ pub(super) fn encode(trial: &PreparedTrial) -> Vec<u8> {
         sets.iter().for_each(|set| encode_set(&mut out, set));
     });
     out[..4].copy_from_slice(&sources.to_le_bytes());
-    out
+    sampled.then_some(out)
 }
 
 fn encode_set(out: &mut Vec<u8>, set: &SampleSet) {
@@ -62,7 +61,7 @@ fn put(out: &mut Vec<u8>, numbers: &[f64]) {
 }
 
 /// A trial from bytes, if they are those of one.
-pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<PreparedTrial> {
+pub fn decode(entry: &Entry, bytes: &[u8]) -> Option<PreparedTrial> {
     let mut from = Reader(bytes);
     let mut sources: Vec<StoredSource> = Vec::new();
     for _ in 0..from.count()? {
