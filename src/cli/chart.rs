@@ -195,9 +195,8 @@ fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
         seconds: vec![None],
         kind,
     };
-    let of_method = |method: MethodSpec, scene: &Scene| {
-        plan(&options_of(&method), scene, Kind::Method(method))
-    };
+    let of_method =
+        |method: MethodSpec, scene: &Scene| plan(&options_of(&method), scene, Kind::Method(method));
     let of_setting = |(method, is_timed): (MethodSpec, bool)| {
         let whole = of_method(method, scene);
         if is_timed { Plan { seconds: timed(), ..whole } } else { whole }
@@ -214,7 +213,11 @@ fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        plans.push(plan(&format!("{ids} below {CONTROL_HZ} Hz alone"), &below, Kind::Control(subsets_by())));
+        plans.push(plan(
+            &format!("{ids} below {CONTROL_HZ} Hz alone"),
+            &below,
+            Kind::Control(subsets_by()),
+        ));
         plans.push(plan(&format!("loudness of {ids} alone"), &sounds, Kind::Loudness));
     }
     plans

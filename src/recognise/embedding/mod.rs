@@ -172,7 +172,8 @@ impl EmbeddingModel {
     fn by_source(&self, query: &FrameFeatures) -> Result<Vec<SourceEvidence>, RecogniseError> {
         let vectors = self.embed(query)?;
         let trained = self.terms(query, &vectors).into_iter();
-        let trained = trained.map(|(source, terms)| SourceEvidence { source, trained: true, terms });
+        let trained =
+            trained.map(|(source, terms)| SourceEvidence { source, trained: true, terms });
         let untrained = vectors.iter().filter(|v| v.model.discriminant.is_none()).map(|v| {
             let mut terms = vec![f64::INFINITY; self.surfaces.len()];
             for (of_trial, &class) in v.model.vectors.iter().zip(&self.labels.class) {
@@ -228,7 +229,13 @@ impl EmbeddingModel {
         };
         let p_value = if sources.len() == trained { p_value() } else { None };
         let log_posterior = log_posterior(&distances, self.temperature);
-        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, p_value })
+        Some(Posterior {
+            surfaces: self.surfaces.clone(),
+            distances,
+            log_posterior,
+            sources,
+            p_value,
+        })
     }
 
     /// What each source that has a discriminant says: see [`SourceModel::add_evidence`].
@@ -303,7 +310,10 @@ impl Embedding {
     ///
     /// # Errors
     /// As [`Method::fit`].
-    pub fn train(&self, library: Vec<Arc<FrameFeatures>>) -> Result<EmbeddingModel, RecogniseError> {
+    pub fn train(
+        &self,
+        library: Vec<Arc<FrameFeatures>>,
+    ) -> Result<EmbeddingModel, RecogniseError> {
         let library = sorted_library(library)?;
         let labels = Labels::new(library.iter().map(|trial| &trial.key));
         let mut surfaces: Vec<String> =
