@@ -10,7 +10,7 @@ use surfaced::recognise::{
     ReferenceOptions, Stage, prepare_library,
 };
 use surfaced::scene::Scene;
-use surfaced::trial::EXPERT;
+use surfaced::trial::{EXPERT, Trial};
 
 mod common;
 
@@ -143,15 +143,14 @@ fn trials_drawn_for_each_pair_are_not_cached() {
 
 #[test]
 fn a_trial_that_another_method_prepared_is_refused_by_name() {
-    let entry = Entry::in_memory(common::trial("oak", "expert", 1));
-    let trial = entry.load().unwrap();
-    let scene = Scene::lmt108();
-    let shape = Arc::new(LibraryShape::default());
+    let (scene, shape) = (Scene::lmt108(), Arc::new(LibraryShape::default()));
     let of = |name: MethodName| MethodSpec::from(name).build(&scene);
     let prepared = |name| {
-        let beech =
-            Entry { key: surfaced::trial::TrialKey::new("beech", EXPERT, 1), ..entry.clone() };
-        [&entry, &beech].map(|entry| of(name).prepare(entry, &trial, &shape).unwrap()).to_vec()
+        let trials = ["oak", "beech"].map(|surface| common::trial(surface, EXPERT, 1));
+        let prepare = |trial: Trial| {
+            of(name).prepare(&Entry::in_memory(trial.clone()), &trial, &shape).unwrap()
+        };
+        trials.map(prepare).to_vec()
     };
     let refused = |by: MethodName, of_method: MethodName| {
         of(by).fit(prepared(of_method), &shape).err().unwrap()

@@ -216,3 +216,12 @@ fn between_users_of_the_calibrated_scene_reflectance_tells_little_without_the_sh
     let [with, without] = [true, false].map(|shift| accuracy("ir", shift, Difficulty::lmt108()));
     assert!(with > without + 0.15, "{with} {without}");
 }
+
+#[test]
+fn what_is_known_of_a_trial_before_it_is_generated_is_what_is_generated() {
+    let parameters =
+        Parameters { surfaces: 1, trials: 1, drag_seconds: 0.731, ..Default::default() };
+    let entry = &library(&parameters).entries[0];
+    let generated = Entry::in_memory(entry.load().unwrap());
+    assert_eq!(entry.outlines().unwrap(), generated.outlines().unwrap());
+}
