@@ -79,7 +79,7 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
 #[test]
 fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_scan_says() {
     let (scene, method, model, scan) = made();
-    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
     let fine = said(&mut *follower, &scene, &scan, 0.01);
     assert_eq!(fine.len(), 17, "one look each {LOOK_S} s");
     let settled = fine.last().unwrap().settled.clone().expect("four easy surfaces");
