@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use common::id;
 use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
-use surfaced::scan::detect::{Feel, Limits};
+use surfaced::scan::detect::{DetectorConfig, SensorKind};
 use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, Session};
 use surfaced::scene::Phase;
 use surfaced::trial::Signal;
@@ -83,8 +83,11 @@ fn detection() -> Detection {
         channels,
     };
     Detection {
-        limits: Limits::default(),
-        groups: vec![vec![(id("ac"), Feel::Vibration)], vec![(id("sound"), Feel::Vibration)]],
+        limits: DetectorConfig::default(),
+        groups: vec![
+            vec![(id("ac"), SensorKind::Vibration)],
+            vec![(id("sound"), SensorKind::Vibration)],
+        ],
         cuts: vec![
             cut("ac", "ac", Phase::Drag, 3),
             cut("mi1", "sound", Phase::Tap, 1),

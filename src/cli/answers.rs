@@ -3,7 +3,7 @@
 use super::eval::share;
 use super::show;
 use crate::recognise::{AnyMethod, Rejection, RejectionError, Settling};
-use crate::station::ByMethod;
+use crate::station::MethodRecogniser;
 
 /// When answers are settled, and which scans are called unknown.
 #[derive(Clone, Debug, clap::Args)]
@@ -34,10 +34,10 @@ impl AnswerArgs {
     ///
     /// # Errors
     /// If unknown surfaces were asked for that cannot be told.
-    pub fn apply(&self, by: &mut ByMethod<AnyMethod>) -> Result<Applied, RejectionError> {
+    pub fn apply(&self, by: &mut MethodRecogniser<AnyMethod>) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections() > 0.0 {
-            match by.tell_unknown(self.false_rejections()) {
+            match by.reject_unknown(self.false_rejections()) {
                 Ok(rejections) => remarks.extend(on_unknown(&rejections)),
                 Err(error) if self.false_rejections.is_some() => return Err(error),
                 Err(error) => remarks.push(format!("no scan will be called unknown: {error}")),
@@ -45,7 +45,7 @@ impl AnswerArgs {
         }
         let found = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&found));
-        by.remark(&remarks);
+        by.add_remarks(&remarks);
         Ok(Applied { follows: !found.is_empty(), remarks })
     }
 }

@@ -13,15 +13,15 @@ pub struct Args {
 }
 
 #[derive(serde::Serialize)]
-struct Report {
-    serial_ports: Kind,
-    microphones: Kind,
-    cameras: Kind,
+struct Inventory {
+    serial_ports: DeviceClass,
+    microphones: DeviceClass,
+    cameras: DeviceClass,
 }
 
 /// The devices of one kind.
 #[derive(serde::Serialize)]
-struct Kind {
+struct DeviceClass {
     /// Whether this build has the drivers for them.
     built: bool,
     devices: Vec<Listed>,
@@ -29,7 +29,7 @@ struct Kind {
     problem: Option<String>,
 }
 
-impl Kind {
+impl DeviceClass {
     fn of<E: std::fmt::Display>(listed: Result<Vec<Listed>, E>) -> Self {
         match listed {
             Ok(devices) => Self { built: true, devices, problem: None },
@@ -50,29 +50,29 @@ impl Kind {
 }
 
 #[cfg(feature = "microphone")]
-fn microphones() -> Kind {
-    Kind::of(crate::device::microphone::microphones())
+fn microphones() -> DeviceClass {
+    DeviceClass::of(crate::device::microphone::microphones())
 }
 
 #[cfg(not(feature = "microphone"))]
-fn microphones() -> Kind {
-    Kind::left_out("microphone")
+fn microphones() -> DeviceClass {
+    DeviceClass::left_out("microphone")
 }
 
 #[cfg(feature = "camera")]
-fn cameras() -> Kind {
-    Kind::of(crate::device::camera::cameras())
+fn cameras() -> DeviceClass {
+    DeviceClass::of(crate::device::camera::cameras())
 }
 
 #[cfg(not(feature = "camera"))]
-fn cameras() -> Kind {
-    Kind::left_out("camera")
+fn cameras() -> DeviceClass {
+    DeviceClass::left_out("camera")
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let report = Report {
-        serial_ports: Kind::of(list::serial_ports()),
+    let report = Inventory {
+        serial_ports: DeviceClass::of(list::serial_ports()),
         microphones: microphones(),
         cameras: cameras(),
     };
@@ -93,7 +93,7 @@ pub fn run(args: &Args) -> Done {
     if unasked.is_empty() { Ok(()) } else { Err(Failure::Failed(unasked.join("; "))) }
 }
 
-fn tell(name: &str, kind: &Kind) {
+fn tell(name: &str, kind: &DeviceClass) {
     eprintln!("{name}:");
     match &kind.problem {
         Some(problem) => eprintln!("  {problem}"),
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_kind_that_cannot_be_listed_says_why() {
-        let kind = Kind::of(Err("no sound system"));
+        let kind = DeviceClass::of(Err("no sound system"));
         assert!(kind.built && kind.problem.as_deref() == Some("no sound system"));
     }
 

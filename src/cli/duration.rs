@@ -109,7 +109,7 @@ impl Args {
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let steps = show::Steps::new();
-    let answer = report(&library, &args.question(), |done, of| steps.tell("surfaces", done, of));
+    let answer = report(&library, &args.question(), |done, of| steps.show("surfaces", done, of));
     drop(steps);
     let answer = answer.map_err(|error| match error {
         ReportError::Library(error) => Failure::Failed(error.to_string()),

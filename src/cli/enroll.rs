@@ -12,7 +12,7 @@ use super::{Done, Failure, shown};
 use crate::record::write_library_toml;
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Enrolled, Listener, Notice, Order};
+use crate::station::{Command, Enrolled, Listener, StationEvent};
 use crate::trial::EXPERT;
 
 /// Label of scans that nobody labelled.
@@ -39,7 +39,7 @@ pub struct EnrollArgs {
     station: StationArgs,
 }
 
-/// Keep every live scan as a trial of a library, until `q` or Ctrl-C
+/// ScanStore every live scan as a trial of a library, until `q` or Ctrl-C
 ///
 /// Nothing is refused; a scan that is not whole is marked as incomplete.
 #[derive(clap::Args)]
@@ -68,7 +68,7 @@ fn name(text: &str) -> Result<String, String> {
 pub fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
     let trials = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
-    let order = Order::Enroll { surface: args.label.clone(), user: args.user.clone(), trials };
+    let order = Command::Enroll { surface: args.label.clone(), user: args.user.clone(), trials };
     let hint =
         format!("{}: {trials} trial(s) to go; tap the surface, then drag over it", args.label);
     let kept = keep(&config, &args.station, order, hint)?;
@@ -81,7 +81,7 @@ pub fn enroll(args: &EnrollArgs) -> Done {
 /// Runs `surfaced record`.
 pub fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
-    let order = Order::Record { surface: args.label.clone(), user: args.user.clone() };
+    let order = Command::Record { surface: args.label.clone(), user: args.user.clone() };
     let hint = format!("keeping every scan as {}; q ends", args.label);
     keep(&config, &args.station, order, hint).map(drop)
 }
@@ -90,7 +90,7 @@ pub fn record(args: &RecordArgs) -> Done {
 fn keep(
     config: &StationConfig,
     args: &StationArgs,
-    order: Order,
+    order: Command,
     hint: String,
 ) -> Result<u32, Failure> {
     let library = library_of(config)?;
@@ -130,17 +130,17 @@ fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
 
 /// Counts trials, and ends the work with the last one.
 struct Count {
-    orders: Sender<Order>,
+    orders: Sender<Command>,
     kept: Rc<Cell<u32>>,
 }
 
 impl Listener for Count {
-    fn notice(&mut self, notice: &Notice) {
-        let Notice::Enrolled(Enrolled { trial, wanted, .. }) = notice else { return };
+    fn on_event(&mut self, event: &StationEvent) {
+        let StationEvent::Enrolled(Enrolled { trial, wanted, .. }) = event else { return };
         self.kept.set(self.kept.get() + u32::from(trial.is_some()));
         if *wanted == 0 {
             // Fails only when the station has ended already.
-            let _ = self.orders.send(Order::Quit);
+            let _ = self.orders.send(Command::Quit);
         }
     }
 }

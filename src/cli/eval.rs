@@ -177,7 +177,7 @@ impl Evaluation<'_> {
         let as_query = |of: usize, entry: &Entry| {
             left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
         };
-        let progress = |step, done, of| steps.tell(step, done, of);
+        let progress = |step, done, of| steps.show(step, done, of);
         let prepared =
             evaluate::prepare_folds(method, self.entries, self.folds, self.cache, &progress)?;
         for remark in &prepared.remarks {

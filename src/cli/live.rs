@@ -20,7 +20,8 @@ use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
+    Command, DurationRequirements, LibraryState, Listener, Load, MethodRecogniser, Recogniser,
+    ScanStore, Station, assemble,
 };
 
 /// Which station.
@@ -95,15 +96,15 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
             .map_err(|error| error.to_string())?;
         let trials = prepared.trials.into_iter().flatten().collect();
         let model = method.fit(trials).map_err(|error| error.to_string())?;
-        let needs = Needs::of(&scene, entries, state.synthetic);
-        let mut by = ByMethod::new(method, model, needs, state);
+        let needs = DurationRequirements::of(&scene, entries, state.synthetic);
+        let mut by = MethodRecogniser::new(method, model, needs, state);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
         Ok(Arc::new(by) as Arc<dyn Recogniser>)
     })
 }
 
 /// Makes a listener that may give orders.
-pub type Listen<'a> = Box<dyn FnOnce(Sender<Order>) -> Box<dyn Listener + 'a> + 'a>;
+pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
 /// A station at work, as a command wants it.
 pub struct Work<'a> {
@@ -112,7 +113,7 @@ pub struct Work<'a> {
     /// Where enrolled scans go.
     pub keep: PathBuf,
     /// What it is told first.
-    pub orders: Vec<Order>,
+    pub orders: Vec<Command>,
     /// Whoever else listens, and may give orders.
     pub listeners: Vec<Listen<'a>>,
     /// What a person is to do, while nothing else is to be said.
@@ -138,7 +139,7 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         ..Options::default()
     };
     let options = work.serve.options(options);
-    let keep = Keep {
+    let keep = ScanStore {
         folder: work.keep,
         scene: config.scene.clone(),
         devices: assembled.device_of,

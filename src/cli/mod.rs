@@ -50,11 +50,11 @@ use crate::scene::{Scene, SourceId};
 )]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum CliCommand {
     Replay(replay::Args),
     Run(run::Args),
     Enroll(enroll::EnrollArgs),
@@ -96,22 +96,22 @@ type Done = Result<(), Failure>;
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
-        Command::Replay(args) => replay::run(&args),
-        Command::Run(args) => run::run(&args),
-        Command::Enroll(args) => enroll::enroll(&args),
-        Command::Record(args) => enroll::record(&args),
-        Command::Eval(args) => eval::run(&args),
-        Command::Chart(args) => chart::run(&args),
-        Command::Plan(args) => plan::run(&args),
-        Command::Stress(args) => stress::run(&args),
-        Command::Compare(args) => compare::run(&args),
-        Command::Dependence(args) => dependence::run(&args),
-        Command::Duration(args) => duration::run(&args),
-        Command::Synth(args) => synth::run(&args),
-        Command::Devices(args) => devices::run(&args),
-        Command::Export(args) => export::export(&args),
-        Command::Import(args) => export::import(&args),
-        Command::Completion(args) => completion::run(&args),
+        CliCommand::Replay(args) => replay::run(&args),
+        CliCommand::Run(args) => run::run(&args),
+        CliCommand::Enroll(args) => enroll::enroll(&args),
+        CliCommand::Record(args) => enroll::record(&args),
+        CliCommand::Eval(args) => eval::run(&args),
+        CliCommand::Chart(args) => chart::run(&args),
+        CliCommand::Plan(args) => plan::run(&args),
+        CliCommand::Stress(args) => stress::run(&args),
+        CliCommand::Compare(args) => compare::run(&args),
+        CliCommand::Dependence(args) => dependence::run(&args),
+        CliCommand::Duration(args) => duration::run(&args),
+        CliCommand::Synth(args) => synth::run(&args),
+        CliCommand::Devices(args) => devices::run(&args),
+        CliCommand::Export(args) => export::export(&args),
+        CliCommand::Import(args) => export::import(&args),
+        CliCommand::Completion(args) => completion::run(&args),
     };
     let (code, kind, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,

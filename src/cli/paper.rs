@@ -32,7 +32,7 @@ pub fn run(
 ) -> Done {
     let options = method.reference_options();
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let Some(shard) = shard else {
         let part = paper::work(library, &options, Shard::WHOLE, &progress)?;
         drop(steps);

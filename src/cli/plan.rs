@@ -115,7 +115,7 @@ pub fn run(args: &Args) -> Done {
     let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();
     let options = PlanOptions { target: args.target, protocol, cache: None };
-    let planned = search(&library, options, &|step, done, of| steps.tell(step, done, of))?;
+    let planned = search(&library, options, &|step, done, of| steps.show(step, done, of))?;
     drop(steps);
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {

@@ -20,7 +20,9 @@ use crate::recognise::{AnyMethod, AnyModel, LOOK_S, Method, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
-use crate::station::{ByMethod, Keep, LibraryState, Needs, Notice, Station};
+use crate::station::{
+    DurationRequirements, LibraryState, MethodRecogniser, ScanStore, Station, StationEvent,
+};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -134,12 +136,12 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let library = args.library.as_ref().filter(|_| args.serve.asked());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
-        station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        station = station.load(load).keep(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
     let (mut station, server) = args.serve.start(station, address, library.is_some())?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
-    station.tell(&Notice::Reading);
+    station.tell(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
     station = station.recogniser(Arc::new(recogniser));
     if follows {
@@ -168,14 +170,14 @@ fn recogniser(
     args: &Args,
     how: &Comparing,
     stage: &Stage,
-) -> Result<(ByMethod<AnyMethod>, bool), Failure> {
+) -> Result<(MethodRecogniser<AnyMethod>, bool), Failure> {
     let method = how.method.method(&stage.scene)?;
     let models = models(&method, stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
-    let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-    let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+    let needs = DurationRequirements::of(&stage.scene, compared, stage.synthetic);
+    let mut recogniser = MethodRecogniser::with_folds(method, models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;
     applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
     Ok((recogniser, applied.follows))
@@ -202,7 +204,7 @@ impl Stage {
 fn models(method: &AnyMethod, stage: &Stage) -> Result<Vec<AnyModel>, RecogniseError> {
     let steps = show::Steps::new();
     let wanted: BTreeSet<usize> = stage.folds.iter().flat_map(|f| f.library.clone()).collect();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let prepared = evaluate::prepare(method, &stage.entries, &wanted, &progress)?;
     let fit = |fold: &Fold| {
         method.fit(fold.library.iter().filter_map(|&i| prepared[i].clone()).collect())

@@ -66,7 +66,7 @@ impl Steps {
     }
 
     /// Tells how much of a step is done.
-    pub fn tell(&self, step: &'static str, done: usize, of: usize) {
+    pub fn show(&self, step: &'static str, done: usize, of: usize) {
         // A thread that panicked while it held the lock left a bar that can still be drawn.
         let mut bar = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if bar.as_ref().is_none_or(|(name, _)| *name != step) {

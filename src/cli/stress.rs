@@ -104,7 +104,7 @@ fn measured(args: &Args) -> Result<Report, Failure> {
         eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
         let method = MethodArgs::quick(*method).method(&scene)?;
         let steps = show::Steps::new();
-        let told = stress::run(&method, &plan, &|step, done, of| steps.tell(step, done, of))?;
+        let told = stress::run(&method, &plan, &|step, done, of| steps.show(step, done, of))?;
         drop(steps);
         report.methods.push(told);
         // What is done stays, should a later method fail or a person lose patience.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
-use crate::station::{Listener, Notice, Order};
+use crate::station::{Command, Listener, StationEvent};
 
 /// Tells systemd, where it listens.
 pub struct Supervisor(());
@@ -18,12 +18,12 @@ impl Supervisor {
     ///
     /// # Errors
     /// If there is no thread to be had.
-    pub fn new(orders: Sender<Order>) -> std::io::Result<Self> {
+    pub fn new(orders: Sender<Command>) -> std::io::Result<Self> {
         if let Some(limit) = sd_notify::watchdog_enabled() {
             // Thrice as often as need be: two may come late.
             let every = (limit / 3).max(Duration::from_millis(10));
             let ask = move || {
-                while orders.send(Order::Ping).is_ok() {
+                while orders.send(Command::Ping).is_ok() {
                     std::thread::sleep(every);
                 }
             };
@@ -34,11 +34,11 @@ impl Supervisor {
 }
 
 impl Listener for Supervisor {
-    fn notice(&mut self, notice: &Notice) {
-        let state = match notice {
-            Notice::Streams(_) => NotifyState::Ready,
-            Notice::Alive => NotifyState::Watchdog,
-            Notice::Finished(_) => NotifyState::Stopping,
+    fn on_event(&mut self, event: &StationEvent) {
+        let state = match event {
+            StationEvent::Streams(_) => NotifyState::Ready,
+            StationEvent::Alive => NotifyState::Watchdog,
+            StationEvent::Finished(_) => NotifyState::Stopping,
             _ => return,
         };
         // Where nobody listens, nobody misses it.

@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Done {
     let options = TrialOptions { about: About::default(), durable: false };
     library.entries.par_iter().try_for_each(|entry| {
         record::write_trial(&args.out, &entry.load()?, &library.scene, &options)?;
-        steps.tell("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
+        steps.show("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
         Ok::<_, crate::library::LibraryError>(())
     })?;
     drop(steps);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
-use crate::station::{Answer, Listener, Notice};
+use crate::station::{Answer, Listener, StationEvent};
 
 /// What has been named so far.
 pub struct Tally {
@@ -35,15 +35,15 @@ struct ByThen {
 }
 
 impl Listener for Tally {
-    fn notice(&mut self, notice: &Notice) {
-        match notice {
-            Notice::Guess(guess) if guess.settled => {
+    fn on_event(&mut self, event: &StationEvent) {
+        match event {
+            StationEvent::Guess(guess) if guess.settled => {
                 if let Some(first) = guess.named.first() {
                     self.settled.entry(guess.scan).or_insert_with(|| first.surface.clone());
                 }
             }
-            Notice::Answer(answer) => self.answer(answer),
-            Notice::Warning(text) => self.damage(text),
+            StationEvent::Answer(answer) => self.answer(answer),
+            StationEvent::Warning(text) => self.damage(text),
             _ => {}
         }
     }

@@ -16,7 +16,7 @@ use super::{Failure, show, shown};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolled, Guess, LibraryState, Listener, Notice, Order};
+use crate::station::{Answer, Command, Enrolled, Guess, LibraryState, Listener, StationEvent};
 
 /// Who is told on stderr.
 pub struct Terminal {
@@ -134,28 +134,31 @@ impl Terminal {
 }
 
 impl Listener for Terminal {
-    fn notice(&mut self, notice: &Notice) {
-        match notice {
-            Notice::Device { device, state, detail } => {
+    fn on_event(&mut self, event: &StationEvent) {
+        match event {
+            StationEvent::Device { device, state, detail } => {
                 let why = if detail.is_empty() { String::new() } else { format!(": {detail}") };
                 self.say(&format!("{device} is {state}{why}"));
                 self.devices.insert(device.clone(), *state);
             }
-            Notice::Phase { phase, .. } => {
+            StationEvent::Phase { phase, .. } => {
                 self.scan = phase.map(|phase| (phase, None));
                 self.scanning.store(phase.is_some(), Ordering::Release);
             }
-            Notice::Guess(guess) => {
+            StationEvent::Guess(guess) => {
                 if let Some((_, so_far)) = &mut self.scan {
                     *so_far = Some(guess.clone());
                 }
             }
-            Notice::Answer(answer) => self.answer(answer),
-            Notice::Enrolled(enrolled) => self.enrolled(enrolled),
-            Notice::Library(library) => self.library(library),
-            Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Trace(_) | Notice::Streams(_) | Notice::Reading | Notice::Alive => return,
-            Notice::Finished(totals) => {
+            StationEvent::Answer(answer) => self.answer(answer),
+            StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
+            StationEvent::Library(library) => self.library(library),
+            StationEvent::Warning(text) => self.say(&format!("warning: {text}")),
+            StationEvent::Trace(_)
+            | StationEvent::Streams(_)
+            | StationEvent::Reading
+            | StationEvent::Alive => return,
+            StationEvent::Finished(totals) => {
                 let stream = |(id, counts): (&SourceId, &Counts)| {
                     format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)
                 };
@@ -191,7 +194,7 @@ pub struct Keys;
 
 impl Keys {
     /// Reads keys where there is someone to press them: `space` begins or ends a scan, `q` quits.
-    pub fn listen(orders: Sender<Order>, scanning: Arc<AtomicBool>) -> Option<Self> {
+    pub fn listen(orders: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
         let stdin = std::io::stdin();
         let in_front =
             termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
@@ -209,9 +212,9 @@ impl Keys {
             // One that has a lock and a buffer of its own.
             for key in std::io::stdin().lock().bytes() {
                 let order = match key {
-                    Ok(b' ') if scanning.load(Ordering::Acquire) => Order::Stop,
-                    Ok(b' ') => Order::Start,
-                    Ok(b'q' | b'Q') => Order::Quit,
+                    Ok(b' ') if scanning.load(Ordering::Acquire) => Command::Stop,
+                    Ok(b' ') => Command::Start,
+                    Ok(b'q' | b'Q') => Command::Quit,
                     Ok(_) => continue,
                     Err(_) => return,
                 };
@@ -251,12 +254,12 @@ impl Signalled {
 
 /// Makes the first signal to end an order to quit; the second ends the process on the spot, as does
 /// the first when nobody waits for either.
-pub fn watch_signals(orders: Sender<Order>) -> Result<Signalled, Failure> {
+pub fn watch_signals(orders: Sender<Command>) -> Result<Signalled, Failure> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     let (tell, told) = mpsc::channel();
     let watch = move || {
         for (count, signal) in signals.forever().enumerate() {
-            let heard = [orders.send(Order::Quit).is_ok(), tell.send(()).is_ok()];
+            let heard = [orders.send(Command::Quit).is_ok(), tell.send(()).is_ok()];
             if count > 0 || heard == [false; 2] {
                 restore();
                 std::process::exit(128 + signal);

@@ -26,7 +26,7 @@ pub use upright::{Turn, upright};
 pub use v4l::{V4l, cameras};
 
 use self::flash::{Cycle, Light};
-use self::reader::{News, Order};
+use self::reader::{ControlRequest, News};
 use super::open::{OpenError, RETRY, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Sink, Stop};
@@ -37,7 +37,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// No picture for so long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
 /// How long a stop waits for the reader to give the camera back.
-const FAREWELL: Duration = Duration::from_millis(300);
+const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Damaged frames are summed up, and told this often at most.
 const SUM_UP: Duration = Duration::from_secs(10);
 
@@ -150,7 +150,7 @@ impl Device for Camera {
             stop.request();
             drop(orders);
             // It gives the camera back at its next frame. One that hangs is left to itself.
-            let farewell = Instant::now() + FAREWELL;
+            let farewell = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(farewell).is_ok() {}
             match end {
                 End::Stop => break,
@@ -170,7 +170,7 @@ impl Device for Camera {
 
 impl Watch<'_> {
     /// Makes pictures of what the reader sends, until it ends.
-    fn follow(&mut self, orders: &Sender<Order>, news: &Receiver<News>) -> End {
+    fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> End {
         let mut last = Instant::now();
         while !self.control.stopped() {
             match news.recv_timeout(LOOK) {
@@ -200,7 +200,7 @@ impl Watch<'_> {
     }
 
     /// Deals with one frame; whether it was good, or good for nothing but not to blame.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
+    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<ControlRequest>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
         let verdict = self.cycle.judge(at, || has_flash && shutter.take());
@@ -251,13 +251,13 @@ impl Watch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
+    fn switch(&mut self, on: bool, orders: &Sender<ControlRequest>) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
             Some((_, Flash::Line(line))) => line.switch(on),
             Some((_, Flash::Control(control))) => {
                 let value = if on { control.on } else { control.off };
-                let order = Order { control: control.id, value };
+                let order = ControlRequest { control: control.id, value };
                 orders.try_send(order).map_err(|_| "the camera does not take orders".into())
             }
         };
@@ -273,7 +273,7 @@ impl Watch<'_> {
     }
 
     /// Leaves no light on behind.
-    fn light_off(&mut self, orders: &Sender<Order>) {
+    fn light_off(&mut self, orders: &Sender<ControlRequest>) {
         if self.cycle.lit() {
             self.switch(false, orders);
             self.cycle.cancel();

@@ -39,16 +39,16 @@ impl fmt::Display for DeviceState {
 
 /// What a device tells its session.
 #[derive(Debug)]
-pub struct Report {
+pub struct DeviceReport {
     /// Which device, counted from 0 in the order in which the session got them.
     pub device: usize,
     /// What it tells.
-    pub kind: ReportKind,
+    pub kind: DeviceReportKind,
 }
 
 /// The kinds of report.
 #[derive(Debug)]
-pub enum ReportKind {
+pub enum DeviceReportKind {
     /// It has changed its state.
     State {
         /// how it is now
@@ -69,13 +69,13 @@ pub enum ReportKind {
 pub struct Control {
     device: usize,
     stop: Stop,
-    reports: Sender<Report>,
+    reports: Sender<DeviceReport>,
     last: RefCell<Option<DeviceState>>,
 }
 
 impl Control {
     /// A line for device number `device`.
-    pub fn new(device: usize, stop: Stop, reports: Sender<Report>) -> Self {
+    pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
     }
 
@@ -105,24 +105,24 @@ impl Control {
     /// Reports a state; only a change is told.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
         if self.last.replace(Some(state)) != Some(state) {
-            self.send(ReportKind::State { state, detail: detail.into() });
+            self.send(DeviceReportKind::State { state, detail: detail.into() });
         }
     }
 
     /// Reports a mark.
     pub fn mark(&self, mark: Mark) {
-        self.send(ReportKind::Mark(mark));
+        self.send(DeviceReportKind::Mark(mark));
     }
 
     /// Reports something that was wrong but does not end the device. What may go wrong a thousand
     /// times a second is to be summed up by the device, not told each time.
     pub fn warn(&self, text: impl Into<String>) {
-        self.send(ReportKind::Warning(text.into()));
+        self.send(DeviceReportKind::Warning(text.into()));
     }
 
     /// Sends what must arrive, waiting for room unless it is time to stop.
-    fn send(&self, kind: ReportKind) {
-        let mut report = Report { device: self.device, kind };
+    fn send(&self, kind: DeviceReportKind) {
+        let mut report = DeviceReport { device: self.device, kind };
         loop {
             match self.reports.send_timeout(report, Duration::from_millis(20)) {
                 Ok(()) => return,

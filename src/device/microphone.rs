@@ -8,7 +8,7 @@
 
 #[cfg(feature = "microphone")]
 mod alsa;
-mod intake;
+mod callback_sink;
 mod level;
 mod mono;
 mod pace;
@@ -20,14 +20,14 @@ use crossbeam_channel::{Receiver, Sender};
 
 #[cfg(feature = "microphone")]
 pub use alsa::{Alsa, microphones};
-pub use intake::Intake;
+pub use callback_sink::CallbackSink;
 pub use level::{Level, LevelWatch};
 pub use mono::{Pcm, Pick, mix};
 pub use pace::Pace;
 
 use super::open::{OpenError, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
-use crate::ring::{Bell, Piece, SeriesSink, SeriesTap, Sink, series};
+use crate::ring::{Piece, SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
 
 /// The rate of every microphone in Hz, which is that of LMT108.
@@ -45,7 +45,7 @@ const GIVE_UP: Duration = Duration::from_secs(4);
 
 /// What goes wrong with a stream that runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Trouble {
+pub enum StreamError {
     /// Samples were lost before they could be read; the stream goes on.
     Overrun,
     /// The stream has ended, or delivers nothing that can be used any more: why.
@@ -57,16 +57,16 @@ pub trait Sound: Send {
     /// For people: the microphone that it opens.
     fn device(&self) -> String;
 
-    /// Opens the microphone at [`RATE_HZ`]. From then on `intake` is fed from a callback, and
-    /// `troubles` told (by `try_send`, as nothing may wait there), until what is returned is
+    /// Opens the microphone at [`RATE_HZ`]. From then on `sink` is fed from a callback, and
+    /// `errors` told (by `try_send`, as nothing may wait there), until what is returned is
     /// dropped.
     ///
     /// # Errors
     /// If the microphone cannot be opened.
     fn open(
         &mut self,
-        intake: Intake,
-        troubles: Sender<Trouble>,
+        sink: CallbackSink,
+        errors: Sender<StreamError>,
     ) -> Result<Box<dyn Any>, OpenError>;
 }
 
@@ -137,13 +137,13 @@ impl Device for Microphone {
         };
         let mut told = None;
         while !control.stopped() {
-            let (bell, woken) = Bell::new();
+            let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * rate_hz) as usize;
-            let (enter, mut leave) = series(1, buffer, bell.clone());
-            let (trouble, troubles) = crossbeam_channel::bounded(16);
-            let intake = Intake::new(enter, bell, self.pick);
-            let broken = intake.broken();
-            let stream = match self.sound.open(intake, trouble) {
+            let (enter, mut leave) = series(1, buffer, waker.clone());
+            let (trouble, errors) = crossbeam_channel::bounded(16);
+            let sink = CallbackSink::new(enter, waker, self.pick);
+            let broken = sink.broken();
+            let stream = match self.sound.open(sink, trouble) {
                 Ok(stream) => stream,
                 Err(error) => match failed(error, listening.heard, &mut told, control)? {
                     true => continue,
@@ -151,7 +151,7 @@ impl Device for Microphone {
                 },
             };
             told = None;
-            let end = listening.follow(&mut leave, &woken, &troubles);
+            let end = listening.follow(&mut leave, &woken, &errors);
             drop(stream);
             if broken.get() > 0 {
                 let count = broken.get();
@@ -176,7 +176,7 @@ impl Listening<'_> {
         &mut self,
         tap: &mut SeriesTap,
         woken: &Receiver<()>,
-        troubles: &Receiver<Trouble>,
+        errors: &Receiver<StreamError>,
     ) -> End {
         self.pace.reopened();
         let mut last = Instant::now();
@@ -185,17 +185,17 @@ impl Listening<'_> {
         while !self.control.stopped() {
             let _ = woken.recv_timeout(LOOK);
             // Before the ring is looked at: what follows an overrun is in the ring after it.
-            let trouble = troubles.try_iter().fold(None, |worst, next| match (&worst, &next) {
-                (Some(Trouble::Gone(_)), _) => worst,
+            let trouble = errors.try_iter().fold(None, |worst, next| match (&worst, &next) {
+                (Some(StreamError::Gone(_)), _) => worst,
                 _ => Some(next),
             });
-            interrupted |= trouble == Some(Trouble::Overrun);
+            interrupted |= trouble == Some(StreamError::Overrun);
             if self.carry(tap, &mut interrupted) {
                 last = Instant::now();
                 self.heard = true;
                 self.control.state(DeviceState::Streaming, "");
             }
-            if let Some(Trouble::Gone(why)) = trouble {
+            if let Some(StreamError::Gone(why)) = trouble {
                 return End::Lost(why);
             }
             if self.pace.unpaced(self.now_s(), self.sink.position()) {

@@ -14,7 +14,7 @@ mod replay;
 pub mod serial;
 
 pub use camera::Camera;
-pub use control::{Control, DeviceState, Report, ReportKind};
+pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
 pub use mark::{Begin, Mark, Open};
 pub use microphone::Microphone;
 pub use open::OpenError;

@@ -7,18 +7,18 @@
 //! Values are fractions of the converter's full scale (see [`Value`]) except for metal, which is
 //! 0 or 1.
 
+mod connection;
 mod intake;
 mod light;
 mod port;
-mod talk;
 
 use std::time::Instant;
 
-pub use intake::{Heard, Intake, LEAST_RESTART_S, Unused, Value, Wanted};
+pub use intake::{Intake, IntakeEvent, LEAST_RESTART_S, Unused, Value, Wanted};
 pub use light::Light;
 pub use port::{BAUD, OpenPort, Port, Selector};
 
-use self::talk::{End, Talk, Trouble};
+use self::connection::{Connection, End, LinkErrors};
 use super::open::{RETRY, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
@@ -109,7 +109,7 @@ impl Device for Stylus {
                     control.state(DeviceState::Opening, path.clone());
                     intake.reopened();
                     let now = Instant::now();
-                    let mut talk = Talk {
+                    let mut connection = Connection {
                         port,
                         path,
                         intake: &mut intake,
@@ -122,10 +122,10 @@ impl Device for Stylus {
                         light_asked_at: None,
                         status: None,
                         refused: None,
-                        trouble: Trouble::new(now),
+                        errors: LinkErrors::new(now),
                     };
-                    let end = talk.run();
-                    talk.trouble.tell(control);
+                    let end = connection.run();
+                    connection.errors.tell(control);
                     match end {
                         End::Stop => return Ok(()),
                         End::Lost(why) => {

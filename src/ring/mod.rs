@@ -49,17 +49,17 @@ pub struct Stopped;
 
 /// Wakes the thread that empties the rings; clones wake the same one.
 #[derive(Clone, Debug)]
-pub struct Bell(Sender<()>);
+pub struct Waker(Sender<()>);
 
-impl Bell {
-    /// A bell, and what its listener waits on.
+impl Waker {
+    /// A waker, and what its listener waits on.
     pub fn new() -> (Self, Receiver<()>) {
         let (sender, receiver) = crossbeam_channel::bounded(1);
         (Self(sender), receiver)
     }
 
     /// Wakes the listener, now or when it next waits. Never blocks.
-    pub fn ring(&self) {
+    pub fn wake(&self) {
         // Full means that it is about to wake; disconnected, that nobody listens any more.
         let _ = self.0.try_send(());
     }

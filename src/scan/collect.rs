@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Select};
 
 use super::cut::cut;
-use super::live::{Cue, Live};
+use super::event_queue::EventQueue;
 use super::mark::Marked;
-use super::outbox::Outbox;
 use super::progress::{self, Told};
+use super::scan_detector::{ScanCommand, ScanDetector};
 use super::stream::Stream;
 use super::{Event, Options, Totals};
-use crate::device::{DeviceError, DeviceState, Mark, Report, ReportKind};
+use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
 /// The longest time between two looks at the rings.
@@ -27,17 +27,17 @@ const DETECTOR: usize = usize::MAX;
 pub(super) struct Collector {
     pub options: Options,
     pub streams: Vec<Stream>,
-    pub reports: Receiver<Report>,
+    pub reports: Receiver<DeviceReport>,
     pub woken: Receiver<()>,
     pub stop: Stop,
-    pub outbox: Outbox,
+    pub event_queue: EventQueue,
     /// Names of the devices, and whether each has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
     pub begun: u32,
     /// Sets marks where the devices set none.
-    pub live: Option<Live>,
-    pub cues: Receiver<Cue>,
+    pub live: Option<ScanDetector>,
+    pub commands: Receiver<ScanCommand>,
 }
 
 impl Collector {
@@ -53,9 +53,9 @@ impl Collector {
                 moved = true;
                 self.heed(report);
             }
-            self.listen(Live::listen);
-            while let Ok(cue) = self.cues.try_recv() {
-                self.cue(cue);
+            self.listen(ScanDetector::listen);
+            while let Ok(command) = self.commands.try_recv() {
+                self.command(command);
             }
             self.tell_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
@@ -68,7 +68,7 @@ impl Collector {
                 self.trace();
             }
             self.forget();
-            self.outbox.flush();
+            self.event_queue.flush();
             if over && self.reports.is_empty() {
                 break;
             }
@@ -98,21 +98,21 @@ impl Collector {
         any
     }
 
-    fn heed(&mut self, Report { device, kind }: Report) {
+    fn heed(&mut self, DeviceReport { device, kind }: DeviceReport) {
         let name = self.devices[device].0.clone();
         match kind {
-            ReportKind::Warning(text) => self.outbox.warn(format!("{name}: {text}")),
-            ReportKind::State { state, detail } => {
-                self.outbox.tell(Event::Device { device: name, state, detail });
+            DeviceReportKind::Warning(text) => self.event_queue.warn(format!("{name}: {text}")),
+            DeviceReportKind::State { state, detail } => {
+                self.event_queue.tell(Event::Device { device: name, state, detail });
             }
-            ReportKind::Mark(mark) => self.mark(device, &name, mark),
-            ReportKind::Ended(result) => {
+            DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
+            DeviceReportKind::Ended(result) => {
                 self.devices[device].1 = true;
                 self.abandon(|scan| scan.device == device, "its device ended");
                 if let Err(DeviceError::Failed(problem)) = result {
-                    self.outbox.totals.failed.push((name.clone(), problem.clone()));
+                    self.event_queue.totals.failed.push((name.clone(), problem.clone()));
                     let state = DeviceState::Lost;
-                    self.outbox.tell(Event::Device { device: name, state, detail: problem });
+                    self.event_queue.tell(Event::Device { device: name, state, detail: problem });
                 }
             }
         }
@@ -130,7 +130,7 @@ impl Collector {
             _ => {}
         }
         let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
-            return self.outbox.warn(format!("{name}: a mark outside of any scan"));
+            return self.event_queue.warn(format!("{name}: a mark outside of any scan"));
         };
         let number = scan.number;
         let part = match &mark {
@@ -139,26 +139,28 @@ impl Collector {
         };
         let over = matches!(mark, Mark::End { .. });
         if let Err(problem) = scan.follow(mark, &self.streams) {
-            return self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+            return self.event_queue.warn(format!("{name}: scan {number}: {problem}"));
         }
         if over || part.is_some() {
             scan.phase = part.or(scan.phase);
-            self.outbox.tell(Event::Phase { scan: number, phase: part });
+            self.event_queue.tell(Event::Phase { scan: number, phase: part });
         }
     }
 
-    fn cue(&mut self, cue: Cue) {
+    fn command(&mut self, command: ScanCommand) {
         match &mut self.live {
             Some(live) => {
-                let marks = live.cue(cue, &self.streams);
+                let marks = live.command(command, &self.streams);
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
-            None => self.outbox.warn("a recording says itself when its scans begin and end".into()),
+            None => {
+                self.event_queue.warn("a recording says itself when its scans begin and end".into())
+            }
         }
     }
 
     /// Follows the marks that a detector sets, where there is one.
-    fn listen(&mut self, to: impl Fn(&mut Live, &[Stream]) -> Vec<Mark>) {
+    fn listen(&mut self, to: impl Fn(&mut ScanDetector, &[Stream]) -> Vec<Mark>) {
         let Some(live) = &mut self.live else { return };
         for mark in to(live, &self.streams) {
             self.mark(DETECTOR, "the detector", mark);
@@ -170,8 +172,8 @@ impl Collector {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;
             self.scans.pop_back();
-            self.outbox.warn(format!("scan {number} was cut off: {why}"));
-            self.outbox.tell(Event::Phase { scan: number, phase: None });
+            self.event_queue.warn(format!("scan {number} was cut off: {why}"));
+            self.event_queue.tell(Event::Phase { scan: number, phase: None });
         }
     }
 
@@ -190,17 +192,17 @@ impl Collector {
                 return self.scans.push_front(scan);
             }
             if let Some(scan) = cut(scan, &self.streams) {
-                self.outbox.tell(Event::Scan(Box::new(scan)));
+                self.event_queue.tell(Event::Scan(Box::new(scan)));
             }
         }
     }
 
     fn tell_progress(&mut self, scan: &mut Marked) {
         let Some(every_s) = self.options.progress_every_s else { return };
-        let exact = self.outbox.waits;
+        let exact = self.event_queue.waits;
         while let Some((step, snapshot)) = progress::next(scan, &self.streams, every_s, exact) {
             let told = Told::of(&snapshot);
-            if !self.outbox.tell_snapshot(Event::Progress(snapshot)) {
+            if !self.event_queue.tell_snapshot(Event::Progress(snapshot)) {
                 return;
             }
             progress::told(scan, step, &told);
@@ -209,7 +211,7 @@ impl Collector {
 
     fn trace(&mut self) {
         let (ends, trace) = progress::trace(&self.streams);
-        if !trace.fresh.is_empty() && self.outbox.tell_snapshot(Event::Trace(trace)) {
+        if !trace.fresh.is_empty() && self.event_queue.tell_snapshot(Event::Trace(trace)) {
             for (stream, end) in self.streams.iter_mut().zip(ends) {
                 stream.traced = end;
             }
@@ -229,20 +231,20 @@ impl Collector {
 
     fn finish(mut self) -> Totals {
         self.drain();
-        self.listen(Live::listen);
-        self.listen(Live::finish);
+        self.listen(ScanDetector::listen);
+        self.listen(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
         // Whatever a device that hangs still owes will not come.
         self.drain();
         self.tell_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {
             if !ended {
-                self.outbox.warn(format!("{name} did not stop in time and is left to itself"));
-                self.outbox.totals.abandoned.push(name);
+                self.event_queue.warn(format!("{name} did not stop in time and is left to itself"));
+                self.event_queue.totals.abandoned.push(name);
             }
         }
         let counts = |stream: &Stream| (stream.id().clone(), stream.meter().counts());
-        self.outbox.totals.streams = self.streams.iter().map(counts).collect();
-        self.outbox.finish()
+        self.event_queue.totals.streams = self.streams.iter().map(counts).collect();
+        self.event_queue.finish()
     }
 }

@@ -1,17 +1,17 @@
 //! Finds taps and drags in levels of force and vibration: pure, a state machine fed hop by hop.
 //!
-//! Contact begins where any stream reaches [`Limits::onset`] and ends once all are below
-//! [`Limits::quiet`]; the two differ so that a level near one of them does not flutter. A short
+//! Contact begins where any stream reaches [`DetectorConfig::onset`] and ends once all are below
+//! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not flutter. A short
 //! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
 //! limits of level are multiples of each stream's own noise floor, see [`Level`].
 
 mod level;
 
-pub use level::{Feel, HOP_S, Level};
+pub use level::{HOP_S, Level, SensorKind};
 
 /// When what is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct DetectorConfig {
     /// Level at which contact begins, in multiples of the noise floor.
     pub onset: f64,
     /// Level below which it is quiet, in the same.
@@ -28,7 +28,7 @@ pub struct Limits {
     pub longest_drag_s: f64,
 }
 
-impl Default for Limits {
+impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
             onset: 6.0,
@@ -44,7 +44,7 @@ impl Default for Limits {
 
 /// What was found; hops are counted from the begin of the streams, and so are half-open spans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Found {
+pub enum DetectorEvent {
     /// A drag goes on.
     Drag {
         /// the tap before it
@@ -58,7 +58,7 @@ pub enum Found {
         end: u64,
     },
     /// The drag was none: learn the floor anew.
-    Room,
+    NoiseTimeout,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -71,19 +71,19 @@ enum State {
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct Detector {
-    limits: Limits,
+    limits: DetectorConfig,
     state: State,
     hop: u64,
 }
 
 impl Detector {
     /// Nothing found yet.
-    pub fn new(limits: Limits) -> Self {
+    pub fn new(limits: DetectorConfig) -> Self {
         Self { limits, state: State::Quiet { tap: None }, hop: 0 }
     }
 
     /// What it goes by.
-    pub fn limits(&self) -> Limits {
+    pub fn limits(&self) -> DetectorConfig {
         self.limits
     }
 
@@ -93,7 +93,7 @@ impl Detector {
     }
 
     /// Takes the next hop: the highest level among the streams.
-    pub fn hop(&mut self, level: f64) -> Option<Found> {
+    pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
         let limits = self.limits;
@@ -118,7 +118,7 @@ impl Detector {
                         None
                     }
                     None if lasted(*start, limits.longest_tap_s) => {
-                        let found = Found::Drag { tap: *tap, start: *start };
+                        let found = DetectorEvent::Drag { tap: *tap, start: *start };
                         self.state = State::Drag { start: *start, quiet_at: None };
                         Some(found)
                     }
@@ -130,11 +130,11 @@ impl Detector {
                 match *quiet_at {
                     Some(end) if lasted(end, limits.drag_hold_s) => {
                         self.state = State::Quiet { tap: None };
-                        Some(Found::End { end })
+                        Some(DetectorEvent::End { end })
                     }
                     _ if lasted(*start, limits.longest_drag_s) => {
                         self.state = State::Quiet { tap: None };
-                        Some(Found::Room)
+                        Some(DetectorEvent::NoiseTimeout)
                     }
                     _ => None,
                 }
@@ -143,10 +143,12 @@ impl Detector {
     }
 
     /// The streams have ended or stalled: a drag that goes on ends here.
-    pub fn finish(&mut self) -> Option<Found> {
+    pub fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, State::Quiet { tap: None });
         match state {
-            State::Drag { quiet_at, .. } => Some(Found::End { end: quiet_at.unwrap_or(self.hop) }),
+            State::Drag { quiet_at, .. } => {
+                Some(DetectorEvent::End { end: quiet_at.unwrap_or(self.hop) })
+            }
             _ => None,
         }
     }

@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
-use super::detect::{Detector, Feel, Found, HOP_S, Level};
-use super::live::Detection;
-use super::stream::{Intake, Stream};
+use super::detect::{Detector, DetectorEvent, HOP_S, Level, SensorKind};
+use super::scan_detector::Detection;
+use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
 /// Levels that are kept: 10 s.
@@ -13,7 +13,7 @@ const KEPT_HOPS: usize = 2_000;
 /// The streams of one device that show contact.
 pub(super) struct Group {
     /// Indexes of the streams, and their levels.
-    pub ears: Vec<(usize, Level)>,
+    pub channels: Vec<(usize, Level)>,
     pub rate_hz: f64,
     pub detector: Detector,
     /// Index of the first frame of hop 0, and of the next frame.
@@ -27,16 +27,21 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// The group of those of `ears` that are among the streams; none without any.
-    pub fn new(ears: &[(SourceId, Feel)], plan: &Detection, streams: &[Stream]) -> Option<Self> {
+    /// The group of those of `channels` that are among the streams; none without any.
+    pub fn new(
+        channels: &[(SourceId, SensorKind)],
+        plan: &Detection,
+        streams: &[Stream],
+    ) -> Option<Self> {
         let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
-        let found: Vec<(usize, Feel)> =
-            ears.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
+        let found: Vec<(usize, SensorKind)> =
+            channels.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
         let rate_hz = streams[found.first()?.0].rate_hz();
-        let level =
-            |&(at, feel): &(usize, Feel)| (at, Level::new(feel, streams[at].channels(), rate_hz));
+        let level = |&(at, feel): &(usize, SensorKind)| {
+            (at, Level::new(feel, streams[at].channels(), rate_hz))
+        };
         Some(Self {
-            ears: found.iter().map(level).collect(),
+            channels: found.iter().map(level).collect(),
             rate_hz,
             detector: Detector::new(plan.limits),
             base: 0,
@@ -48,8 +53,8 @@ impl Group {
     }
 
     /// Whether a drag ended only because nothing more was heard of it.
-    pub fn cut_off(&self, last: Found) -> bool {
-        last == Found::End { end: self.first + self.levels.len() as u64 }
+    pub fn cut_off(&self, last: DetectorEvent) -> bool {
+        last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
     }
 
     /// Index of the first frame of a hop.
@@ -63,14 +68,18 @@ impl Group {
     }
 
     /// Takes what all the streams that are `alive` have.
-    pub fn listen(&mut self, streams: &[Stream], alive: impl Fn(usize) -> bool) -> Vec<Found> {
-        let kept = |at: usize| match streams[at].intake() {
-            Intake::Series { history, .. } => history.start(),
-            Intake::Images { .. } => 0,
+    pub fn listen(
+        &mut self,
+        streams: &[Stream],
+        alive: impl Fn(usize) -> bool,
+    ) -> Vec<DetectorEvent> {
+        let kept = |at: usize| match streams[at].buffer() {
+            StreamBuffer::Series { history, .. } => history.start(),
+            StreamBuffer::Images { .. } => 0,
         };
-        let ears = || self.ears.iter().map(|(at, _)| *at).filter(|at| alive(*at));
-        let from = ears().map(kept).max().unwrap_or(0);
-        let Some(end) = ears().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
+        let channels = || self.channels.iter().map(|(at, _)| *at).filter(|at| alive(*at));
+        let from = channels().map(kept).max().unwrap_or(0);
+        let Some(end) = channels().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
         else {
             return Vec::new();
         };
@@ -84,8 +93,8 @@ impl Group {
         }
         let held = self.detector.in_contact();
         let mut fresh: Vec<f64> = Vec::new();
-        for (at, level) in &mut self.ears {
-            let Intake::Series { history, .. } = streams[*at].intake() else { continue };
+        for (at, level) in &mut self.channels {
+            let StreamBuffer::Series { history, .. } = streams[*at].buffer() else { continue };
             if !alive(*at) {
                 continue;
             }
@@ -114,8 +123,8 @@ impl Group {
             }
             found.extend(self.detector.hop(level));
         }
-        if found.contains(&Found::Room) {
-            self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+        if found.contains(&DetectorEvent::NoiseTimeout) {
+            self.channels.iter_mut().for_each(|(_, level)| level.relearn());
         }
         found
     }
@@ -125,6 +134,6 @@ impl Group {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();
         self.detector = Detector::new(self.detector.limits());
-        self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+        self.channels.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

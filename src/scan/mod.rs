@@ -7,18 +7,18 @@ pub mod clock;
 mod collect;
 mod cut;
 pub mod detect;
+mod event_queue;
 mod group;
 mod history;
-mod live;
 mod mark;
-mod outbox;
 mod progress;
+mod scan_detector;
 mod session;
 mod stream;
 
 pub use history::{ImageHistory, SeriesHistory};
-pub use live::{Cue, CutFrom, Detection};
-pub use progress::{Fresh, Progress, SoFar, Trace};
+pub use progress::{Fresh, PartialScan, Progress, Trace};
+pub use scan_detector::{CutFrom, Detection, ScanCommand};
 pub use session::{Options, Session, SessionError, StreamMeter};
 
 use std::collections::BTreeMap;

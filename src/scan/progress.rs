@@ -1,14 +1,14 @@
 //! What a scan holds so far, told in steps of scan time: each snapshot carries only what is new.
 //!
 //! A snapshot that its reader had no time for is not repeated: the next one carries its data too,
-//! so a reader that adds them up ([`SoFar`]) always holds the scan without a hole.
+//! so a reader that adds them up ([`PartialScan`]) always holds the scan without a hole.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::cut::narrow;
 use super::mark::{Cut, Marked};
-use super::stream::{Intake, Stream};
+use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
@@ -51,13 +51,13 @@ pub struct Trace {
 
 /// Adds up the snapshots of a scan.
 #[derive(Clone, Debug, Default)]
-pub struct SoFar {
+pub struct PartialScan {
     number: u32,
     series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
     images: BTreeMap<SourceId, Arc<Image>>,
 }
 
-impl SoFar {
+impl PartialScan {
     /// Adds a snapshot; one of another scan starts anew.
     pub fn add(&mut self, progress: &Progress) {
         if self.number != progress.number {
@@ -131,8 +131,8 @@ pub(super) fn next(
     let (number, truth) = (marked.number, marked.begin.truth.clone());
     let mut progress = Progress { number, truth, scan_s, fresh: vec![], images: vec![] };
     for (source, cut) in &marked.cuts {
-        match streams[cut.stream].intake() {
-            Intake::Series { history, .. } => {
+        match streams[cut.stream].buffer() {
+            StreamBuffer::Series { history, .. } => {
                 let until = match cut.phase {
                     Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
                     _ => cut.available(streams),
@@ -148,7 +148,7 @@ pub(super) fn next(
                     });
                 }
             }
-            Intake::Images { history, .. } => {
+            StreamBuffer::Images { history, .. } => {
                 if let Some(image) = history.get(cut.start).filter(|_| cut.told == 0) {
                     progress.images.push((source.clone(), image.clone()));
                 }
@@ -186,7 +186,7 @@ impl Told {
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
     let mut fresh = Vec::new();
     for stream in streams {
-        if let Intake::Series { history, rate_hz, .. } = stream.intake() {
+        if let StreamBuffer::Series { history, rate_hz, .. } = stream.buffer() {
             let (start, samples) = history.frames(stream.traced..u64::MAX);
             if !samples.is_empty() {
                 fresh.push(Fresh {

@@ -1,6 +1,6 @@
 //! What is kept: under which label, how many more, and whether a scan is good enough for it.
 
-use super::notice::Enrolled;
+use super::event::Enrolled;
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
@@ -8,7 +8,7 @@ use crate::trial::{Flaw, Series, Signal, flaws};
 
 /// What a scan is to become.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Wish {
+pub(super) struct Enrolment {
     pub surface: String,
     pub user: String,
     /// Whether a scan that is not good is refused.
@@ -16,20 +16,20 @@ pub(super) struct Wish {
 }
 
 /// Scans that are to be kept.
-pub(super) struct Enrolling {
-    wish: Wish,
+pub(super) struct EnrolmentProgress {
+    wish: Enrolment,
     wanted: u32,
     /// Scans on their way to the disk.
     under_way: u32,
 }
 
-impl Enrolling {
-    pub fn new(wish: Wish, wanted: u32) -> Self {
+impl EnrolmentProgress {
+    pub fn new(wish: Enrolment, wanted: u32) -> Self {
         Self { wish, wanted, under_way: 0 }
     }
 
     /// What the scan that has just ended is to become, if one is still wanted.
-    pub fn wish(&mut self) -> Option<Wish> {
+    pub fn wish(&mut self) -> Option<Enrolment> {
         (self.under_way < self.wanted).then(|| {
             self.under_way += 1;
             self.wish.clone()

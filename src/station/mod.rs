@@ -2,22 +2,24 @@
 //! by orders.
 //!
 //! Whoever listens (the terminal, JSON lines, the page) is a [`Listener`] and gets every
-//! [`Notice`]; whoever steers (a key, a signal, the interface for programs) sends an [`Order`].
+//! [`StationEvent`]; whoever steers (a key, a signal, the interface for programs) sends an [`Command`].
 //! Neither knows of the other, and none of them can hold up a device.
 
 mod assemble;
 pub mod config;
 mod enroll;
-mod keep;
-mod need;
-mod notice;
+mod event;
 mod recogniser;
+mod requirements;
 mod run;
+mod store;
 mod worker;
 
 pub use assemble::{Assembled, assemble};
-pub use keep::Keep;
-pub use need::Needs;
-pub use notice::{Answer, Enrolled, Guess, LibraryState, Listener, Named, Notice, Order};
-pub use recogniser::{ByMethod, Load, Recogniser, Verdict};
+pub use event::{
+    Answer, Command, Enrolled, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
+};
+pub use recogniser::{Load, MethodRecogniser, Recogniser, Verdict};
+pub use requirements::DurationRequirements;
 pub use run::Station;
+pub use store::ScanStore;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::need::Needs;
-use super::notice::LibraryState;
+use super::event::LibraryState;
+use super::requirements::DurationRequirements;
 use crate::library::Entry;
 use crate::recognise::{
     Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
@@ -48,19 +48,24 @@ pub trait Recogniser: Send + Sync {
 pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Sync>;
 
 /// A method and the models that it made.
-pub struct ByMethod<M: Method> {
+pub struct MethodRecogniser<M: Method> {
     method: M,
     models: Vec<Arc<M::Model>>,
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
-    needs: Needs,
+    needs: DurationRequirements,
     library: LibraryState,
 }
 
-impl<M: Method> ByMethod<M> {
+impl<M: Method> MethodRecogniser<M> {
     /// Names scans by one model.
-    pub fn new(method: M, model: M::Model, needs: Needs, library: LibraryState) -> Self {
+    pub fn new(
+        method: M,
+        model: M::Model,
+        needs: DurationRequirements,
+        library: LibraryState,
+    ) -> Self {
         Self::with_folds(method, vec![model], BTreeMap::new(), needs, library)
     }
 
@@ -72,7 +77,7 @@ impl<M: Method> ByMethod<M> {
         method: M,
         models: Vec<M::Model>,
         model_of: BTreeMap<TrialKey, usize>,
-        needs: Needs,
+        needs: DurationRequirements,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
@@ -87,7 +92,7 @@ impl<M: Method> ByMethod<M> {
     /// # Errors
     /// If the method has no measure of fit, or a library has too few trials; no scan is called
     /// unknown then.
-    pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+    pub fn reject_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
         let rejections = self.models.iter().map(|model| self.method.rejection(model, rate));
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {
@@ -106,7 +111,7 @@ impl<M: Method> ByMethod<M> {
     }
 
     /// Tells people what answers rest on, together with the library.
-    pub fn remark(&mut self, remarks: &[String]) {
+    pub fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
 
@@ -133,7 +138,7 @@ impl<M: Method> ByMethod<M> {
     }
 }
 
-impl<M: Method> Recogniser for ByMethod<M> {
+impl<M: Method> Recogniser for MethodRecogniser<M> {
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
         // What came out of the rings, and nothing else; less what no comparison should see.

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use crossbeam_channel::{Receiver, Sender, never, select};
 
-use super::enroll::{Enrolling, Wish};
-use super::keep::{Keep, Keeper};
-use super::notice::{Enrolled, Guess, LibraryState, Listener, Notice, Order};
+use super::enroll::{Enrolment, EnrolmentProgress};
+use super::event::{Command, Enrolled, Guess, LibraryState, Listener, StationEvent};
 use super::recogniser::{Load, Recogniser};
-use super::worker::{Job, Told, Work, Worker};
+use super::store::{RecordingThread, ScanStore};
+use super::worker::{Job, Work, Worker, WorkerEvent};
 use crate::device::Device;
-use crate::scan::{Cue, Event, Options, Scan, Session, SessionError, Totals};
+use crate::scan::{Event, Options, Scan, ScanCommand, Session, SessionError, Totals};
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour of them.
 const BACKLOG: usize = 64;
@@ -22,9 +22,9 @@ pub struct Station<'a> {
     options: Options,
     recogniser: Option<Arc<dyn Recogniser>>,
     load: Option<Load>,
-    keep: Option<Keep>,
+    keep: Option<ScanStore>,
     listeners: Vec<Box<dyn Listener + 'a>>,
-    orders: (Sender<Order>, Receiver<Order>),
+    orders: (Sender<Command>, Receiver<Command>),
 }
 
 impl<'a> Station<'a> {
@@ -48,14 +48,14 @@ impl<'a> Station<'a> {
     }
 
     /// Reads the library with this: at the begin, unless there is a recogniser already, and
-    /// whenever [`Order::Reload`] says so.
+    /// whenever [`Command::Reload`] says so.
     pub fn load(mut self, load: Load) -> Self {
         self.load = Some(load);
         self
     }
 
     /// Keeps the scans that are enrolled in this library.
-    pub fn keep(mut self, keep: Keep) -> Self {
+    pub fn keep(mut self, keep: ScanStore) -> Self {
         self.keep = Some(keep);
         self
     }
@@ -73,16 +73,16 @@ impl<'a> Station<'a> {
     }
 
     /// Tells all who listen so far, before it runs.
-    pub fn tell(&mut self, notice: &Notice) {
-        self.listeners.iter_mut().for_each(|listener| listener.notice(notice));
+    pub fn tell(&mut self, notice: &StationEvent) {
+        self.listeners.iter_mut().for_each(|listener| listener.on_event(notice));
     }
 
     /// Where orders go, before it runs and while it does.
-    pub fn orders(&self) -> Sender<Order> {
+    pub fn orders(&self) -> Sender<Command> {
         self.orders.0.clone()
     }
 
-    /// Runs until all devices have ended, or [`Order::Quit`].
+    /// Runs until all devices have ended, or [`Command::Quit`].
     ///
     /// # Errors
     /// If two streams have one name, an option is impossible, or there is no thread to be had. A
@@ -95,7 +95,7 @@ impl<'a> Station<'a> {
         let waits = self.devices.iter().all(|device| device.waits());
         let worker = Worker::start(waits).map_err(thread("recognition"))?;
         let keeper = match self.keep {
-            Some(keep) => Some(Keeper::start(keep).map_err(thread("recording"))?),
+            Some(keep) => Some(RecordingThread::start(keep).map_err(thread("recording"))?),
             None => None,
         };
         let session = Session::start(self.devices, self.options)?;
@@ -111,7 +111,7 @@ impl<'a> Station<'a> {
             enrolling: None,
             listeners: self.listeners,
         };
-        run.tell(Notice::Streams(run.session.meters().to_vec()));
+        run.tell(StationEvent::Streams(run.session.meters().to_vec()));
         match self.recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),
             None if run.load.is_some() => run.reload(),
@@ -138,7 +138,7 @@ type Loaded = Result<Arc<dyn Recogniser>, String>;
 struct Run<'a> {
     session: Session,
     worker: Worker,
-    keeper: Option<Keeper>,
+    keeper: Option<RecordingThread>,
     /// Whether all devices can wait.
     waits: bool,
     naming: Naming,
@@ -146,21 +146,21 @@ struct Run<'a> {
     loading: Option<Receiver<Loaded>>,
     /// What the worker has had no time for yet.
     pending: VecDeque<Job>,
-    enrolling: Option<Enrolling>,
+    enrolling: Option<EnrolmentProgress>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
 impl Run<'_> {
-    fn tell(&mut self, notice: Notice) {
-        self.listeners.iter_mut().for_each(|listener| listener.notice(&notice));
+    fn tell(&mut self, notice: StationEvent) {
+        self.listeners.iter_mut().for_each(|listener| listener.on_event(&notice));
     }
 
     fn warn(&mut self, text: impl Into<String>) {
-        self.tell(Notice::Warning(text.into()));
+        self.tell(StationEvent::Warning(text.into()));
     }
 
     /// Serves until the session has ended and its scans are on their way.
-    fn until_finished(&mut self, orders: &Receiver<Order>) {
+    fn until_finished(&mut self, orders: &Receiver<Command>) {
         let mut finished = false;
         loop {
             self.hand_on();
@@ -194,24 +194,25 @@ impl Run<'_> {
     /// Waits for what is under way, and tells the end.
     fn finish(self) -> Result<Totals, SessionError> {
         let Self { session, worker, keeper, mut listeners, mut enrolling, .. } = self;
-        let mut tell = |notice: Notice| listeners.iter_mut().for_each(|one| one.notice(&notice));
+        let mut tell =
+            |notice: StationEvent| listeners.iter_mut().for_each(|one| one.on_event(&notice));
         worker.finish().for_each(|told| tell(notice(told)));
-        for kept in keeper.into_iter().flat_map(Keeper::finish) {
-            tell(Notice::Enrolled(Enrolling::count(&mut enrolling, kept)));
+        for kept in keeper.into_iter().flat_map(RecordingThread::finish) {
+            tell(StationEvent::Enrolled(EnrolmentProgress::count(&mut enrolling, kept)));
         }
         let totals = session.wait()?;
-        tell(Notice::Finished(Arc::new(totals.clone())));
+        tell(StationEvent::Finished(Arc::new(totals.clone())));
         Ok(totals)
     }
 
     fn event(&mut self, event: Event) {
         match event {
             Event::Scan(scan) => self.scan(scan),
-            Event::Phase { scan, phase } => self.tell(Notice::Phase { scan, phase }),
+            Event::Phase { scan, phase } => self.tell(StationEvent::Phase { scan, phase }),
             Event::Progress(progress) => self.pending.push_back(Job::Progress(progress)),
-            Event::Trace(trace) => self.tell(Notice::Trace(Arc::new(trace))),
+            Event::Trace(trace) => self.tell(StationEvent::Trace(Arc::new(trace))),
             Event::Device { device, state, detail } => {
-                self.tell(Notice::Device { device, state, detail });
+                self.tell(StationEvent::Device { device, state, detail });
             }
             Event::Warning(text) => self.warn(text),
             // The loop sees to it.
@@ -249,7 +250,10 @@ impl Run<'_> {
                     self.warn(text);
                 }
                 (Naming::None(_), Job::Progress(progress)) => {
-                    self.tell(Notice::Guess(Guess::nothing(progress.number, progress.scan_s)));
+                    self.tell(StationEvent::Guess(Guess::nothing(
+                        progress.number,
+                        progress.scan_s,
+                    )));
                 }
                 (Naming::Ready(by), job) => {
                     let work = Work { job, by: by.clone() };
@@ -262,14 +266,14 @@ impl Run<'_> {
     }
 
     fn kept(&mut self, kept: Enrolled) {
-        let enrolled = Enrolling::count(&mut self.enrolling, kept);
-        self.tell(Notice::Enrolled(enrolled));
+        let enrolled = EnrolmentProgress::count(&mut self.enrolling, kept);
+        self.tell(StationEvent::Enrolled(enrolled));
     }
 
     fn loaded(&mut self, loaded: Loaded) {
         match loaded {
             Ok(recogniser) => {
-                self.tell(Notice::Library(recogniser.library()));
+                self.tell(StationEvent::Library(recogniser.library()));
                 self.naming = Naming::Ready(recogniser);
             }
             Err(problem) => {
@@ -282,7 +286,7 @@ impl Run<'_> {
                     }
                 };
                 state.problem = Some(problem.clone());
-                self.tell(Notice::Library(state));
+                self.tell(StationEvent::Library(state));
                 self.warn(problem);
             }
         }
@@ -295,7 +299,7 @@ impl Run<'_> {
         if !matches!(self.naming, Naming::Ready(_)) {
             self.naming = Naming::Loading;
         }
-        self.tell(Notice::Reading);
+        self.tell(StationEvent::Reading);
         let (tell, loaded) = crossbeam_channel::bounded(1);
         let work = move || {
             let _ = tell.send(load());
@@ -307,35 +311,41 @@ impl Run<'_> {
         }
     }
 
-    fn enroll(&mut self, enrolling: Enrolling) {
+    fn enroll(&mut self, enrolling: EnrolmentProgress) {
         match &self.keeper {
             Some(_) => self.enrolling = Some(enrolling),
             None => self.warn("there is no library to keep scans in; name one with --library"),
         }
     }
 
-    fn order(&mut self, order: Order) {
+    fn order(&mut self, order: Command) {
         match order {
-            Order::Start => self.session.cue(Cue::Begin),
-            Order::Stop => self.session.cue(Cue::End),
-            Order::Enroll { surface, user, trials } => {
-                self.enroll(Enrolling::new(Wish { surface, user, good_only: true }, trials));
+            Command::Start => self.session.command(ScanCommand::Begin),
+            Command::Stop => self.session.command(ScanCommand::End),
+            Command::Enroll { surface, user, trials } => {
+                self.enroll(EnrolmentProgress::new(
+                    Enrolment { surface, user, good_only: true },
+                    trials,
+                ));
             }
-            Order::Record { surface, user } => {
-                self.enroll(Enrolling::new(Wish { surface, user, good_only: false }, u32::MAX));
+            Command::Record { surface, user } => {
+                self.enroll(EnrolmentProgress::new(
+                    Enrolment { surface, user, good_only: false },
+                    u32::MAX,
+                ));
             }
-            Order::EndEnroll => self.enrolling = None,
-            Order::Ping => self.tell(Notice::Alive),
-            Order::Reload => self.reload(),
-            Order::Quit => self.session.request_stop(),
+            Command::EndEnroll => self.enrolling = None,
+            Command::Ping => self.tell(StationEvent::Alive),
+            Command::Reload => self.reload(),
+            Command::Quit => self.session.request_stop(),
         }
     }
 }
 
-fn notice(told: Told) -> Notice {
+fn notice(told: WorkerEvent) -> StationEvent {
     match told {
-        Told::Named(Ok(answer)) => Notice::Answer(answer),
-        Told::Named(Err(problem)) => Notice::Warning(problem),
-        Told::Guess(guess) => Notice::Guess(guess),
+        WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
+        WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
+        WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
     }
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::notice::{Answer, Guess};
+use super::event::{Answer, Guess};
 use super::recogniser::{Recogniser, Verdict};
 use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
@@ -27,20 +27,20 @@ pub(super) struct Work {
 }
 
 /// What the thread has found.
-pub(super) enum Told {
+pub(super) enum WorkerEvent {
     /// A scan's answer, or why there is none.
-    Named(Named),
+    Named(ScanAnswer),
     /// How the scan looks that goes on.
     Guess(Guess),
 }
 
 /// An answer, or why there is none.
-pub(super) type Named = Result<Arc<Answer>, String>;
+pub(super) type ScanAnswer = Result<Arc<Answer>, String>;
 
 /// The thread, and its two ends; it ends when the first is dropped.
 pub(super) struct Worker {
     pub work: Sender<Work>,
-    pub told: Receiver<Told>,
+    pub told: Receiver<WorkerEvent>,
     thread: JoinHandle<()>,
 }
 
@@ -62,9 +62,9 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        Told::Named(name(&scan, &*by, from, settled_s))
+                        WorkerEvent::Named(name(&scan, &*by, from, settled_s))
                     }
-                    Job::Progress(progress) => Told::Guess(followed.guess(&progress, &*by)),
+                    Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &*by)),
                 };
                 if tell.send(told).is_err() {
                     return;
@@ -77,7 +77,7 @@ impl Worker {
     }
 
     /// Gives what is still to come.
-    pub fn finish(self) -> impl Iterator<Item = Told> {
+    pub fn finish(self) -> impl Iterator<Item = WorkerEvent> {
         drop(self.work);
         let _ = self.thread.join();
         self.told.into_iter()
@@ -108,7 +108,7 @@ impl Followed {
         }
         let mut told = Guess::nothing(progress.number, progress.scan_s);
         if let Some(guess) = &self.last {
-            let name = |(surface, probability): &(String, f64)| super::notice::Named {
+            let name = |(surface, probability): &(String, f64)| super::event::SurfaceProbability {
                 surface: surface.clone(),
                 probability: *probability,
             };
@@ -147,7 +147,7 @@ fn look(
     follower.look(progress.scan_s)
 }
 
-fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>) -> Named {
+fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>) -> ScanAnswer {
     let verdict = caught(|| by.name(scan))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
@@ -289,11 +289,15 @@ mod tests {
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
                     worker.work.send(Work { job, by: by.clone() }).unwrap();
                 }
-                let Ok(Told::Guess(guess)) = worker.told.recv() else { panic!("{part}: no guess") };
+                let Ok(WorkerEvent::Guess(guess)) = worker.told.recv() else {
+                    panic!("{part}: no guess")
+                };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert_eq!(!guess.named.is_empty(), guesses, "{part}");
                 assert_eq!(guess.needed_s, needs.then_some(2.0), "{part}");
-                let Ok(Told::Named(named)) = worker.told.recv() else { panic!("{part}: no name") };
+                let Ok(WorkerEvent::Named(named)) = worker.told.recv() else {
+                    panic!("{part}: no name")
+                };
                 match named {
                     Ok(answer) => assert!(names && answer.scan == number, "{part}"),
                     Err(problem) => {

@@ -28,7 +28,7 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
     let folds = evaluate::folds(protocol, &keys)?;
     let method = args.method.method(&Scene::lmt108())?;
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let (outcome, predictions) = evaluate::run_features(&method, &trials, &folds, &progress)
         .map_err(|error| match error {
             EvaluateError::Recognise(e @ RecogniseError::NeedsRecordings(_)) => {

@@ -48,7 +48,7 @@ pub(super) enum News {
 }
 
 /// A control to be set.
-pub(super) struct Order {
+pub(super) struct ControlRequest {
     pub control: u32,
     pub value: i64,
 }
@@ -57,7 +57,7 @@ pub(super) struct Order {
 pub(super) fn start(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<Order>, Receiver<News>), DeviceError> {
+) -> Result<(Sender<ControlRequest>, Receiver<News>), DeviceError> {
     let (orders, ordered) = crossbeam_channel::bounded(4);
     let (tell, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
@@ -79,13 +79,13 @@ pub(super) fn start(
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<Order>,
+    ordered: &Receiver<ControlRequest>,
     tell: &Sender<News>,
 ) -> Option<News> {
     tell.send(News::Opened).ok()?;
     loop {
         // Orders come first, and also after a request to stop: the last one puts out the light.
-        for Order { control, value } in ordered.try_iter() {
+        for ControlRequest { control, value } in ordered.try_iter() {
             let obeyed = frames.control(control, value);
             let _ = tell.send(News::Obeyed(obeyed));
         }

@@ -41,7 +41,7 @@ pub struct Wanted {
 
 /// What the line told.
 #[derive(Debug)]
-pub enum Heard<'a> {
+pub enum IntakeEvent<'a> {
     /// Frames of a stream, interleaved.
     Frames {
         /// number of the stream among those wanted
@@ -158,7 +158,7 @@ impl Intake {
 
     /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and tells
     /// `on` what they hold, in order. Returns whether there were samples that are understood.
-    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(Heard<'_>)) -> bool {
+    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(IntakeEvent<'_>)) -> bool {
         let mut any = false;
         let mut input = bytes;
         // Taken out, so that a message that borrows from it leaves the rest usable.
@@ -167,12 +167,12 @@ impl Intake {
             match result {
                 Ok(Message::Samples(samples)) => any |= self.samples(&samples, now_s, &mut on),
                 Ok(Message::Hello(hello)) => self.hello(&hello, &mut on),
-                Ok(Message::Status(status)) => on(Heard::Status(status)),
+                Ok(Message::Status(status)) => on(IntakeEvent::Status(status)),
                 // Its own echo; the stylus commands nobody.
                 Ok(Message::Command(_)) => {}
                 Err(error) => {
                     self.unused.damaged += 1;
-                    on(Heard::Damaged(error));
+                    on(IntakeEvent::Damaged(error));
                 }
             }
         }
@@ -180,10 +180,10 @@ impl Intake {
         any
     }
 
-    fn hello(&mut self, hello: &Hello<'_>, on: &mut impl FnMut(Heard<'_>)) {
+    fn hello(&mut self, hello: &Hello<'_>, on: &mut impl FnMut(IntakeEvent<'_>)) {
         if hello.sample_rate_hz != self.rate_hz {
             self.table = None;
-            return on(Heard::Refused(format!(
+            return on(IntakeEvent::Refused(format!(
                 "it samples at {} Hz, but {} Hz is expected; change rate_hz of the stylus in the \
                  configuration, or its firmware",
                 hello.sample_rate_hz, self.rate_hz
@@ -206,7 +206,7 @@ impl Intake {
         if places.iter().all(Option::is_none) {
             let names: Vec<_> = hello.channels.iter().map(|c| c.name).collect();
             self.table = None;
-            return on(Heard::Refused(format!(
+            return on(IntakeEvent::Refused(format!(
                 "it has the channels {}, and none of the streams can be made of them; see \
                  [stylus.streams] in the configuration",
                 names.join(", ")
@@ -222,7 +222,7 @@ impl Intake {
         if !known {
             let [major, minor, patch] = hello.firmware;
             let who = format!("{}, firmware {major}.{minor}.{patch}", hello.serial);
-            on(Heard::Hello { who, lacking, changed });
+            on(IntakeEvent::Hello { who, lacking, changed });
         }
     }
 
@@ -230,7 +230,7 @@ impl Intake {
         &mut self,
         samples: &Samples<'_>,
         now_s: f64,
-        on: &mut impl FnMut(Heard<'_>),
+        on: &mut impl FnMut(IntakeEvent<'_>),
     ) -> bool {
         // A frame of another width than hello's belongs to another table: ask, do not guess.
         let fits = |table: &&Table| table.channels == samples.channels();
@@ -244,7 +244,7 @@ impl Intake {
             gap(self.next, samples, now_s - self.last_s, f64::from(self.rate_hz), self.anew);
         if restarted {
             self.unused.restarts += 1;
-            on(Heard::Restarted);
+            on(IntakeEvent::Restarted);
         }
         self.next = Some(samples.next_index());
         self.last_s = now_s;
@@ -256,7 +256,7 @@ impl Intake {
             };
             let frames = missing + std::mem::take(&mut self.owed[stream]);
             if frames > 0 {
-                on(Heard::Missing { stream, frames });
+                on(IntakeEvent::Missing { stream, frames });
             }
             self.block.clear();
             for sample in samples.bytes().chunks_exact(2 * table.channels) {
@@ -266,7 +266,7 @@ impl Intake {
                 };
                 self.block.extend(picks.iter().map(value));
             }
-            on(Heard::Frames { stream, samples: &self.block });
+            on(IntakeEvent::Frames { stream, samples: &self.block });
         }
         true
     }

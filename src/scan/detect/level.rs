@@ -20,7 +20,7 @@ const HIGH_PASS_HZ: f64 = 20.0;
 
 /// What a stream feels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Feel {
+pub enum SensorKind {
     /// Force at rest is the lowest of late; a multiple is 0.5 % of full scale above that.
     Force,
     /// A multiple is the noise floor: the lowest RMS of late (minimum statistics: R. Martin,
@@ -31,7 +31,7 @@ pub enum Feel {
 /// The level of one stream.
 #[derive(Debug)]
 pub struct Level {
-    feel: Feel,
+    feel: SensorKind,
     channels: usize,
     /// Frames of a hop.
     hop: f64,
@@ -48,7 +48,7 @@ pub struct Level {
 
 impl Level {
     /// The level of a stream of `channels` samples a frame, at this rate in Hz.
-    pub fn new(feel: Feel, channels: usize, rate_hz: f64) -> Self {
+    pub fn new(feel: SensorKind, channels: usize, rate_hz: f64) -> Self {
         Self {
             feel,
             channels: channels.max(1),
@@ -72,8 +72,8 @@ impl Level {
                 self.slow = frame.iter().map(|x| f64::from(*x)).collect();
             }
             match self.feel {
-                Feel::Force => self.sum += frame.iter().map(|x| f64::from(*x)).sum::<f64>(),
-                Feel::Vibration => {
+                SensorKind::Force => self.sum += frame.iter().map(|x| f64::from(*x)).sum::<f64>(),
+                SensorKind::Vibration => {
                     for (slow, x) in self.slow.iter_mut().zip(frame) {
                         let x = f64::from(*x);
                         *slow = self.keep * *slow + (1.0 - self.keep) * x;
@@ -114,8 +114,8 @@ impl Level {
         }
         let floor = self.blocks.iter().copied().fold(self.lowest, f64::min);
         match self.feel {
-            Feel::Force => (mean - floor) / FORCE,
-            Feel::Vibration => mean.sqrt() / floor.sqrt().max(LEAST_VIBRATION),
+            SensorKind::Force => (mean - floor) / FORCE,
+            SensorKind::Vibration => mean.sqrt() / floor.sqrt().max(LEAST_VIBRATION),
         }
     }
 }

@@ -77,7 +77,7 @@ pub(super) struct CameraBlock {
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum FeelName {
+pub(super) enum SensorKindName {
     Force,
     Vibration,
 }
@@ -85,7 +85,7 @@ pub(super) enum FeelName {
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct DetectionBlock {
-    pub listen: Option<BTreeMap<String, Spanned<FeelName>>>,
+    pub listen: Option<BTreeMap<String, Spanned<SensorKindName>>>,
     pub onset: Said<f64>,
     pub quiet: Said<f64>,
     pub tap_hold_s: Said<f64>,

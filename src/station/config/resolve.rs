@@ -8,7 +8,7 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DetectionBlock, FeelName, FlashName, MicrophoneBlock, Said, StationFile,
+    CameraBlock, DetectionBlock, FlashName, MicrophoneBlock, Said, SensorKindName, StationFile,
     StylusBlock,
 };
 use super::{
@@ -17,7 +17,7 @@ use super::{
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
-use crate::scan::detect::{Feel, Limits};
+use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::{CutFrom, Detection};
 use crate::scene::config::scene;
 use crate::scene::{Phase, Scene, SourceId};
@@ -288,7 +288,7 @@ impl Source<'_> {
         cuts: Vec<CutFrom>,
     ) -> Result<Detection, ConfigError> {
         // The stylus leads where there is one, so its group comes first.
-        let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, Feel)>::new());
+        let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
         for (name, feel) in &or(&said.listen, &default.listen) {
             let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
                 // Of a device that this station has not.
@@ -299,8 +299,8 @@ impl Source<'_> {
                 return self.fail(feel, format!("{name} is a picture, which nobody listens to"));
             }
             let feel = match feel.get_ref() {
-                FeelName::Force => Feel::Force,
-                FeelName::Vibration => Feel::Vibration,
+                SensorKindName::Force => SensorKind::Force,
+                SensorKindName::Vibration => SensorKind::Vibration,
             };
             let in_stylus = stylus.is_some_and(|s| s.streams.iter().any(|w| w.id == cut.stream));
             let group = if in_stylus { &mut of_stylus } else { &mut others };
@@ -310,7 +310,7 @@ impl Source<'_> {
         }
         let groups: Vec<_> =
             [of_stylus, others].into_iter().filter(|group| !group.is_empty()).collect();
-        let limits = Limits {
+        let limits = DetectorConfig {
             onset: self.positive("onset", &said.onset, &default.onset)?,
             quiet: self.positive("quiet", &said.quiet, &default.quiet)?,
             tap_hold_s: self.positive("tap_hold_s", &said.tap_hold_s, &default.tap_hold_s)?,

@@ -1,5 +1,5 @@
 use super::*;
-use crate::scan::detect::{Feel, Limits};
+use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scene::Phase;
 
 fn parse(text: &str) -> Result<StationConfig, String> {
@@ -12,7 +12,7 @@ fn the_embedded_file_describes_a_whole_station() {
     let stylus = config.stylus.unwrap();
     let default = crate::device::serial::default_streams();
     assert_eq!((stylus.rate_hz, stylus.streams), (crate::device::serial::RATE_HZ, default));
-    assert_eq!(config.detection.limits, Limits::default());
+    assert_eq!(config.detection.limits, DetectorConfig::default());
     let sources: Vec<_> = config.detection.cuts.iter().map(|cut| cut.source.as_str()).collect();
     assert_eq!(sources, ["ac", "fr", "ir", "me", "mi1", "mi2", "ca1", "ca2"]);
     let tap = config.detection.cuts.iter().find(|cut| cut.source.as_str() == "mi1").unwrap();
@@ -20,8 +20,8 @@ fn the_embedded_file_describes_a_whole_station() {
     let groups: Vec<Vec<_>> = (config.detection.groups.iter())
         .map(|group| group.iter().map(|(id, feel)| (id.as_str(), *feel)).collect())
         .collect();
-    let stylus = vec![("ac", Feel::Vibration), ("fr", Feel::Force)];
-    assert_eq!(groups, [stylus, vec![("sound", Feel::Vibration)]]);
+    let stylus = vec![("ac", SensorKind::Vibration), ("fr", SensorKind::Force)];
+    assert_eq!(groups, [stylus, vec![("sound", SensorKind::Vibration)]]);
 }
 
 #[test]

@@ -47,18 +47,18 @@ struct Got(Vec<Vec<f32>>, Vec<String>);
 fn feed(intake: &mut Intake, bytes: &[u8], now_s: f64, got: &mut Got) {
     got.0.resize(2, Vec::new());
     intake.feed(bytes, now_s, |heard| match heard {
-        Heard::Frames { stream, samples } => got.0[stream].extend_from_slice(samples),
-        Heard::Missing { stream, frames } => {
+        IntakeEvent::Frames { stream, samples } => got.0[stream].extend_from_slice(samples),
+        IntakeEvent::Missing { stream, frames } => {
             let n = frames as usize * if stream == 0 { 2 } else { 1 };
             got.0[stream].extend(std::iter::repeat_n(f32::NAN, n));
         }
-        Heard::Hello { lacking, changed, .. } => {
+        IntakeEvent::Hello { lacking, changed, .. } => {
             got.1.push(format!("hello {} {changed}", lacking.len()));
         }
-        Heard::Refused(why) => got.1.push(why),
-        Heard::Restarted => got.1.push("restarted".into()),
-        Heard::Status(_) => {}
-        Heard::Damaged(_) => got.1.push("damaged".into()),
+        IntakeEvent::Refused(why) => got.1.push(why),
+        IntakeEvent::Restarted => got.1.push("restarted".into()),
+        IntakeEvent::Status(_) => {}
+        IntakeEvent::Damaged(_) => got.1.push("damaged".into()),
     });
 }
 

@@ -8,9 +8,9 @@
 use std::time::{Duration, Instant};
 
 use super::clock::Clock;
-use super::detect::{Feel, Found, HOP_S, Limits, onset_in};
+use super::detect::{DetectorConfig, DetectorEvent, HOP_S, SensorKind, onset_in};
 use super::group::Group;
-use super::stream::{Intake, Stream};
+use super::stream::{Stream, StreamBuffer};
 use crate::device::{Begin, Mark, Open};
 use crate::scene::{Phase, SourceId};
 
@@ -29,10 +29,10 @@ const TAP_S: f64 = 10_501.0 / 44_100.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
     /// What is a tap, and what a drag.
-    pub limits: Limits,
+    pub limits: DetectorConfig,
     /// Streams that show contact, by device: those of one group share one sample counter and one
     /// rate. The first group that is alive leads.
-    pub groups: Vec<Vec<(SourceId, Feel)>>,
+    pub groups: Vec<Vec<(SourceId, SensorKind)>>,
     /// The sources of a scan.
     pub cuts: Vec<CutFrom>,
 }
@@ -52,7 +52,7 @@ pub struct CutFrom {
 
 /// A command of a person or a program, which a detector does not overrule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cue {
+pub enum ScanCommand {
     /// A drag begins now; if one goes on that was found, it ends by command alone.
     Begin,
     /// The scan that goes on ends now.
@@ -67,7 +67,7 @@ struct Contact {
 }
 
 /// Follows the streams of a session.
-pub(super) struct Live {
+pub(super) struct ScanDetector {
     plan: Detection,
     begin: Instant,
     clocks: Vec<Clock>,
@@ -86,9 +86,9 @@ struct Running {
     opened: Vec<CutFrom>,
 }
 
-impl Live {
+impl ScanDetector {
     pub fn new(plan: Detection, streams: &[Stream]) -> Self {
-        let group = |ears: &Vec<_>| Group::new(ears, &plan, streams);
+        let group = |channels: &Vec<_>| Group::new(channels, &plan, streams);
         let groups = plan.groups.iter().filter_map(group).collect();
         Self {
             groups,
@@ -114,7 +114,7 @@ impl Live {
             let alive = |stream: usize| now_s - self.ends[stream].1 <= SILENT_S;
             let mut found = self.groups[at].listen(streams, alive);
             let gone = |stream: usize| now_s - self.ends[stream].1 > GONE_S;
-            if self.groups[at].ears.iter().all(|(stream, _)| gone(*stream)) {
+            if self.groups[at].channels.iter().all(|(stream, _)| gone(*stream)) {
                 let last = self.groups[at].detector.finish();
                 if self.leads(at) && last.is_some_and(|last| self.groups[at].cut_off(last)) {
                     marks.push(Mark::Spoil { why: "its data stopped before it was over".into() });
@@ -129,18 +129,18 @@ impl Live {
     }
 
     /// Begins or ends a scan, whatever the detectors say.
-    pub fn cue(&mut self, cue: Cue, streams: &[Stream]) -> Vec<Mark> {
+    pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) -> Vec<Mark> {
         let now_s = self.begin.elapsed().as_secs_f64();
         let mut marks = Vec::new();
-        match (cue, &mut self.scan) {
-            (Cue::Begin, Some(scan)) => scan.lead = None,
-            (Cue::Begin, None) => {
+        match (command, &mut self.scan) {
+            (ScanCommand::Begin, Some(scan)) => scan.lead = None,
+            (ScanCommand::Begin, None) => {
                 marks.push(Mark::Begin(Begin::default()));
                 let opened = self.open(None, streams, now_s, &mut marks);
                 self.scan = Some(Running { lead: None, opened });
             }
-            (Cue::End, None) => {}
-            (Cue::End, Some(_)) => self.end_now(streams, now_s, &mut marks),
+            (ScanCommand::End, None) => {}
+            (ScanCommand::End, Some(_)) => self.end_now(streams, now_s, &mut marks),
         }
         marks
     }
@@ -180,15 +180,16 @@ impl Live {
     fn heed(
         &mut self,
         at: usize,
-        found: Found,
+        found: DetectorEvent,
         streams: &[Stream],
         now_s: f64,
         marks: &mut Vec<Mark>,
     ) {
         match found {
-            Found::Drag { tap, start } => {
-                let first =
-                    |group: &Group| group.ears.iter().any(|(stream, _)| self.alive(*stream, now_s));
+            DetectorEvent::Drag { tap, start } => {
+                let first = |group: &Group| {
+                    group.channels.iter().any(|(stream, _)| self.alive(*stream, now_s))
+                };
                 if self.scan.is_some() || self.groups[..at].iter().any(first) {
                     return;
                 }
@@ -200,7 +201,7 @@ impl Live {
                 let opened = self.open(Some(&contact), streams, now_s, marks);
                 self.scan = Some(Running { lead: Some(at), opened });
             }
-            Found::End { end } if self.leads(at) => {
+            DetectorEvent::End { end } if self.leads(at) => {
                 let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
                 for cut in opened {
                     if let Some(end) = self.index(at, end, &cut.stream, streams) {
@@ -211,12 +212,12 @@ impl Live {
                 let ended_s = self.time_s(at, end).unwrap_or(now_s).clamp(0.0, now_s);
                 marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(ended_s) });
             }
-            Found::Room if self.leads(at) => {
+            DetectorEvent::NoiseTimeout if self.leads(at) => {
                 self.scan = None;
                 let why = "what stirred for so long was the room, not a drag";
                 marks.push(Mark::GiveUp { why: why.into() });
             }
-            Found::End { .. } | Found::Room => {}
+            DetectorEvent::End { .. } | DetectorEvent::NoiseTimeout => {}
         }
     }
 
@@ -238,7 +239,7 @@ impl Live {
             let Some(stream) = streams.iter().find(|stream| stream.id() == &cut.stream) else {
                 continue;
             };
-            if let Intake::Images { history, .. } = stream.intake()
+            if let StreamBuffer::Images { history, .. } = stream.buffer()
                 && let Some((latest, _)) = history.latest()
             {
                 marks.push(Mark::Open(Open {
@@ -263,7 +264,7 @@ impl Live {
     /// When a hop of a group began.
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
-        self.clocks[group.ears[0].0].time_s(group.frame(hop))
+        self.clocks[group.channels[0].0].time_s(group.frame(hop))
     }
 
     /// Reads the other groups' offsets off the tap that began at hop `onset` of group `lead`.
@@ -273,7 +274,7 @@ impl Live {
         let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
         for at in (0..self.groups.len()).filter(|at| *at != lead) {
             let group = &self.groups[at];
-            let Some(frame) = self.clocks[group.ears[0].0].index_at(tap_s) else { continue };
+            let Some(frame) = self.clocks[group.channels[0].0].index_at(tap_s) else { continue };
             let hop = group.hop(frame);
             let levels: Vec<f64> = group.levels.iter().copied().collect();
             let window = hop.saturating_sub(reach)..hop + reach;
@@ -287,12 +288,12 @@ impl Live {
     fn index(&self, lead: usize, hop: u64, stream: &SourceId, streams: &[Stream]) -> Option<u64> {
         let at = streams.iter().position(|other| other.id() == stream)?;
         let group = &self.groups[lead];
-        let heard = &streams[group.ears[0].0];
+        let heard = &streams[group.channels[0].0];
         if streams[at].device == heard.device && streams[at].rate_hz() == heard.rate_hz() {
             return Some(group.frame(hop));
         }
         let offset_s = (self.groups.iter())
-            .find(|group| group.ears.iter().any(|(ear, _)| *ear == at))
+            .find(|group| group.channels.iter().any(|(ear, _)| *ear == at))
             .map_or(0.0, |group| group.offset_s);
         self.clocks[at].index_at(self.time_s(lead, hop)? + offset_s)
     }

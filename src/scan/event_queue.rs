@@ -13,7 +13,7 @@ const BACKLOG: usize = 256;
 /// How long, after a stop, a reader is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-pub(super) struct Outbox {
+pub(super) struct EventQueue {
     events: Sender<Event>,
     stop: Stop,
     backlog: VecDeque<Event>,
@@ -24,7 +24,7 @@ pub(super) struct Outbox {
     pub totals: Totals,
 }
 
-impl Outbox {
+impl EventQueue {
     pub fn new(events: Sender<Event>, stop: Stop, waits: bool) -> Self {
         Self {
             events,
@@ -142,15 +142,15 @@ mod tests {
     #[test]
     fn a_flood_of_warnings_washes_no_scan_away() {
         let (sender, events) = crossbeam_channel::bounded(1);
-        let mut outbox = Outbox::new(sender, Stop::default(), false);
+        let mut event_queue = EventQueue::new(sender, Stop::default(), false);
         for number in 1..=10 {
-            outbox.tell(scan(number));
-            (0..1000).for_each(|_| outbox.warn("noise".into()));
+            event_queue.tell(scan(number));
+            (0..1000).for_each(|_| event_queue.warn("noise".into()));
         }
         let reader = std::thread::spawn(move || {
             events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
         });
-        let totals = outbox.finish();
+        let totals = event_queue.finish();
         assert_eq!(reader.join().unwrap(), 10);
         assert_eq!(totals.dropped_events as usize, 10 + 10_000 - 1 - BACKLOG);
     }
@@ -160,9 +160,9 @@ mod tests {
         let (sender, events) = crossbeam_channel::bounded(1);
         drop(events);
         let stop = Stop::default();
-        let mut outbox = Outbox::new(sender, stop.clone(), true);
-        outbox.warn("nobody hears this".into());
+        let mut event_queue = EventQueue::new(sender, stop.clone(), true);
+        event_queue.warn("nobody hears this".into());
         assert!(stop.requested());
-        assert_eq!(outbox.finish().dropped_events, 1);
+        assert_eq!(event_queue.finish().dropped_events, 1);
     }
 }

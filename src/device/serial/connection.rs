@@ -1,10 +1,10 @@
-//! One talk with the stylus, from opening the line to losing it.
+//! One connection with the stylus, from opening the line to losing it.
 
 use std::time::{Duration, Instant};
 
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
-use super::{Heard, Intake, Light, Port};
+use super::{Intake, IntakeEvent, Light, Port};
 use crate::device::{Control, DeviceState};
 use crate::ring::Sink;
 
@@ -15,20 +15,20 @@ const GIVE_UP: Duration = Duration::from_secs(5);
 /// A command without an answer is sent again after this.
 const REPEAT: Duration = Duration::from_millis(100);
 /// How long the stylus is given to stop in the end.
-const FAREWELL: Duration = Duration::from_millis(300);
+const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// What goes wrong in between is summed up at most so often.
 const TELL: Duration = Duration::from_secs(1);
 /// Bytes taken at a time: 0.4 s of the line.
 const BUFFER: usize = 64 * 1024;
 
-/// How a talk ends.
+/// How a connection ends.
 pub(super) enum End {
     Stop,
     Lost(String),
 }
 
-/// One talk with the stylus, from opening the line to losing it.
-pub(super) struct Talk<'a> {
+/// One connection with the stylus, from opening the line to losing it.
+pub(super) struct Connection<'a> {
     pub port: Box<dyn Port>,
     pub path: String,
     pub intake: &'a mut Intake,
@@ -42,15 +42,15 @@ pub(super) struct Talk<'a> {
     pub light_asked_at: Option<Instant>,
     pub status: Option<Status>,
     pub refused: Option<String>,
-    pub trouble: Trouble,
+    pub errors: LinkErrors,
 }
 
-impl Talk<'_> {
+impl Connection<'_> {
     pub fn run(&mut self) -> End {
         let mut buffer = vec![0; BUFFER];
         loop {
             if self.control.stopped() {
-                self.farewell(&mut buffer);
+                self.stop_stylus(&mut buffer);
                 return End::Stop;
             }
             if let Err(why) = self.read(&mut buffer) {
@@ -72,8 +72,8 @@ impl Talk<'_> {
                 return End::Lost(format!("{}; opening the line anew", self.why_silent()));
             }
             self.see_to_light(now);
-            if now - self.trouble.since >= TELL {
-                self.trouble.tell(self.control);
+            if now - self.errors.since >= TELL {
+                self.errors.tell(self.control);
             }
         }
     }
@@ -91,21 +91,21 @@ impl Talk<'_> {
         };
         let now = Instant::now();
         let now_s = (now - self.begin).as_secs_f64();
-        let Self { intake, sinks, control, light, status, refused, trouble, .. } = self;
+        let Self { intake, sinks, control, light, status, refused, errors, .. } = self;
         let any = intake.feed(&buffer[..n], now_s, |heard| match heard {
-            Heard::Frames { stream, samples } => {
+            IntakeEvent::Frames { stream, samples } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
-                    trouble.overflowed += sink.push(samples);
+                    errors.overflowed += sink.push(samples);
                 }
             }
-            Heard::Missing { stream, frames } => {
+            IntakeEvent::Missing { stream, frames } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
                     sink.skip(frames);
                 }
-                trouble.missing = trouble.missing.max(frames);
-                trouble.gaps += u64::from(stream == 0);
+                errors.missing = errors.missing.max(frames);
+                errors.gaps += u64::from(stream == 0);
             }
-            Heard::Hello { who, lacking, changed } => {
+            IntakeEvent::Hello { who, lacking, changed } => {
                 *refused = None;
                 if changed {
                     control.warn(format!("its channels have changed ({who})"));
@@ -114,24 +114,24 @@ impl Talk<'_> {
                     control.warn(format!("{who} has no channels for {id}, which is left out"));
                 }
             }
-            Heard::Refused(why) => *refused = Some(why),
-            Heard::Restarted => trouble.restarts += 1,
-            Heard::Status(new) => {
+            IntakeEvent::Refused(why) => *refused = Some(why),
+            IntakeEvent::Restarted => errors.restarts += 1,
+            IntakeEvent::Status(new) => {
                 light.told(new.light);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
                     control.warn("its crystal has failed: its rate is good to 1 % only");
                 }
-                trouble.stylus(status.as_ref(), &new);
+                errors.stylus(status.as_ref(), &new);
                 *status = Some(new);
             }
-            Heard::Damaged(DecodeError::Version(version)) => {
+            IntakeEvent::Damaged(DecodeError::Version(version)) => {
                 *refused = Some(format!(
                     "it speaks version {version} of the wire format, this program version {}; \
                      install the firmware that belongs to this program",
                     surfaced_wire::VERSION
                 ));
             }
-            Heard::Damaged(_) => trouble.damaged += 1,
+            IntakeEvent::Damaged(_) => errors.damaged += 1,
         });
         if any {
             self.heard_at = now;
@@ -162,8 +162,8 @@ impl Talk<'_> {
     }
 
     /// Stops the stylus, as far as it listens.
-    fn farewell(&mut self, buffer: &mut [u8]) {
-        let until = Instant::now() + FAREWELL;
+    fn stop_stylus(&mut self, buffer: &mut [u8]) {
+        let until = Instant::now() + STOP_TIMEOUT;
         let mut asked: Option<Instant> = None;
         self.status = None;
         while Instant::now() < until && self.status.is_none_or(|status| status.sampling) {
@@ -188,7 +188,7 @@ impl Talk<'_> {
 }
 
 /// What went wrong and is yet to be told.
-pub(super) struct Trouble {
+pub(super) struct LinkErrors {
     since: Instant,
     damaged: u64,
     gaps: u64,
@@ -200,7 +200,7 @@ pub(super) struct Trouble {
     dropped: u32,
 }
 
-impl Trouble {
+impl LinkErrors {
     pub fn new(since: Instant) -> Self {
         Self {
             since,

@@ -57,7 +57,7 @@ pub struct Answer {
 
 /// A surface and its probability.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Named {
+pub struct SurfaceProbability {
     /// The label.
     pub surface: String,
     /// From 0 to 1.
@@ -72,7 +72,7 @@ pub struct Guess {
     /// Seconds of drag so far.
     pub scan_s: f64,
     /// The most probable surfaces, at most five; empty as long as there is nothing to say.
-    pub named: Vec<Named>,
+    pub named: Vec<SurfaceProbability>,
     /// The answer will not change any more, to the stated error.
     pub settled: bool,
     /// Scan duration that the most probable surface asks for, in seconds.
@@ -141,9 +141,9 @@ pub struct Enrolled {
 
 /// What a station tells.
 #[derive(Clone, Debug)]
-pub enum Notice {
+pub enum StationEvent {
     /// The session has begun, and this is what its streams carry, now and at any time; the first
-    /// notice.
+    /// event.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
@@ -175,9 +175,9 @@ pub enum Notice {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work went on.
     Warning(String),
-    /// The station's loop turns; the answer to [`Order::Ping`].
+    /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
-    /// The station has ended; the last notice.
+    /// The station has ended; the last event.
     Finished(Arc<Totals>),
 }
 
@@ -190,12 +190,12 @@ impl Answer {
 
 /// What a station can be told to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum Command {
     /// Begin a scan now, whatever the detector says.
     Start,
     /// End the scan that goes on.
     Stop,
-    /// Keep the next `trials` good scans as trials of `surface`.
+    /// ScanStore the next `trials` good scans as trials of `surface`.
     Enroll {
         /// the label
         surface: String,
@@ -204,14 +204,14 @@ pub enum Order {
         /// how many
         trials: u32,
     },
-    /// Keep all scans that follow, good or not.
+    /// ScanStore all scans that follow, good or not.
     Record {
         /// the label
         surface: String,
         /// who drags
         user: String,
     },
-    /// Keep no more scans.
+    /// ScanStore no more scans.
     EndEnroll,
     /// Give a sign of life.
     Ping,
@@ -224,17 +224,17 @@ pub enum Order {
 /// Who is told what happens. Called on the thread that runs the station: must not wait.
 pub trait Listener {
     /// Something happened.
-    fn notice(&mut self, notice: &Notice);
+    fn on_event(&mut self, event: &StationEvent);
 }
 
 impl<L: Listener + ?Sized> Listener for &mut L {
-    fn notice(&mut self, notice: &Notice) {
-        (**self).notice(notice);
+    fn on_event(&mut self, event: &StationEvent) {
+        (**self).on_event(event);
     }
 }
 
 impl<L: Listener + ?Sized> Listener for Box<L> {
-    fn notice(&mut self, notice: &Notice) {
-        (**self).notice(notice);
+    fn on_event(&mut self, event: &StationEvent) {
+        (**self).on_event(event);
     }
 }

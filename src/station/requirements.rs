@@ -7,7 +7,7 @@ use crate::recognise::Ranking;
 use crate::scene::{Domain, Scene, SourceId};
 
 /// T* of a library's surfaces, as far as it can be told.
-pub struct Needs {
+pub struct DurationRequirements {
     scene: Scene,
     report: Option<DurationReport>,
 }
@@ -15,7 +15,7 @@ pub struct Needs {
 /// Draws of a start for each lag: a fifth of the paper's, since this runs before every replay.
 const DRAWS: usize = 100;
 
-impl Needs {
+impl DurationRequirements {
     /// From the trials that are compared with. A library too small for T*, or without sources of
     /// domain `time`, asks for nothing.
     pub fn of(scene: &Scene, entries: Vec<Entry>, synthetic: bool) -> Self {

@@ -7,8 +7,8 @@ use std::time::SystemTime;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::enroll::{Wish, faults};
-use super::notice::Enrolled;
+use super::enroll::{Enrolment, faults};
+use super::event::Enrolled;
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, trial_folder, utc, write_trial};
 use crate::scan::Scan;
@@ -17,7 +17,7 @@ use crate::trial::{Trial, TrialKey};
 
 /// Where scans are kept, and what is noted with them.
 #[derive(Clone, Debug)]
-pub struct Keep {
+pub struct ScanStore {
     /// The library; it need not exist.
     pub folder: PathBuf,
     /// What its sources are.
@@ -28,7 +28,7 @@ pub struct Keep {
     pub by_t_star: Vec<SourceId>,
 }
 
-impl Keep {
+impl ScanStore {
     /// Keeps scans in a library, with nothing noted beside them.
     pub fn new(folder: PathBuf, scene: Scene) -> Self {
         Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
@@ -36,20 +36,20 @@ impl Keep {
 }
 
 /// The thread, and its two ends.
-pub(super) struct Keeper {
-    scans: Sender<(Box<Scan>, Wish)>,
+pub(super) struct RecordingThread {
+    scans: Sender<(Box<Scan>, Enrolment)>,
     pub kept: Receiver<Enrolled>,
     thread: JoinHandle<()>,
 }
 
-impl Keeper {
+impl RecordingThread {
     /// Starts the thread.
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn start(keep: Keep) -> std::io::Result<Self> {
+    pub fn start(keep: ScanStore) -> std::io::Result<Self> {
         // A scan of 10 s is 3 MB, and a disk takes less than a second for it.
-        let (scans, to_do) = crossbeam_channel::unbounded::<(Box<Scan>, Wish)>();
+        let (scans, to_do) = crossbeam_channel::unbounded::<(Box<Scan>, Enrolment)>();
         let (tell, kept) = crossbeam_channel::unbounded();
         let run = move || {
             let mut numbers = BTreeMap::new();
@@ -63,7 +63,7 @@ impl Keeper {
         Ok(Self { scans, kept, thread })
     }
 
-    pub fn keep(&self, scan: Box<Scan>, wish: Wish) {
+    pub fn keep(&self, scan: Box<Scan>, wish: Enrolment) {
         // Fails only if the thread has panicked, and then nothing is told as kept either.
         let _ = self.scans.send((scan, wish));
     }
@@ -79,9 +79,9 @@ impl Keeper {
 /// The next number of each surface and user.
 type Numbers = BTreeMap<(String, String), u32>;
 
-impl Keep {
+impl ScanStore {
     /// Writes a scan, unless it is refused.
-    fn scan(&self, scan: Scan, wish: Wish, numbers: &mut Numbers) -> Enrolled {
+    fn scan(&self, scan: Scan, wish: Enrolment, numbers: &mut Numbers) -> Enrolled {
         let mut remarks = faults(&scan, &self.scene, &self.by_t_star);
         let mut enrolled = Enrolled {
             scan: scan.number,
@@ -107,7 +107,7 @@ impl Keep {
     fn write(
         &self,
         scan: Scan,
-        wish: &Wish,
+        wish: &Enrolment,
         numbers: &mut Numbers,
     ) -> Result<(u32, PathBuf), LibraryError> {
         let of = (wish.surface.clone(), wish.user.clone());
