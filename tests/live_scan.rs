@@ -83,7 +83,7 @@ fn detection() -> Detection {
         channels,
     };
     Detection {
-        limits: DetectorConfig::default(),
+        detector: DetectorConfig::default(),
         groups: vec![
             vec![(id("ac"), SensorKind::Vibration)],
             vec![(id("sound"), SensorKind::Vibration)],

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
-use surfaced::station::{Command, Enrolled, LibraryState, StationEvent};
+use surfaced::station::{Command, Enrolled, EnrolledOutcome, LibraryState, StationEvent};
 
 /// A server that was told a short session.
 fn told() -> Served {
@@ -187,6 +187,7 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
         served.tell([StationEvent::Enrolled(Enrolled {
             scan: 4,
             surface: "ash".into(),
+            outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,
             remarks: vec![],

@@ -125,12 +125,12 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&answer);
     } else {
-        eprint!("{}", answer.table());
+        say!("{}", answer.table().trim_end());
         let mut remarks: Vec<_> = answer.durations.iter().flat_map(|d| &d.remarks).collect();
         remarks.sort();
         remarks.dedup();
         for remark in remarks {
-            eprintln!("  {remark}");
+            say!("  {remark}");
         }
     }
     Ok(())

@@ -1,6 +1,10 @@
-//! The command line: what was said, checked, turned into what the library works with, and shown.
+//! The command line: arguments are checked, turned into what the library works with, and results
+//! shown.
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
+
+#[macro_use]
+mod say;
 
 mod answers;
 mod chart;
@@ -14,10 +18,13 @@ mod enroll;
 mod eval;
 mod export;
 mod figure;
+mod keys;
 mod lines;
 mod live;
+mod log;
 mod method;
 mod paper;
+mod parse;
 mod plan;
 mod replay;
 mod run;
@@ -34,6 +41,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tracing::Level;
 
 use crate::dataset;
 use crate::library::Library;
@@ -73,7 +81,7 @@ enum CliCommand {
     Completion(completion::Args),
 }
 
-/// How a command ended, short of doing all that it was asked to.
+/// How a command ended that did not do all of its work.
 #[derive(Debug)]
 pub(crate) enum Failure {
     /// Exit code 1.
@@ -95,6 +103,7 @@ type Done = Result<(), Failure>;
 
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
+    log::start();
     let done = match Cli::parse().command {
         CliCommand::Replay(args) => replay::run(&args),
         CliCommand::Run(args) => run::run(&args),
@@ -113,13 +122,13 @@ pub fn run() -> ExitCode {
         CliCommand::Import(args) => export::import(&args),
         CliCommand::Completion(args) => completion::run(&args),
     };
-    let (code, kind, message) = match done {
+    let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Failed(message)) => (1, "error", message),
-        Err(Failure::Usage(message)) => (2, "error", message),
-        Err(Failure::Damaged(message)) => (3, "warning", message),
+        Err(Failure::Failed(message)) => (1, Level::ERROR, message),
+        Err(Failure::Usage(message)) => (2, Level::ERROR, message),
+        Err(Failure::Damaged(message)) => (3, Level::WARN, message),
     };
-    eprintln!("{}{kind}: {message}", show::priority(kind));
+    say!("{}{}{message}", log::priority(level), log::word(level));
     ExitCode::from(code)
 }
 
@@ -132,7 +141,7 @@ pub(crate) struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// The scene with only the sources that were asked for.
+    /// The scene with only the sources that were named.
     fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
         if self.sources.is_empty() {
             return Ok(scene);
@@ -141,7 +150,7 @@ impl SourceArgs {
     }
 }
 
-/// Opens recordings of any form, and tells on stderr what was found.
+/// Opens recordings of any form, and says on stderr what was found.
 pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
     let library = dataset::open(path, &Scene::lmt108())?;
     show::library(&library);

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::choose::choose;
-use super::eval::share;
 use super::figure::write;
 use super::method::MethodArgs;
+use super::parse::share;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
@@ -70,7 +70,7 @@ impl ComparingArgs {
         if plan.by_conductivity {
             used += ", surfaces of matching conductivity alone";
         }
-        eprintln!(
+        say!(
             "plan for {}: {} by {}{used}",
             plan.library,
             names.join(" + "),
@@ -126,15 +126,15 @@ pub fn run(args: &Args) -> Done {
     }
     tell(&planned);
     if args.out.is_none() {
-        eprintln!("\n{text}");
+        say!("\n{text}");
     }
     verdict(args, &planned)
 }
 
 fn tell(planned: &Planned) {
-    eprintln!("\nsource       alone   latency    scan");
+    say!("\nsource       alone   latency    scan");
     for cost in &planned.sources {
-        eprintln!(
+        say!(
             "{:<8} {:>9} {:>6.2} ms {:>5.1} s",
             cost.source,
             show::percent(cost.accuracy),
@@ -142,21 +142,21 @@ fn tell(planned: &Planned) {
             cost.scan_s
         );
     }
-    eprintln!();
+    say!();
     for step in &planned.steps {
-        eprintln!("{step}");
+        say!("{step}");
     }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
-    eprintln!(
+    say!(
         "plan: {} by {}, {:.1} s of scan, {:.2} ms",
         sources.join(" + "),
         planned.plan.setting.method().name(),
         e.scan_s,
         e.latency_ms
     );
-    eprintln!(
+    say!(
         "expected accuracy {} of {} queries of {} surfaces, {} (95 % interval {} to {}){mark}",
         show::percent(e.accuracy),
         e.queries,
@@ -166,7 +166,7 @@ fn tell(planned: &Planned) {
         show::percent(e.accuracy_high)
     );
     if e.reached && !e.shown {
-        eprintln!(
+        say!(
             "{} queries are too few to show {}, even without a mistake: more trials would",
             e.queries,
             show::percent(e.target)

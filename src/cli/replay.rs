@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
+use super::keys::watch_signals;
 use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::terminal::watch_signals;
 use super::{Done, Failure, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
@@ -51,7 +51,7 @@ pub struct Args {
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::parse::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -93,7 +93,7 @@ fn by_protocol(
 ) -> Result<Stage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
-    eprintln!("each trial is named by {}", protocol.name());
+    say!("each trial is named by {}", protocol.name());
     Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 
@@ -131,24 +131,25 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        station = station.listener(JsonLines);
+        let commands = station.commands();
+        station = station.listener(JsonLines { commands });
     }
     let library = args.library.as_ref().filter(|_| args.serve.asked());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
-        station = station.load(load).keep(ScanStore::new(folder.clone(), stage.scene.clone()));
+        station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
     let (mut station, server) = args.serve.start(station, address, library.is_some())?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
-    station.tell(&StationEvent::Reading);
+    station.emit(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
     station = station.recogniser(Arc::new(recogniser));
     if follows {
         station = station.progress_every(LOOK_S);
     }
     let signals = match &server {
-        Some(_) => Some(watch_signals(station.orders())?),
+        Some(_) => Some(watch_signals(station.commands())?),
         None => None,
     };
     let totals = station.run()?;
@@ -179,7 +180,7 @@ fn recogniser(
     let needs = DurationRequirements::of(&stage.scene, compared, stage.synthetic);
     let mut recogniser = MethodRecogniser::with_folds(method, models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;
-    applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+    applied.remarks.iter().for_each(|remark| say!("{remark}"));
     Ok((recogniser, applied.follows))
 }
 

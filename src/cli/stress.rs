@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> Done {
         report.join(other, &whose).map_err(refused)?;
     }
     keep(args, &report)?;
-    eprintln!("\n{}", report.markdown());
+    say!("\n{}", report.markdown());
     if args.figure.json {
         show::json(&report);
     }
@@ -101,7 +101,7 @@ fn measured(args: &Args) -> Result<Report, Failure> {
     let methods: &[MethodName] =
         if args.methods.is_empty() { MethodName::all() } else { &args.methods };
     for (done, method) in methods.iter().enumerate() {
-        eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
+        say!("{}/{}  {}", done + 1, methods.len(), method.name());
         let method = MethodArgs::quick(*method).method(&scene)?;
         let steps = show::Steps::new();
         let told = stress::run(&method, &plan, &|step, done, of| steps.show(step, done, of))?;

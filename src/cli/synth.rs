@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
     /// Length of a drag
-    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::eval::seconds)]
+    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::parse::seconds)]
     seconds: f64,
     /// About as hard as LMT108, source by source, instead of easier
     #[arg(long)]
@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        eprintln!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
+        say!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
     }
     Ok(())
 }

@@ -1,9 +1,8 @@
-//! The streams of one device that show contact, heard together on their one sample counter.
+//! The streams of one device that show contact, on their one sample counter.
 
 use std::collections::VecDeque;
 
-use super::detect::{Detector, DetectorEvent, HOP_S, Level, SensorKind};
-use super::scan_detector::Detection;
+use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, Level, SensorKind};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
@@ -19,7 +18,7 @@ pub(super) struct Group {
     /// Index of the first frame of hop 0, and of the next frame.
     base: u64,
     next: u64,
-    /// Highest level of each hop, the latest ones; the first is hop `first`.
+    /// Highest level of each hop, the latest hops; the first of them is hop `first`.
     pub levels: VecDeque<f64>,
     pub first: u64,
     /// Seconds by which its times are later than those of the leading group.
@@ -27,10 +26,10 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// The group of those of `channels` that are among the streams; none without any.
+    /// The group of those of `channels` that are among the streams; `None` if there are none.
     pub fn new(
         channels: &[(SourceId, SensorKind)],
-        plan: &Detection,
+        config: DetectorConfig,
         streams: &[Stream],
     ) -> Option<Self> {
         let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
@@ -43,7 +42,7 @@ impl Group {
         Some(Self {
             channels: found.iter().map(level).collect(),
             rate_hz,
-            detector: Detector::new(plan.limits),
+            detector: Detector::new(config),
             base: 0,
             next: 0,
             levels: VecDeque::new(),
@@ -52,7 +51,7 @@ impl Group {
         })
     }
 
-    /// Whether a drag ended only because nothing more was heard of it.
+    /// Whether a drag ended only because its data stopped.
     pub fn cut_off(&self, last: DetectorEvent) -> bool {
         last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
     }
@@ -68,7 +67,7 @@ impl Group {
     }
 
     /// Takes what all the streams that are `alive` have.
-    pub fn listen(
+    pub fn update(
         &mut self,
         streams: &[Stream],
         alive: impl Fn(usize) -> bool,
@@ -84,10 +83,10 @@ impl Group {
             return Vec::new();
         };
         if from > self.next {
-            // A gap longer than any scan: what goes on ends, and the next turn begins behind it.
+            // A gap longer than any scan: a drag ends here, and the next turn begins behind the gap.
             let found = self.detector.finish();
             if found.is_none() {
-                self.start_anew(from);
+                self.restart(from);
             }
             return found.into_iter().collect();
         }
@@ -109,31 +108,31 @@ impl Group {
             });
         }
         self.next = end;
-        // A stream that was away for a while may finish its hops a little off the others: how
-        // many there are is for the counter to say.
+        // A stream that was silent for a while may finish its hops a little off the others, so the
+        // number of hops is that of the counter.
         let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
         let so_far = self.first + self.levels.len() as u64;
         fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
-        let mut found = Vec::new();
+        let mut events = Vec::new();
         for level in fresh {
             self.levels.push_back(level);
             if self.levels.len() > KEPT_HOPS {
                 self.levels.pop_front();
                 self.first += 1;
             }
-            found.extend(self.detector.hop(level));
+            events.extend(self.detector.hop(level));
         }
-        if found.contains(&DetectorEvent::NoiseTimeout) {
+        if events.contains(&DetectorEvent::NoiseTimeout) {
             self.channels.iter_mut().for_each(|(_, level)| level.relearn());
         }
-        found
+        events
     }
 
     /// Begins to count at frame `base`.
-    fn start_anew(&mut self, base: u64) {
+    fn restart(&mut self, base: u64) {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();
-        self.detector = Detector::new(self.detector.limits());
+        self.detector = Detector::new(self.detector.config());
         self.channels.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

@@ -1,7 +1,7 @@
-//! What a scan holds so far, told in steps of scan time: each snapshot carries only what is new.
+//! What a scan holds so far, in steps of scan time: each snapshot carries only what is new.
 //!
-//! A snapshot that its reader had no time for is not repeated: the next one carries its data too,
-//! so a reader that adds them up ([`PartialScan`]) always holds the scan without a hole.
+//! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
+//! so a reader that adds them up ([`PartialScan`]) always has the scan without a gap.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,13 +21,13 @@ pub struct Fresh {
     pub rate_hz: f64,
     /// Samples a frame.
     pub channels: usize,
-    /// Index of the first frame, counted from the begin of the source, or of the stream.
+    /// Index of the first frame, counted from the start of the source, or of the stream.
     pub start: u64,
     /// Interleaved samples.
     pub samples: Vec<f32>,
 }
 
-/// What is new in the scan that goes on.
+/// What is new in the scan in progress.
 #[derive(Clone, Debug)]
 pub struct Progress {
     /// Number of the scan.
@@ -42,7 +42,21 @@ pub struct Progress {
     pub images: Vec<(SourceId, Arc<Image>)>,
 }
 
-/// What is new in the streams, whether or not a scan goes on.
+impl Progress {
+    /// Adds what came after it in the same scan.
+    pub fn append(&mut self, later: Self) {
+        self.scan_s = later.scan_s;
+        for fresh in later.fresh {
+            match self.fresh.iter_mut().find(|own| own.source == fresh.source) {
+                Some(own) => own.samples.extend(fresh.samples),
+                None => self.fresh.push(fresh),
+            }
+        }
+        self.images.extend(later.images);
+    }
+}
+
+/// What is new in the streams, during scans and between them.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// New frames, a stream each.
@@ -137,19 +151,19 @@ pub(super) fn next(
                     Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
                     _ => cut.available(streams),
                 };
-                let (_, samples) = history.frames(cut.start + cut.told..until);
+                let (_, samples) = history.frames(cut.start + cut.sent..until);
                 if !samples.is_empty() {
                     progress.fresh.push(Fresh {
                         source: source.clone(),
                         rate_hz: cut.rate_hz,
                         channels: cut.channels,
-                        start: cut.told,
+                        start: cut.sent,
                         samples: narrow(samples, history.channels(), cut.channels),
                     });
                 }
             }
             StreamBuffer::Images { history, .. } => {
-                if let Some(image) = history.get(cut.start).filter(|_| cut.told == 0) {
+                if let Some(image) = history.get(cut.start).filter(|_| cut.sent == 0) {
                     progress.images.push((source.clone(), image.clone()));
                 }
             }
@@ -158,20 +172,20 @@ pub(super) fn next(
     Some((step, progress))
 }
 
-/// Notes that a snapshot was told.
-pub(super) fn told(marked: &mut Marked, step: u64, progress: &Told) {
+/// Notes that a snapshot was sent.
+pub(super) fn sent(marked: &mut Marked, step: u64, lengths: &SnapshotLengths) {
     marked.steps = step;
-    for (source, frames) in &progress.0 {
+    for (source, frames) in &lengths.0 {
         if let Some(cut) = marked.cuts.get_mut(source) {
-            cut.told += frames;
+            cut.sent += frames;
         }
     }
 }
 
 /// How much a snapshot holds of each source.
-pub(super) struct Told(Vec<(SourceId, u64)>);
+pub(super) struct SnapshotLengths(Vec<(SourceId, u64)>);
 
-impl Told {
+impl SnapshotLengths {
     pub fn of(progress: &Progress) -> Self {
         let series = progress
             .fresh

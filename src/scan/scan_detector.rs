@@ -1,270 +1,268 @@
-//! Marks for streams that carry none: listens for taps and drags, and cuts all sources to one span.
+//! Marks for streams that carry none: detects taps and drags, and cuts all sources to one span.
 //!
 //! Streams of one device share one sample counter and form a [`Group`]; each group has a detector
-//! of its own, on its own counter. The first group that is alive leads: what it finds makes the
-//! marks. Its times become indexes of the other streams through their [`Clock`]s, and the constant
-//! offset between two devices, which arrival times cannot show, through the tap that both felt.
+//! of its own, on its own counter. The first group whose data arrive leads: its detections make the
+//! marks. Their times become indexes of the other streams through the [`Timeline`], and the
+//! constant offset between two devices, which arrival times cannot show, through the tap that both
+//! sensed.
 
-use std::time::{Duration, Instant};
-
-use super::clock::Clock;
-use super::detect::{DetectorConfig, DetectorEvent, HOP_S, SensorKind, onset_in};
+use super::detect::{DetectorEvent, HOP_S, onset_in};
 use super::group::Group;
+use super::layout::{CutFrom, Detection, ScanCommand};
 use super::stream::{Stream, StreamBuffer};
+use super::timeline::Timeline;
 use crate::device::{Begin, Mark, Open};
-use crate::scene::{Phase, SourceId};
+use crate::scene::Phase;
 
-/// A stream that brought nothing for so long is not listened to, in seconds.
-const SILENT_S: f64 = 0.5;
-/// A drag of which nothing was heard for so long is over, in seconds: longer than any machine keeps
-/// a driver waiting.
-const GONE_S: f64 = 3.0;
 /// The largest offset between two devices that a tap can show, in seconds.
 const LARGEST_OFFSET_S: f64 = 0.3;
-/// A tap's source begins so long before its onset, in seconds, and lasts as in LMT108.
+/// A tap's source begins this long before its onset, in seconds, and lasts as in LMT108.
 const BEFORE_TAP_S: f64 = 0.02;
 const TAP_S: f64 = 10_501.0 / 44_100.0;
 
-/// What to listen to, and what to cut.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Detection {
-    /// What is a tap, and what a drag.
-    pub limits: DetectorConfig,
-    /// Streams that show contact, by device: those of one group share one sample counter and one
-    /// rate. The first group that is alive leads.
-    pub groups: Vec<Vec<(SourceId, SensorKind)>>,
-    /// The sources of a scan.
-    pub cuts: Vec<CutFrom>,
-}
-
-/// A source of a scan, and the stream that it is cut from.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CutFrom {
-    /// The source.
-    pub source: SourceId,
-    /// Its stream.
-    pub stream: SourceId,
-    /// The part of the scan.
-    pub phase: Phase,
-    /// How many of the stream's channels are the source's: the first ones.
-    pub channels: usize,
-}
-
-/// A command of a person or a program, which a detector does not overrule.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ScanCommand {
-    /// A drag begins now; if one goes on that was found, it ends by command alone.
-    Begin,
-    /// The scan that goes on ends now.
-    End,
-}
-
-/// What a group found, in its hops.
+/// A detected drag, in hops of its group.
 struct Contact {
     lead: usize,
     tap: Option<(u64, u64)>,
     start: u64,
 }
 
-/// Follows the streams of a session.
-pub(super) struct ScanDetector {
-    plan: Detection,
-    begin: Instant,
-    clocks: Vec<Clock>,
-    /// Index after the last frame of each stream, and when it came, in seconds.
-    ends: Vec<(u64, f64)>,
-    groups: Vec<Group>,
-    /// The scan that goes on.
-    scan: Option<Running>,
+/// A source, and the number of its stream.
+struct PlacedCut {
+    cut: CutFrom,
+    stream: usize,
 }
 
-/// A scan that goes on.
+/// A scan in progress.
 struct Running {
-    /// The group that found it; none if a command began it.
+    /// The group that detected it; none if a command began it.
     lead: Option<usize>,
-    /// The sources that were opened for its drag.
-    opened: Vec<CutFrom>,
+    begun_s: f64,
+    /// The sources that were opened for its drag, as indexes of cuts.
+    opened: Vec<usize>,
+}
+
+/// Follows the streams of a session.
+pub(super) struct ScanDetector {
+    timeline: Timeline,
+    groups: Vec<Group>,
+    cuts: Vec<PlacedCut>,
+    /// Level at which contact begins.
+    onset: f64,
+    longest_scan_s: f64,
+    scan: Option<Running>,
+    warnings: Vec<String>,
 }
 
 impl ScanDetector {
-    pub fn new(plan: Detection, streams: &[Stream]) -> Self {
-        let group = |channels: &Vec<_>| Group::new(channels, &plan, streams);
-        let groups = plan.groups.iter().filter_map(group).collect();
+    /// A detector for these streams; what `detection` says of others is ignored. No scan lasts
+    /// longer than `longest_scan_s` seconds.
+    pub fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
+        let Detection { detector, groups, cuts } = detection;
+        let place = |cut: CutFrom| {
+            let stream = streams.iter().position(|stream| stream.id() == &cut.stream)?;
+            Some(PlacedCut { cut, stream })
+        };
+        let group = |channels: &Vec<_>| Group::new(channels, detector, streams);
         Self {
-            groups,
-            begin: Instant::now(),
-            clocks: streams.iter().map(|stream| Clock::new(stream.rate_hz())).collect(),
-            ends: vec![(0, f64::NEG_INFINITY); streams.len()],
-            plan,
+            timeline: Timeline::new(streams),
+            groups: groups.iter().filter_map(group).collect(),
+            cuts: cuts.into_iter().filter_map(place).collect(),
+            onset: detector.onset,
+            longest_scan_s,
             scan: None,
+            warnings: Vec::new(),
         }
     }
 
-    /// Listens to what has come out of the rings, and gives the marks that follow from it.
-    pub fn listen(&mut self, streams: &[Stream]) -> Vec<Mark> {
-        let now_s = self.begin.elapsed().as_secs_f64();
-        for ((stream, clock), end) in streams.iter().zip(&mut self.clocks).zip(&mut self.ends) {
-            if stream.end() > end.0 {
-                *end = (stream.end(), now_s);
-                clock.observe(stream.end(), now_s);
-            }
-        }
+    /// Looks at what has come out of the rings, and gives the marks that follow from it.
+    pub fn update(&mut self, streams: &[Stream]) -> Vec<Mark> {
+        let now_s = self.timeline.observe(streams);
         let mut marks = Vec::new();
         for at in 0..self.groups.len() {
-            let alive = |stream: usize| now_s - self.ends[stream].1 <= SILENT_S;
-            let mut found = self.groups[at].listen(streams, alive);
-            let gone = |stream: usize| now_s - self.ends[stream].1 > GONE_S;
-            if self.groups[at].channels.iter().all(|(stream, _)| gone(*stream)) {
-                let last = self.groups[at].detector.finish();
-                if self.leads(at) && last.is_some_and(|last| self.groups[at].cut_off(last)) {
+            let (group, timeline) = (&mut self.groups[at], &self.timeline);
+            let mut events = group.update(streams, |stream| timeline.alive(stream, now_s));
+            if group.channels.iter().all(|(stream, _)| timeline.gone(*stream, now_s)) {
+                let last = group.detector.finish();
+                let cut_off = last.is_some_and(|last| group.cut_off(last));
+                if cut_off && self.leads(at) {
                     marks.push(Mark::Spoil { why: "its data stopped before it was over".into() });
                 }
-                found.extend(last);
+                events.extend(last);
             }
-            for found in found {
-                self.heed(at, found, streams, now_s, &mut marks);
+            for event in events {
+                self.on_detection(at, event, streams, now_s, &mut marks);
             }
+        }
+        if self.scan.as_ref().is_some_and(|scan| now_s - scan.begun_s >= self.longest_scan_s) {
+            let longest_s = self.longest_scan_s;
+            let text = format!("a scan was ended after {longest_s} s, the longest that is kept");
+            self.warnings.push(text);
+            self.end_now(streams, now_s, &mut marks);
         }
         marks
     }
 
     /// Begins or ends a scan, whatever the detectors say.
     pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) -> Vec<Mark> {
-        let now_s = self.begin.elapsed().as_secs_f64();
+        let now_s = self.timeline.now_s();
         let mut marks = Vec::new();
         match (command, &mut self.scan) {
             (ScanCommand::Begin, Some(scan)) => scan.lead = None,
-            (ScanCommand::Begin, None) => {
-                marks.push(Mark::Begin(Begin::default()));
-                let opened = self.open(None, streams, now_s, &mut marks);
-                self.scan = Some(Running { lead: None, opened });
-            }
+            (ScanCommand::Begin, None) => self.begin(None, streams, now_s, &mut marks),
             (ScanCommand::End, None) => {}
             (ScanCommand::End, Some(_)) => self.end_now(streams, now_s, &mut marks),
         }
         marks
     }
 
-    /// Ends the scan that goes on: nothing more will come.
+    /// Ends the scan in progress: nothing more will come.
     pub fn finish(&mut self, streams: &[Stream]) -> Vec<Mark> {
-        let now_s = self.begin.elapsed().as_secs_f64();
+        let now_s = self.timeline.now_s();
         let mut marks = Vec::new();
         match self.scan.as_ref().map(|scan| scan.lead) {
             None => return marks,
             Some(None) => self.end_now(streams, now_s, &mut marks),
             Some(Some(at)) => {
-                if let Some(found) = self.groups[at].detector.finish() {
-                    self.heed(at, found, streams, now_s, &mut marks);
+                if let Some(event) = self.groups[at].detector.finish() {
+                    self.on_detection(at, event, streams, now_s, &mut marks);
                 }
             }
         }
-        // What has not come by now is not lost, but was never taken.
+        // What has not arrived by now is not lost, but was never sampled.
         for mark in &mut marks {
             let Mark::Close { source, end } = mark else { continue };
-            let cut = self.plan.cuts.iter().find(|cut| cut.source == *source);
-            let stream = cut.and_then(|cut| streams.iter().find(|s| s.id() == &cut.stream));
-            *end = stream.map_or(*end, |stream| stream.end().min(*end));
+            let placed = self.cuts.iter().find(|placed| placed.cut.source == *source);
+            *end = placed.map_or(*end, |placed| streams[placed.stream].end().min(*end));
         }
         marks
+    }
+
+    /// What was not as it should be since the last call, for people.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
     }
 
     fn leads(&self, group: usize) -> bool {
         self.scan.as_ref().is_some_and(|scan| scan.lead == Some(group))
     }
 
-    /// Whether a stream brought something lately.
-    fn alive(&self, stream: usize, now_s: f64) -> bool {
-        now_s - self.ends[stream].1 <= SILENT_S
-    }
-
-    fn heed(
+    fn on_detection(
         &mut self,
         at: usize,
-        found: DetectorEvent,
+        event: DetectorEvent,
         streams: &[Stream],
         now_s: f64,
         marks: &mut Vec<Mark>,
     ) {
-        match found {
+        match event {
             DetectorEvent::Drag { tap, start } => {
-                let first = |group: &Group| {
-                    group.channels.iter().any(|(stream, _)| self.alive(*stream, now_s))
+                let alive = |group: &Group| {
+                    group.channels.iter().any(|(stream, _)| self.timeline.alive(*stream, now_s))
                 };
-                if self.scan.is_some() || self.groups[..at].iter().any(first) {
+                if self.scan.is_some() || self.groups[..at].iter().any(alive) {
                     return;
                 }
                 if let Some((onset, _)) = tap {
                     self.align(at, onset);
                 }
-                marks.push(Mark::Begin(Begin::default()));
-                let contact = Contact { lead: at, tap, start };
-                let opened = self.open(Some(&contact), streams, now_s, marks);
-                self.scan = Some(Running { lead: Some(at), opened });
+                self.begin(Some(Contact { lead: at, tap, start }), streams, now_s, marks);
             }
             DetectorEvent::End { end } if self.leads(at) => {
                 let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
-                for cut in opened {
-                    if let Some(end) = self.index(at, end, &cut.stream, streams) {
-                        marks.push(Mark::Close { source: cut.source, end });
+                for placed in opened.into_iter().map(|cut| &self.cuts[cut]) {
+                    if let Some(end) = self.index(at, end, placed.stream, streams) {
+                        marks.push(Mark::Close { source: placed.cut.source.clone(), end });
                     }
                 }
-                self.pictures(streams, marks);
+                self.mark_images(streams, marks);
                 let ended_s = self.time_s(at, end).unwrap_or(now_s).clamp(0.0, now_s);
-                marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(ended_s) });
+                marks.push(Mark::End { at: self.timeline.instant(ended_s) });
             }
             DetectorEvent::NoiseTimeout if self.leads(at) => {
                 self.scan = None;
-                let why = "what stirred for so long was the room, not a drag";
+                let why = "contact never ended, so it was noise and not a drag";
                 marks.push(Mark::GiveUp { why: why.into() });
             }
             DetectorEvent::End { .. } | DetectorEvent::NoiseTimeout => {}
         }
     }
 
-    /// Ends the scan that goes on at this moment.
-    fn end_now(&mut self, streams: &[Stream], now_s: f64, marks: &mut Vec<Mark>) {
-        let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
-        for cut in opened {
-            let Some(at) = streams.iter().position(|s| s.id() == &cut.stream) else { continue };
-            marks.push(Mark::Close { source: cut.source, end: self.index_now(at, streams, now_s) });
-        }
-        self.pictures(streams, marks);
-        marks.push(Mark::End { at: self.begin + Duration::from_secs_f64(now_s) });
-    }
-
-    /// Takes the latest pictures, however long ago they were taken: when a scan begins, and once
-    /// more when it ends, since one with flash is taken during the drag.
-    fn pictures(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
-        for cut in &self.plan.cuts {
-            let Some(stream) = streams.iter().find(|stream| stream.id() == &cut.stream) else {
+    /// Begins the scan of `contact`, or without it a drag that begins now.
+    fn begin(
+        &mut self,
+        contact: Option<Contact>,
+        streams: &[Stream],
+        now_s: f64,
+        marks: &mut Vec<Mark>,
+    ) {
+        marks.push(Mark::Begin(Begin::default()));
+        self.mark_images(streams, marks);
+        let mut opened = Vec::new();
+        for (number, placed) in self.cuts.iter().enumerate() {
+            let at = placed.stream;
+            if !self.timeline.alive(at, now_s) {
                 continue;
-            };
-            if let StreamBuffer::Images { history, .. } = stream.buffer()
-                && let Some((latest, _)) = history.latest()
-            {
-                marks.push(Mark::Open(Open {
-                    source: cut.source.clone(),
-                    stream: cut.stream.clone(),
-                    start: *latest,
-                    phase: cut.phase,
-                    rate_hz: 1.0,
-                    channels: cut.channels,
-                }));
-                marks.push(Mark::Close { source: cut.source.clone(), end: latest + 1 });
+            }
+            let rate_hz = streams[at].rate_hz();
+            let index = |contact: &Contact, hop| self.index(contact.lead, hop, at, streams);
+            match (placed.cut.phase, &contact) {
+                (Phase::Tap, Some(contact @ Contact { tap: Some((onset, _)), start, .. })) => {
+                    if let (Some(begin), Some(drag)) =
+                        (index(contact, *onset), index(contact, *start))
+                    {
+                        let frames = |seconds: f64| (seconds * rate_hz).round() as u64;
+                        let begin = begin.saturating_sub(frames(BEFORE_TAP_S));
+                        let end = (begin + frames(TAP_S)).min(drag).max(begin);
+                        marks.push(placed.open(begin, rate_hz));
+                        marks.push(Mark::Close { source: placed.cut.source.clone(), end });
+                    }
+                }
+                (Phase::Drag, Some(contact)) => {
+                    if let Some(begin) = index(contact, contact.start) {
+                        marks.push(placed.open(begin, rate_hz));
+                        opened.push(number);
+                    }
+                }
+                (Phase::Drag, None) => {
+                    marks.push(placed.open(self.timeline.index_now(at, now_s), rate_hz));
+                    opened.push(number);
+                }
+                _ => {}
             }
         }
+        let lead = contact.map(|contact| contact.lead);
+        self.scan = Some(Running { lead, begun_s: now_s, opened });
     }
 
-    /// Index in stream number `at` of the frame that is taken now.
-    fn index_now(&self, at: usize, streams: &[Stream], now_s: f64) -> u64 {
-        let by_clock = self.clocks[at].index_at(now_s).filter(|_| self.alive(at, now_s));
-        by_clock.unwrap_or_else(|| streams[at].end())
+    /// Ends the scan in progress at this moment.
+    fn end_now(&mut self, streams: &[Stream], now_s: f64, marks: &mut Vec<Mark>) {
+        let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
+        for placed in opened.into_iter().map(|cut| &self.cuts[cut]) {
+            let end = self.timeline.index_now(placed.stream, now_s);
+            marks.push(Mark::Close { source: placed.cut.source.clone(), end });
+        }
+        self.mark_images(streams, marks);
+        marks.push(Mark::End { at: self.timeline.instant(now_s) });
+    }
+
+    /// Marks the latest pictures, however old: when a scan begins, and again when it ends, since
+    /// one with flash is taken during the drag.
+    fn mark_images(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
+        for placed in &self.cuts {
+            if let StreamBuffer::Images { history, .. } = streams[placed.stream].buffer()
+                && let Some((latest, _)) = history.latest()
+            {
+                marks.push(placed.open(*latest, 1.0));
+                marks.push(Mark::Close { source: placed.cut.source.clone(), end: latest + 1 });
+            }
+        }
     }
 
     /// When a hop of a group began.
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
-        self.clocks[group.channels[0].0].time_s(group.frame(hop))
+        self.timeline.time_s(group.channels[0].0, group.frame(hop))
     }
 
     /// Reads the other groups' offsets off the tap that began at hop `onset` of group `lead`.
@@ -273,85 +271,42 @@ impl ScanDetector {
         self.groups[lead].offset_s = 0.0;
         let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
         for at in (0..self.groups.len()).filter(|at| *at != lead) {
-            let group = &self.groups[at];
-            let Some(frame) = self.clocks[group.channels[0].0].index_at(tap_s) else { continue };
+            let group = &mut self.groups[at];
+            let Some(frame) = self.timeline.index_at(group.channels[0].0, tap_s) else { continue };
             let hop = group.hop(frame);
-            let levels: Vec<f64> = group.levels.iter().copied().collect();
             let window = hop.saturating_sub(reach)..hop + reach;
-            if let Some(seen) = onset_in(&levels, group.first, window, self.plan.limits.onset) {
-                self.groups[at].offset_s = (seen as f64 - hop as f64) * HOP_S;
+            let levels = group.levels.make_contiguous();
+            if let Some(seen) = onset_in(levels, group.first, window, self.onset) {
+                group.offset_s = (seen as f64 - hop as f64) * HOP_S;
             }
         }
     }
 
-    /// Index in `stream` of the moment at which a hop of group `lead` began.
-    fn index(&self, lead: usize, hop: u64, stream: &SourceId, streams: &[Stream]) -> Option<u64> {
-        let at = streams.iter().position(|other| other.id() == stream)?;
+    /// Index in stream number `at` of the moment at which a hop of group `lead` began.
+    fn index(&self, lead: usize, hop: u64, at: usize, streams: &[Stream]) -> Option<u64> {
         let group = &self.groups[lead];
-        let heard = &streams[group.channels[0].0];
-        if streams[at].device == heard.device && streams[at].rate_hz() == heard.rate_hz() {
+        let leading = &streams[group.channels[0].0];
+        if streams[at].device == leading.device && streams[at].rate_hz() == leading.rate_hz() {
             return Some(group.frame(hop));
         }
         let offset_s = (self.groups.iter())
-            .find(|group| group.channels.iter().any(|(ear, _)| *ear == at))
+            .find(|group| group.channels.iter().any(|(stream, _)| *stream == at))
             .map_or(0.0, |group| group.offset_s);
-        self.clocks[at].index_at(self.time_s(lead, hop)? + offset_s)
+        self.timeline.index_at(at, self.time_s(lead, hop)? + offset_s)
     }
+}
 
-    /// Opens the sources of a scan: those of `contact`, or without it a drag that begins now.
-    fn open(
-        &self,
-        contact: Option<&Contact>,
-        streams: &[Stream],
-        now_s: f64,
-        marks: &mut Vec<Mark>,
-    ) -> Vec<CutFrom> {
-        self.pictures(streams, marks);
-        let mut opened = Vec::new();
-        for cut in &self.plan.cuts {
-            let Some(at) = streams.iter().position(|stream| stream.id() == &cut.stream) else {
-                continue;
-            };
-            let stream = &streams[at];
-            let rate_hz = stream.rate_hz();
-            let open = |start: u64, rate_hz: f64| {
-                Mark::Open(Open {
-                    source: cut.source.clone(),
-                    stream: cut.stream.clone(),
-                    start,
-                    phase: cut.phase,
-                    rate_hz,
-                    channels: cut.channels,
-                })
-            };
-            let close = |end| Mark::Close { source: cut.source.clone(), end };
-            if !self.alive(at, now_s) {
-                continue;
-            }
-            let index = |lead, hop| self.index(lead, hop, &cut.stream, streams);
-            match (cut.phase, contact) {
-                (Phase::Tap, Some(Contact { lead, tap: Some((onset, _)), start })) => {
-                    if let (Some(begin), Some(drag)) = (index(*lead, *onset), index(*lead, *start))
-                    {
-                        let frames = |seconds: f64| (seconds * rate_hz).round() as u64;
-                        let begin = begin.saturating_sub(frames(BEFORE_TAP_S));
-                        let end = (begin + frames(TAP_S)).min(drag).max(begin);
-                        marks.extend([open(begin, rate_hz), close(end)]);
-                    }
-                }
-                (Phase::Drag, Some(Contact { lead, start, .. })) => {
-                    if let Some(begin) = index(*lead, *start) {
-                        marks.push(open(begin, rate_hz));
-                        opened.push(cut.clone());
-                    }
-                }
-                (Phase::Drag, None) => {
-                    marks.push(open(self.index_now(at, streams, now_s), rate_hz));
-                    opened.push(cut.clone());
-                }
-                _ => {}
-            }
-        }
-        opened
+impl PlacedCut {
+    /// The mark that opens it at frame `start`.
+    fn open(&self, start: u64, rate_hz: f64) -> Mark {
+        let CutFrom { source, stream, phase, channels } = &self.cut;
+        Mark::Open(Open {
+            source: source.clone(),
+            stream: stream.clone(),
+            start,
+            phase: *phase,
+            rate_hz,
+            channels: *channels,
+        })
     }
 }

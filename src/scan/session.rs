@@ -11,7 +11,8 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
 use super::event_queue::EventQueue;
-use super::scan_detector::{Detection, ScanCommand, ScanDetector};
+use super::layout::{Detection, ScanCommand};
+use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Totals};
 use crate::device::{
@@ -37,7 +38,8 @@ pub struct Options {
     pub trace_every_s: Option<f64>,
     /// How much of each stream is kept for marks that look back, in seconds.
     pub lookback_s: f64,
-    /// How much of a scan is kept at most, in seconds; a longer one is spoiled.
+    /// How long a scan may last, in seconds. One that was detected or begun by command ends then; of
+    /// a recorded one that is longer, the rest is lost.
     pub longest_scan_s: f64,
     /// How long after its end a scan waits for data that do not come.
     pub deliver_limit: Duration,
@@ -45,7 +47,7 @@ pub struct Options {
     pub stop_limit: Duration,
     /// How many events wait for their reader.
     pub events: usize,
-    /// How scans are found in streams that carry no marks. Off by default.
+    /// How scans are detected in streams that carry no marks. Off by default.
     pub detection: Option<Detection>,
 }
 
@@ -110,7 +112,7 @@ impl StreamMeter {
     }
 }
 
-/// Devices at work. Dropping it asks them to stop, without waiting for it.
+/// Devices at work. Dropping it requests their stop, without waiting for it.
 #[derive(Debug)]
 pub struct Session {
     events: Receiver<Event>,
@@ -133,10 +135,10 @@ impl Session {
         let stop = Stop::default();
         let (waker, woken) = Waker::new();
         let (report, reports) = crossbeam_channel::bounded(REPORTS);
-        let (tell, events) = crossbeam_channel::bounded(options.events.max(1));
+        let (send, events) = crossbeam_channel::bounded(options.events.max(1));
         let (commands, cued) = crossbeam_channel::unbounded();
         let waits = devices.iter().all(|device| device.waits());
-        let event_queue = EventQueue::new(tell, stop.clone(), waits);
+        let event_queue = EventQueue::new(send, stop.clone(), waits);
         let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
         let mut ready = Vec::new();
         for (number, device) in devices.into_iter().enumerate() {
@@ -154,7 +156,10 @@ impl Session {
             ready.push((device, sinks));
         }
         let names = ready.iter().map(|(device, _)| (device.name().to_string(), false)).collect();
-        let live = options.detection.clone().map(|plan| ScanDetector::new(plan, &streams));
+        let detector = options
+            .detection
+            .clone()
+            .map(|detection| ScanDetector::new(detection, &streams, options.longest_scan_s));
         let collector = Collector {
             options,
             streams,
@@ -165,11 +170,11 @@ impl Session {
             devices: names,
             scans: VecDeque::new(),
             begun: 0,
-            live,
+            detector,
             commands: cued,
         };
         let collector = spawn("collector", move || {
-            // However it ends, no device may wait for it any more.
+            // However it ends, no device may wait for it any longer.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;
@@ -210,14 +215,14 @@ impl Session {
         self.waker.wake();
     }
 
-    /// Asks all devices to end, without waiting for it; events go on until the last.
+    /// Requests the end of all devices, without waiting for it; events continue until the last.
     pub fn request_stop(&self) {
         self.stop.request();
         self.waker.wake();
     }
 
     /// Ends all devices and the collector, and gives the account. Events that were not read are
-    /// lost. A device that does not end within the limit is left to itself, and named.
+    /// lost. A device that does not end within the limit is abandoned, and named.
     ///
     /// # Errors
     /// If the collector panicked.
@@ -236,13 +241,13 @@ impl Session {
 
     fn join(&mut self) -> Result<Totals, SessionError> {
         let Some(collector) = self.collector.take() else { return Ok(Totals::default()) };
-        // Ends when the collector does; until then nothing waits for a reader in vain.
+        // Ends when the collector does; until then its events have a reader.
         while self.events.recv().is_ok() {}
         let totals =
             collector.join().map_err(|panic| SessionError::Collector(what(panic.as_ref())))?;
         for (name, thread) in self.devices.drain(..) {
             if !totals.abandoned.contains(&name) {
-                // Its last report was its last act; a panic was caught and told before that.
+                // A panic was caught and reported before the thread ended.
                 let _ = thread.join();
             }
         }
@@ -318,7 +323,7 @@ fn run(
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
         Err(DeviceError::Failed(problem))
     });
-    // The streams are closed before the end is told, so that the end comes after all data.
+    // The streams are closed before the end is reported, so that it comes after all data.
     drop(sinks);
     let _ = reports.send(DeviceReport { device: index, kind: DeviceReportKind::Ended(result) });
 }

@@ -17,7 +17,7 @@ pub(super) struct Stream {
     /// Number of its device: streams of one device and one rate share one sample counter.
     pub device: usize,
     buffer: StreamBuffer,
-    /// Index after what was told as traces.
+    /// Index after what was sent as traces.
     pub traced: u64,
 }
 

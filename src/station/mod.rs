@@ -1,9 +1,9 @@
-//! A station at work: what happens in a session is recognised, told to all who listen, and steered
-//! by orders.
+//! A station at work: what happens in a session is recognised, reported to every listener, and
+//! steered by commands.
 //!
-//! Whoever listens (the terminal, JSON lines, the page) is a [`Listener`] and gets every
-//! [`StationEvent`]; whoever steers (a key, a signal, the interface for programs) sends an [`Command`].
-//! Neither knows of the other, and none of them can hold up a device.
+//! A [`Listener`] (the terminal, JSON lines, the page) gets every [`StationEvent`]; a key, a signal
+//! or the interface for programs sends a [`Command`]. Neither knows of the other, and none of them
+//! can hold up a device.
 
 mod assemble;
 pub mod config;
@@ -17,7 +17,8 @@ mod worker;
 
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Answer, Command, Enrolled, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
+    Answer, Command, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, Remark, RemarkKind,
+    StationEvent, SurfaceProbability,
 };
 pub use recogniser::{Load, MethodRecogniser, Recogniser, Verdict};
 pub use requirements::DurationRequirements;

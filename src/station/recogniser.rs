@@ -1,9 +1,9 @@
-//! Names scans against a library, whatever the method: its types end here.
+//! Names scans against a library by any method, whose own types stay within.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::event::LibraryState;
+use super::event::{LibraryState, Remark, RemarkKind};
 use super::requirements::DurationRequirements;
 use crate::library::Entry;
 use crate::recognise::{
@@ -22,8 +22,8 @@ pub struct Verdict {
     pub unknown: bool,
     /// Scan duration that 400 samples T* apart need on the first one, in seconds.
     pub needed_s: Option<f64>,
-    /// For people: what is not perfect about the scan, a line each.
-    pub remarks: Vec<String>,
+    /// What is not perfect about the scan.
+    pub remarks: Vec<Remark>,
 }
 
 /// A library, ready to name scans.
@@ -34,7 +34,7 @@ pub trait Recogniser: Send + Sync {
     /// If the scan has no source in common with the library, or does not fit the scene.
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError>;
 
-    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
+    /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].
     fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>>;
 
     /// Scan duration that 400 samples T* apart need on a surface, in seconds.
@@ -44,7 +44,7 @@ pub trait Recogniser: Send + Sync {
     fn library(&self) -> LibraryState;
 }
 
-/// Reads a library: again and again, if it is told to.
+/// Reads a library, as often as it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Sync>;
 
 /// A method and the models that it made.
@@ -54,7 +54,7 @@ pub struct MethodRecogniser<M: Method> {
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
-    needs: DurationRequirements,
+    requirements: DurationRequirements,
     library: LibraryState,
 }
 
@@ -63,10 +63,10 @@ impl<M: Method> MethodRecogniser<M> {
     pub fn new(
         method: M,
         model: M::Model,
-        needs: DurationRequirements,
+        requirements: DurationRequirements,
         library: LibraryState,
     ) -> Self {
-        Self::with_folds(method, vec![model], BTreeMap::new(), needs, library)
+        Self::with_folds(method, vec![model], BTreeMap::new(), requirements, library)
     }
 
     /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
@@ -77,16 +77,16 @@ impl<M: Method> MethodRecogniser<M> {
         method: M,
         models: Vec<M::Model>,
         model_of: BTreeMap<TrialKey, usize>,
-        needs: DurationRequirements,
+        requirements: DurationRequirements,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
         let models = models.into_iter().map(Arc::new).collect();
-        Self { method, models, model_of, following, needs, library }
+        Self { method, models, model_of, following, requirements, library }
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
+    /// Calls scans unknown that fit no surface, at a rate of false rejections. Gives what that
     /// rests on, for each model.
     ///
     /// # Errors
@@ -102,7 +102,7 @@ impl<M: Method> MethodRecogniser<M> {
     }
 
     /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
-    /// scan waits for it. Says what was found; nothing, if the method cannot follow scans.
+    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
@@ -110,7 +110,7 @@ impl<M: Method> MethodRecogniser<M> {
         followers.map(|follower| follower.settling().clone()).collect()
     }
 
-    /// Tells people what answers rest on, together with the library.
+    /// Adds remarks on what answers rest on to those of the library.
     pub fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
@@ -121,19 +121,23 @@ impl<M: Method> MethodRecogniser<M> {
     }
 
     /// Flaws of the scan's channels, and samples closer than T*.
-    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<String> {
+    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, signal) in &scan.trial.signals {
             // A source with a fixed length scale is a switch, and rests most of the time.
             if let Signal::Series(series) = signal
-                && !self.needs.is_switch(id)
+                && !self.requirements.is_switch(id)
             {
                 let left_out =
                     if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
+                remarks.extend(flaws(series).iter().map(|flaw| Remark {
+                    kind: RemarkKind::Flaw,
+                    source: id.clone(),
+                    text: format!("{id}: {flaw}{left_out}"),
+                }));
             }
         }
-        remarks.extend(self.needs.warnings(ranking, scan.scan_s));
+        remarks.extend(self.requirements.remarks(ranking, scan.scan_s));
         remarks
     }
 }
@@ -141,13 +145,13 @@ impl<M: Method> MethodRecogniser<M> {
 impl<M: Method> Recogniser for MethodRecogniser<M> {
     fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
-        // What came out of the rings, and nothing else; less what no comparison should see.
-        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
+        // What came out of the rings and nothing else, but for channels with flaws.
+        let trial = Arc::new(without_flawed(scan.trial.clone(), self.requirements.scene()).0);
         let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
         let ranking = self.method.rank(&self.models[at], &query)?;
         let rejection = self.following[at].rejection.as_ref();
         let unknown = ranking.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
-        let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
+        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
         Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
     }
 
@@ -157,7 +161,7 @@ impl<M: Method> Recogniser for MethodRecogniser<M> {
     }
 
     fn needed_s(&self, surface: &str) -> Option<f64> {
-        self.needs.scan_s(surface, &self.library.sources)
+        self.requirements.scan_s(surface, &self.library.sources)
     }
 
     fn library(&self) -> LibraryState {

@@ -18,7 +18,7 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
         return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
     }
     let trials = vectors(tables, &args.sources.sources)?;
-    eprintln!(
+    say!(
         "{}: feature tables {}, {} trials",
         tables.name,
         tables.sources.iter().map(SourceId::as_str).collect::<Vec<_>>().join(", "),

@@ -336,6 +336,6 @@ impl Source<'_> {
                 format!("quiet = {}; expected at most onset = {}", limits.quiet, limits.onset);
             return self.fail(&or(&said.quiet, &default.quiet), problem);
         }
-        Ok(Detection { limits, groups, cuts })
+        Ok(Detection { detector: limits, groups, cuts })
     }
 }

@@ -12,7 +12,7 @@ fn the_embedded_file_describes_a_whole_station() {
     let stylus = config.stylus.unwrap();
     let default = crate::device::serial::default_streams();
     assert_eq!((stylus.rate_hz, stylus.streams), (crate::device::serial::RATE_HZ, default));
-    assert_eq!(config.detection.limits, DetectorConfig::default());
+    assert_eq!(config.detection.detector, DetectorConfig::default());
     let sources: Vec<_> = config.detection.cuts.iter().map(|cut| cut.source.as_str()).collect();
     assert_eq!(sources, ["ac", "fr", "ir", "me", "mi1", "mi2", "ca1", "ca2"]);
     let tap = config.detection.cuts.iter().find(|cut| cut.source.as_str() == "mi1").unwrap();
