@@ -94,6 +94,10 @@ impl SeriesHistory {
             return;
         }
         self.samples.drain(..old * self.channels);
+        // After a burst, its room is given back.
+        if self.samples.capacity() > 8 * self.samples.len() {
+            self.samples.shrink_to(2 * self.samples.len());
+        }
         self.base += old as u64;
         while self.missing.front().is_some_and(|gap| gap.end <= self.base) {
             self.missing.pop_front();

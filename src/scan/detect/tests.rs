@@ -17,13 +17,13 @@ fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
 
 /// Levels of a stream, and what a detector finds in them.
 fn find(
-    feel: SensorKind,
+    kind: SensorKind,
     channels: usize,
     rate_hz: f64,
     samples: &[f32],
 ) -> (Vec<f64>, Vec<DetectorEvent>) {
     let (mut level, mut detector) =
-        (Level::new(feel, channels, rate_hz), Detector::new(DetectorConfig::default()));
+        (Level::new(kind, channels, rate_hz), Detector::new(DetectorConfig::default()));
     let (mut levels, mut found) = (Vec::new(), Vec::new());
     for part in samples.chunks(channels * 37) {
         let held = detector.in_contact();
@@ -172,5 +172,25 @@ fn a_constant_offset_between_two_streams_is_read_off_their_taps() {
         let seen = onset_in(&other, 0, tap - 60..tap + 60, 6.0).unwrap();
         let found_s = (seen as f64 - tap as f64) * HOP_S;
         assert!((found_s - offset_s).abs() <= 0.02, "{offset_s}: {found_s}");
+    }
+}
+
+#[test]
+fn infinite_samples_do_not_stop_detection_for_good() {
+    for kind in [SensorKind::Vibration, SensorKind::Force] {
+        let mut seed = 7;
+        let mut samples = noise(10_000, 1e-3, &mut seed);
+        samples[2_000..3_000].fill(f32::INFINITY);
+        samples[3_000..3_500].fill(f32::NAN);
+        samples.extend(noise(10_000, 1e-3, &mut seed));
+        // A drag, and silence.
+        samples.extend(noise(10_000, 0.3, &mut seed).iter().map(|x| x + 0.5));
+        samples.extend(noise(10_000, 1e-3, &mut seed));
+        let (levels, found) = find(kind, 1, RATE_HZ, &samples);
+        assert!(levels.iter().all(|level| level.is_finite()), "{kind:?}");
+        let [DetectorEvent::Drag { start, .. }, DetectorEvent::End { .. }] = found[..] else {
+            panic!("{kind:?}: {found:?}");
+        };
+        assert!(start.abs_diff(400) <= 2, "{kind:?}: {start}");
     }
 }

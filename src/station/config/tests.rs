@@ -34,12 +34,16 @@ fn what_a_file_leaves_out_is_the_default_and_what_it_says_holds() {
     assert_eq!(config.stylus.as_ref().unwrap().port, Selector::Path("/dev/ttyACM0".into()));
     assert_eq!(config.stylus.unwrap().streams, embedded.stylus.unwrap().streams);
     assert!(config.camera.is_none() && config.detection.cuts.len() == 6);
+    // A table within a block is replaced as a whole, and defaults for what it lacks mean nothing.
+    let one = parse("format = 1\n[stylus.sources]\nir = [\"ir\"]\n").unwrap().stylus.unwrap();
+    assert_eq!(one.streams.len(), 1);
+    assert!(parse("[stylus]\npresent = false\n").unwrap_err().contains("format"));
     let without = parse("format = 1\n[stylus]\npresent = false\n").unwrap();
     assert_eq!(without.detection.groups.len(), 1, "the microphone leads");
 }
 
 #[test]
-fn mistakes_are_told_with_their_line() {
+fn mistakes_are_reported_with_their_line() {
     let refused = |text: &str, parts: &[&str]| {
         let error = parse(&format!("format = 1\n{text}")).unwrap_err();
         for part in [&["here/stylus.toml"], parts].concat() {
@@ -49,13 +53,16 @@ fn mistakes_are_told_with_their_line() {
     refused("[stylus]\nprot = \"auto\"", &["line 3", "unknown field `prot`", "port"]);
     refused("[stylus]\nport = \"usb:zz\"", &["line 3", "usb:0403:6014"]);
     refused("[stylus]\nrate_hz = 0", &["line 3", "rate_hz = 0; expected more than 0"]);
-    refused("[stylus.sources]\nac = [\"acc_x\"]", &["line 3", "1 channel(s)", "has 3"]);
+    refused("[stylus.sources]\nac = [\"acc_x\"]", &["line 3", "channels: 1", "has 3"]);
     refused("[stylus.sources]\npac = [\"acc_x\"]", &["line 3", "`pac`", "[sources.pac]"]);
     refused("[camera]\nturn = 45", &["line 3", "0, 90, 180 or 270"]);
     refused("[microphone]\nchannel = 0", &["line 3", "counted from 1"]);
     refused("[microphone]\nsources = [\"mi9\"]", &["line 3", "`mi9`", "mi1, mi2"]);
     refused("[detection]\nlisten = { xy = \"force\" }", &["line 3", "`xy`"]);
     refused("[detection]\nonset = 2.0\nquiet = 3.0", &["line 4", "at most onset = 2"]);
+    refused("[detection]\nonset = 2.0", &["line 3", "at most onset = 2"]);
+    refused("[stylus]\nport = 3", &["line 3", "string"]);
+    refused("stylus = 3", &["line 2"]);
     refused("serve = \"here\"", &["line 2", "127.0.0.1:8108"]);
     refused("[sources.pac]\ndomain = \"spectrum\"", &["line 2", "band_hz"]);
     let future = parse("format = 2").unwrap_err();
