@@ -12,7 +12,7 @@ pub struct AnswerArgs {
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
     /// Share of scans of known surfaces that may be called unknown; 0 calls none so (default: 0.01,
-    /// where the method and the library can tell)
+    /// where the method and the library allow it)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
     false_rejections: Option<f64>,
 }

@@ -93,7 +93,7 @@ fn by_protocol(
 ) -> Result<Stage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
-    say!("each trial is named by {}", protocol.name());
+    say!("protocol: {}", protocol.name());
     Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 

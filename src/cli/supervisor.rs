@@ -41,7 +41,7 @@ impl Listener for Supervisor {
             StationEvent::Finished(_) => NotifyState::Stopping,
             _ => return,
         };
-        // Without systemd, there is nobody to miss it.
+        // Fails only without systemd.
         let _ = sd_notify::notify(&[state]);
     }
 }

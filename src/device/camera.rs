@@ -2,7 +2,7 @@
 //!
 //! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
 //! the device's thread watches over it, judges the light of each frame, and makes pictures. When
-//! the reader hangs, the state is "stalled" until it comes back; nobody waits for it to end. What
+//! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
 //! needs V4L2 is behind [`Video`]; the crate's feature `camera` brings the real one.
 
 mod flash;
@@ -34,11 +34,11 @@ use crate::scene::SourceId;
 
 /// How often the device's thread looks around, at least.
 const LOOK: Duration = Duration::from_millis(50);
-/// No picture for so long is a stall; cameras take their time to start.
+/// No picture for this long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
 /// How long a stop waits for the reader to give the camera back.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
-/// Damaged frames are summed up, and told this often at most.
+/// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
 
 /// A camera, as one stream of pictures, and a second one with flash if it has any.
@@ -111,7 +111,7 @@ impl Camera {
         self
     }
 
-    /// Asks for pictures with flash, from any thread.
+    /// Requests pictures with flash, from any thread.
     pub fn shutter(&self) -> Shutter {
         self.shutter.clone()
     }
@@ -141,7 +141,7 @@ impl Device for Camera {
             damaged: 0,
             summed_up: None,
         };
-        let mut told = None;
+        let mut reported = None;
         while !control.stopped() {
             let stop = Stop::default();
             let (orders, news) = reader::start(watch.camera.video.clone(), stop.clone())?;
@@ -155,10 +155,10 @@ impl Device for Camera {
             match end {
                 End::Stop => break,
                 End::Failed(error) => {
-                    failed(error, watch.seen, &mut told, control)?;
+                    failed(error, watch.seen, &mut reported, control)?;
                 }
                 End::Lost(why) => {
-                    told = None;
+                    reported = None;
                     control.state(DeviceState::Lost, why);
                     control.sleep_until(Instant::now() + RETRY);
                 }
@@ -192,7 +192,8 @@ impl Watch<'_> {
                 }
             }
             if last.elapsed() > STALLED {
-                let why = "no good frame arrives; if that goes on, unplug it and plug it in again";
+                let why =
+                    "no usable frame arrives; if this persists, unplug it and plug it in again";
                 self.control.state(DeviceState::Stalled, why);
             }
         }

@@ -1,4 +1,4 @@
-//! A device's line to its session: asks whether to stop, and reports states, marks and warnings.
+//! A device's line to its session: the request to stop, and reports of states, marks and warnings.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -37,12 +37,12 @@ impl fmt::Display for DeviceState {
     }
 }
 
-/// What a device tells its session.
+/// A report of a device to its session.
 #[derive(Debug)]
 pub struct DeviceReport {
     /// Which device, counted from 0 in the order in which the session got them.
     pub device: usize,
-    /// What it tells.
+    /// What it reports.
     pub kind: DeviceReportKind,
 }
 
@@ -58,7 +58,7 @@ pub enum DeviceReportKind {
     },
     /// A mark of a scan.
     Mark(Mark),
-    /// For people: something was wrong, and it went on.
+    /// For people: something was wrong, and it continues.
     Warning(String),
     /// Its thread has ended; sent by the session.
     Ended(Result<(), DeviceError>),
@@ -102,7 +102,7 @@ impl Control {
         false
     }
 
-    /// Reports a state; only a change is told.
+    /// Reports a state; only changes are sent.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
         if self.last.replace(Some(state)) != Some(state) {
             self.send(DeviceReportKind::State { state, detail: detail.into() });
@@ -115,7 +115,7 @@ impl Control {
     }
 
     /// Reports something that was wrong but does not end the device. What may go wrong a thousand
-    /// times a second is to be summed up by the device, not told each time.
+    /// times a second is to be summed up by the device, not reported each time.
     pub fn warn(&self, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(text.into()));
     }
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_state_is_told_once_a_change() {
+    fn a_state_is_reported_once_a_change() {
         let (sender, reports) = crossbeam_channel::bounded(8);
         let control = Control::new(0, Stop::default(), sender);
         control.state(DeviceState::Opening, "");

@@ -96,7 +96,7 @@ impl ImageTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, telling `on` of each image and its index; an index that
+    /// Takes all that the ring holds now, passing `on` each image and its index; an index that
     /// is passed over was lost. Returns whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(u64, Arc<Image>)) -> bool {
         let before = self.position();

@@ -136,7 +136,7 @@ impl SeriesTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, telling `on` of samples and gaps in their order. Returns
+    /// Takes all that the ring holds now, passing `on` samples and gaps in their order. Returns
     /// whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(Piece<'_>)) -> bool {
         let before = self.position();

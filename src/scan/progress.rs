@@ -72,7 +72,7 @@ pub struct PartialScan {
 }
 
 impl PartialScan {
-    /// Adds a snapshot; one of another scan starts anew.
+    /// Adds a snapshot; one of another scan starts again.
     pub fn add(&mut self, progress: &Progress) {
         if self.number != progress.number {
             *self = Self { number: progress.number, ..Self::default() };
@@ -214,4 +214,28 @@ pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
         }
     }
     (streams.iter().map(Stream::end).collect(), Trace { fresh })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
+        let fresh = parts.iter().map(|(source, start, samples)| Fresh {
+            source: SourceId::new(source).unwrap(),
+            rate_hz: 10.0,
+            channels: 1,
+            start: *start,
+            samples: samples.to_vec(),
+        });
+        Progress { number: 1, truth: None, scan_s, fresh: fresh.collect(), images: Vec::new() }
+    }
+
+    #[test]
+    fn appended_snapshots_hold_what_each_of_them_held() {
+        let mut all = progress(0.2, &[("ac", 0, &[1.0, 2.0])]);
+        all.append(progress(0.4, &[("ac", 2, &[3.0]), ("ir", 0, &[9.0])]));
+        let expected = progress(0.4, &[("ac", 0, &[1.0, 2.0, 3.0]), ("ir", 0, &[9.0])]);
+        assert_eq!((all.scan_s, all.fresh), (expected.scan_s, expected.fresh));
+    }
 }

@@ -103,7 +103,7 @@ impl ScanDetector {
         marks
     }
 
-    /// Begins or ends a scan, whatever the detectors say.
+    /// Begins or ends a scan, regardless of the detectors.
     pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) -> Vec<Mark> {
         let now_s = self.timeline.now_s();
         let mut marks = Vec::new();

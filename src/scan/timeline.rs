@@ -60,7 +60,7 @@ impl Timeline {
         now_s - self.streams[stream].at_s <= SILENT_S
     }
 
-    /// Whether a stream's data have failed to arrive for so long that its drag is over.
+    /// Whether a stream's data have been missing long enough to end its drag.
     pub fn gone(&self, stream: usize, now_s: Second) -> bool {
         now_s - self.streams[stream].at_s > GONE_S
     }

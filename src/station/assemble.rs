@@ -14,11 +14,11 @@ use crate::scene::Phase;
 pub struct Assembled {
     /// The devices.
     pub devices: Vec<Box<dyn Device>>,
-    /// For people: what was configured but cannot be had, and why.
+    /// For people: what is configured but unavailable, and why.
     pub left_out: Vec<String>,
     /// Which device each source comes from.
     pub device_of: BTreeMap<String, String>,
-    /// Asks for a picture with flash during each drag, if there is a flash.
+    /// Requests a picture with flash during each drag, if there is a flash.
     pub flasher: Option<Flasher>,
 }
 

@@ -9,7 +9,7 @@ use crate::trial::{Flaw, Series, Signal, flaws};
 /// What scans are to become.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Enrolment {
-    /// Tells it from others of the same label.
+    /// Distinguishes it from others of the same label.
     pub id: u64,
     pub surface: String,
     pub user: String,

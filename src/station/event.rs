@@ -34,7 +34,7 @@ pub struct Answer {
     /// Probability of the first surface, by a method that gives one.
     pub confidence: Option<f64>,
     /// Share of left-out library trials that fit their surface no better than this one fits the
-    /// first (a conformal p-value), where the library is large enough to tell.
+    /// first (a conformal p-value), where the library is large enough.
     pub fit: Option<f64>,
     /// From the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
@@ -234,7 +234,7 @@ impl Answer {
 /// A command to a station.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Begin a scan now, whatever the detector says.
+    /// Begin a scan now, regardless of the detector.
     Start,
     /// End the scan in progress.
     Stop,

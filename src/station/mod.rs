@@ -12,6 +12,7 @@ mod event;
 mod recogniser;
 mod requirements;
 mod run;
+mod start;
 mod store;
 mod worker;
 
@@ -22,5 +23,5 @@ pub use event::{
 };
 pub use recogniser::{Load, MethodRecogniser, Recogniser, Verdict};
 pub use requirements::DurationRequirements;
-pub use run::Station;
+pub use start::Station;
 pub use store::ScanStore;

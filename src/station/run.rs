@@ -3,127 +3,17 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crossbeam_channel::{Receiver, Sender, never, select};
+use crossbeam_channel::{Receiver, never, select};
 
 use super::enroll::{Enrolment, EnrolmentProgress};
 use super::event::{Command, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent};
 use super::recogniser::{Load, Recogniser};
-use super::store::{RecordingThread, ScanStore, Stored};
+use super::store::{RecordingThread, Stored};
 use super::worker::{Job, Work, Worker, WorkerEvent};
-use crate::device::Device;
-use crate::scan::{Event, Options, Progress, Scan, ScanCommand, Session, SessionError, Totals};
+use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
-
-/// What a station is made of.
-pub struct Station<'a> {
-    devices: Vec<Box<dyn Device>>,
-    options: Options,
-    recogniser: Option<Arc<dyn Recogniser>>,
-    load: Option<Load>,
-    store: Option<ScanStore>,
-    listeners: Vec<Box<dyn Listener + 'a>>,
-    commands: (Sender<Command>, Receiver<Command>),
-}
-
-impl<'a> Station<'a> {
-    /// A station that knows no library yet.
-    pub fn new(devices: Vec<Box<dyn Device>>, options: Options) -> Self {
-        Self {
-            devices,
-            options,
-            recogniser: None,
-            load: None,
-            store: None,
-            listeners: Vec::new(),
-            commands: crossbeam_channel::unbounded(),
-        }
-    }
-
-    /// Names scans with this from the start.
-    pub fn recogniser(mut self, recogniser: Arc<dyn Recogniser>) -> Self {
-        self.recogniser = Some(recogniser);
-        self
-    }
-
-    /// Reads the library with this: at the start, unless there is a recogniser already, and at
-    /// each [`Command::Reload`].
-    pub fn load(mut self, load: Load) -> Self {
-        self.load = Some(load);
-        self
-    }
-
-    /// Keeps the scans that are enrolled in this library.
-    pub fn store(mut self, store: ScanStore) -> Self {
-        self.store = Some(store);
-        self
-    }
-
-    /// Adds a listener, which gets every event.
-    pub fn listener(mut self, listener: impl Listener + 'a) -> Self {
-        self.listeners.push(Box::new(listener));
-        self
-    }
-
-    /// Reports progress within scans this often, in seconds of drag.
-    pub fn progress_every(mut self, seconds: f64) -> Self {
-        self.options.progress_every_s = Some(seconds);
-        self
-    }
-
-    /// Sends an event to the listeners so far, before it runs.
-    pub fn emit(&mut self, event: &StationEvent) {
-        self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
-    }
-
-    /// Where commands go, before it runs and while it does.
-    pub fn commands(&self) -> Sender<Command> {
-        self.commands.0.clone()
-    }
-
-    /// Runs until all devices have ended, or [`Command::Quit`].
-    ///
-    /// # Errors
-    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
-    /// device that fails is no error here: [`Totals`] names it.
-    pub fn run(self) -> Result<Totals, SessionError> {
-        let thread = |name: &str| {
-            let name = name.to_string();
-            move |error| SessionError::Thread { name, error }
-        };
-        let waits = self.devices.iter().all(|device| device.waits());
-        let worker = Worker::start(waits).map_err(thread("recognition"))?;
-        let recording = match self.store {
-            Some(store) => Some(RecordingThread::start(store).map_err(thread("recording"))?),
-            None => None,
-        };
-        let session = Session::start(self.devices, self.options)?;
-        let mut run = Run {
-            session,
-            worker,
-            recording,
-            waits,
-            naming: Naming::None("no library was given".into()),
-            load: self.load,
-            loading: None,
-            pending: VecDeque::new(),
-            enrolment: None,
-            enrolments: 0,
-            next_scan: 1,
-            listeners: self.listeners,
-        };
-        run.emit(StationEvent::Streams(run.session.meters().to_vec()));
-        match self.recogniser {
-            Some(recogniser) => run.loaded(Ok(recogniser)),
-            None if run.load.is_some() => run.reload(),
-            None => {}
-        }
-        // The sender beside it keeps the channel open whatever happens to the others.
-        run.until_finished(&self.commands.1);
-        run.finish()
-    }
-}
 
 /// What scans are named with.
 enum Naming {
@@ -136,15 +26,24 @@ enum Naming {
 
 type Loaded = Result<Arc<dyn Recogniser>, String>;
 
+/// What works for a station, once it is started.
+pub(super) struct Parts {
+    pub session: Session,
+    pub worker: Worker,
+    pub recording: Option<RecordingThread>,
+    /// Whether all devices can wait.
+    pub waits: bool,
+    pub load: Option<Load>,
+}
+
 /// A station at work.
-struct Run<'a> {
+pub(super) struct Run<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
-    /// Whether all devices can wait.
     waits: bool,
-    naming: Naming,
     load: Option<Load>,
+    naming: Naming,
     loading: Option<Receiver<Loaded>>,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
@@ -156,7 +55,36 @@ struct Run<'a> {
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
-impl Run<'_> {
+impl<'a> Run<'a> {
+    /// A station that knows no library yet.
+    pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
+        let Parts { session, worker, recording, waits, load } = parts;
+        Self {
+            session,
+            worker,
+            recording,
+            waits,
+            load,
+            naming: Naming::None("no library was given".into()),
+            loading: None,
+            pending: VecDeque::new(),
+            enrolment: None,
+            enrolments: 0,
+            next_scan: 1,
+            listeners,
+        }
+    }
+
+    /// Reports what the streams carry.
+    pub fn announce_streams(&mut self) {
+        self.emit(StationEvent::Streams(self.session.meters().to_vec()));
+    }
+
+    /// Whether there is a library to read.
+    pub fn can_load(&self) -> bool {
+        self.load.is_some()
+    }
+
     fn emit(&mut self, event: StationEvent) {
         self.listeners.iter_mut().for_each(|listener| listener.on_event(&event));
     }
@@ -166,7 +94,7 @@ impl Run<'_> {
     }
 
     /// Works until the session has ended and its scans are handed on.
-    fn until_finished(&mut self, commands: &Receiver<Command>) {
+    pub fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
             self.hand_on();
@@ -198,7 +126,7 @@ impl Run<'_> {
     }
 
     /// Waits for what is under way, and reports the end.
-    fn finish(self) -> Result<Totals, SessionError> {
+    pub fn finish(self) -> Result<Totals, SessionError> {
         let Self { session, worker, recording, mut listeners, mut enrolment, .. } = self;
         let mut emit =
             |event: StationEvent| listeners.iter_mut().for_each(|one| one.on_event(&event));
@@ -288,7 +216,8 @@ impl Run<'_> {
         }
     }
 
-    fn loaded(&mut self, loaded: Loaded) {
+    /// Names scans with what was read from now on, if it could be read.
+    pub fn loaded(&mut self, loaded: Loaded) {
         match loaded {
             Ok(recogniser) => {
                 self.emit(StationEvent::Library(recogniser.library()));
@@ -310,7 +239,8 @@ impl Run<'_> {
         }
     }
 
-    fn reload(&mut self) {
+    /// Reads the library; meanwhile the one before stays in use, or scans wait.
+    pub fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
             return self.warn("there is no library to read again");
         };

@@ -154,7 +154,7 @@ impl Writer {
     fn write(&mut self, waiting: &Waiting) -> Result<(), LibraryError> {
         let Waiting { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
-        // Read anew each time: others may write into the same library.
+        // Read each time, since others may write into the same library.
         if let Ok(numbers) = self.numbers() {
             self.next = numbers;
         }

@@ -91,7 +91,7 @@ impl Sound for Alsa {
                 format,
                 callback(format, usize::from(config.channels), sink),
                 move |error| {
-                    // Some errors come again and again; whoever listens needs only the first ones.
+                    // Some errors repeat endlessly; only the first ones matter.
                     let _ = match error.kind() {
                         ErrorKind::Xrun => errors.try_send(StreamError::Overrun),
                         ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),
@@ -192,7 +192,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
 /// The microphones of this machine, with names that stay, and what is wrong with each.
 ///
 /// # Errors
-/// If ALSA cannot be asked.
+/// If ALSA refuses the list.
 pub fn microphones() -> Result<Vec<Listed>, OpenError> {
     let host = cpal::default_host();
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;

@@ -24,14 +24,14 @@ pub struct CallbackSink {
 pub struct Broken(Arc<AtomicU64>);
 
 impl Broken {
-    /// So many so far.
+    /// Their number so far.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
 impl CallbackSink {
-    /// Puts samples into `ring`, of one channel, and rings `waker` each time.
+    /// Puts samples into `ring`, of one channel, and wakes `waker` each time.
     pub fn new(ring: SeriesSink, waker: Waker, pick: Pick) -> Self {
         Self { ring, waker, pick, mono: Vec::with_capacity(PART), broken: Broken::default() }
     }
@@ -41,7 +41,7 @@ impl CallbackSink {
         self.broken.clone()
     }
 
-    /// Takes interleaved samples of so many channels.
+    /// Takes interleaved samples of `channels` channels.
     pub fn take<T: Pcm>(&mut self, interleaved: &[T], channels: usize) {
         let channels = channels.max(1);
         for part in interleaved.chunks(PART * channels) {

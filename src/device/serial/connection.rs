@@ -1,4 +1,4 @@
-//! One connection with the stylus, from opening the line to losing it.
+//! One connection to the stylus, from opening the line to losing it.
 
 use std::time::{Duration, Instant};
 
@@ -71,7 +71,7 @@ impl Connection<'_> {
                 self.control.state(DeviceState::Stalled, self.why_silent());
             }
             if silent >= GIVE_UP {
-                return End::Lost(format!("{}; opening the line anew", self.why_silent()));
+                return End::Lost(format!("{}; reopening the line", self.why_silent()));
             }
             self.update_light(now);
             if now - self.errors.since >= REPORT_EVERY {
@@ -182,7 +182,7 @@ impl Connection<'_> {
     /// Sends a command. One that cannot be sent is repeated like one that is not answered.
     fn send(&mut self, command: Command) {
         let mut out = [0; MAX_ENCODED + 1];
-        // The delimiter before it ends whatever noise the line holds.
+        // The delimiter before it ends any noise on the line.
         if let Ok(n) = encode(&Message::Command(command), &mut out[1..]) {
             let _ = self.port.write(&out[..=n]);
         }
