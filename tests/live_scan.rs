@@ -100,6 +100,11 @@ fn scans(sensors: Vec<Sensor>) -> (Vec<Scan>, Vec<String>) {
     let devices = sensors.into_iter().map(|s| Box::new(s) as Box<dyn Device>).collect();
     let options = Options { detection: Some(detection()), ..Options::default() };
     let session = Session::start(devices, options).unwrap();
+    all(&session)
+}
+
+/// All scans and warnings of a session.
+fn all(session: &Session) -> (Vec<Scan>, Vec<String>) {
     let (mut scans, mut warnings) = (Vec::new(), Vec::new());
     for event in session.events() {
         match event {
@@ -174,14 +179,7 @@ fn a_scan_begun_by_command_ends_at_the_longest_scan() {
     let session = Session::start(vec![Box::new(acceleration(1.9))], options).unwrap();
     std::thread::sleep(Duration::from_millis(200));
     session.command(ScanCommand::Begin);
-    let (mut scans, mut warnings) = (Vec::new(), Vec::new());
-    for event in session.events() {
-        match event {
-            Event::Scan(scan) => scans.push(*scan),
-            Event::Warning(text) => warnings.push(text),
-            _ => {}
-        }
-    }
+    let (scans, warnings) = all(&session);
     let [scan] = &scans[..] else { panic!("{} scans, {warnings:?}", scans.len()) };
     assert!(scan.spoiled.is_empty(), "{:?}", scan.spoiled);
     assert!((0.55..1.3).contains(&scan.scan_s), "{}", scan.scan_s);

@@ -96,11 +96,11 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
 /// A finite number above 0.
 fn positive<T>(key: &str, value: &Spanned<T>) -> Result<T, Mistake>
 where
-    T: Copy + Default + PartialOrd + std::fmt::Display + std::ops::Sub<Output = T>,
+    T: Copy + Default + PartialOrd + std::fmt::Display + std::ops::Mul<Output = T>,
 {
     let number = *value.get_ref();
-    // Infinity less itself is not a number.
-    let finite = number - number == T::default();
+    // Infinity times 0 is not a number.
+    let finite = number * T::default() == T::default();
     match number > T::default() && finite {
         true => Ok(number),
         false => mistake(value, format!("{key} = {number}; expected more than 0")),
