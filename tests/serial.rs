@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use common::stylus::{Fake, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
-use surfaced::device::{Control, Device, DeviceState, OpenError, Report, ReportKind};
-use surfaced::ring::{Bell, Piece, SeriesTap, Sink, Stop, series};
+use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};
+use surfaced::ring::{Piece, SeriesTap, Sink, Stop, Waker, series};
 use surfaced_wire::Command;
 
 /// A driver at work.
@@ -19,7 +19,7 @@ struct Bench {
     _dir: tempfile::TempDir,
     taps: Vec<SeriesTap>,
     got: Vec<Vec<f32>>,
-    reports: Receiver<Report>,
+    reports: Receiver<DeviceReport>,
     states: Vec<DeviceState>,
     texts: Vec<String>,
     stop: Stop,
@@ -45,7 +45,7 @@ fn bench() -> Bench {
 }
 
 impl Bench {
-    fn start(mut self, sender: crossbeam_channel::Sender<Report>) -> Self {
+    fn start(mut self, sender: crossbeam_channel::Sender<DeviceReport>) -> Self {
         let mut stylus = Stylus::new(Selector::Path(self.link.clone()));
         let mut sinks = Vec::new();
         for spec in stylus.streams() {
@@ -55,7 +55,7 @@ impl Bench {
                 _ => 1,
             };
             // 40 s: nobody drains while a script runs.
-            let (sink, tap) = series(channels, 400_000, Bell::new().0);
+            let (sink, tap) = series(channels, 400_000, Waker::new().0);
             sinks.push(Sink::Series(sink));
             self.taps.push(tap);
         }
@@ -77,11 +77,11 @@ impl Bench {
         }
         for report in self.reports.try_iter() {
             match report.kind {
-                ReportKind::State { state, detail } => {
+                DeviceReportKind::State { state, detail } => {
                     self.states.push(state);
                     self.texts.push(detail);
                 }
-                ReportKind::Warning(text) => self.texts.push(text),
+                DeviceReportKind::Warning(text) => self.texts.push(text),
                 other => panic!("{other:?}"),
             }
         }

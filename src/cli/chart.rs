@@ -147,10 +147,10 @@ fn points(choice: &Choice, plans: &[Plan]) -> Result<Vec<Point>, Failure> {
                 format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
             }
         };
-        eprintln!("{}/{}  {}{left}", done + 1, plans.len(), plan.setting);
+        say!("{}/{}  {}{left}", done + 1, plans.len(), plan.setting);
         for (seconds, (outcome, _)) in plan.seconds.iter().zip(measure(choice, plan)?) {
             let point = Point::new(&outcome, &plan.setting, *seconds, plan.is_control());
-            eprintln!(
+            say!(
                 "       {}: {} ({} to {}), {:.2} ms",
                 seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
                 show::percent(point.accuracy),

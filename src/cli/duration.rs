@@ -109,7 +109,7 @@ impl Args {
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let steps = show::Steps::new();
-    let answer = report(&library, &args.question(), |done, of| steps.tell("surfaces", done, of));
+    let answer = report(&library, &args.question(), |done, of| steps.show("surfaces", done, of));
     drop(steps);
     let answer = answer.map_err(|error| match error {
         ReportError::Library(error) => Failure::Failed(error.to_string()),
@@ -125,12 +125,12 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&answer);
     } else {
-        eprint!("{}", answer.table());
+        say!("{}", answer.table().trim_end());
         let mut remarks: Vec<_> = answer.durations.iter().flat_map(|d| &d.remarks).collect();
         remarks.sort();
         remarks.dedup();
         for remark in remarks {
-            eprintln!("  {remark}");
+            say!("  {remark}");
         }
     }
     Ok(())

@@ -55,7 +55,7 @@ pub struct Args {
     #[command(flatten)]
     method: MethodArgs,
     /// Use only the first seconds of each query's drag
-    #[arg(long, value_name = "X", value_parser = seconds)]
+    #[arg(long, value_name = "X", value_parser = super::parse::seconds)]
     query_seconds: Option<f64>,
     /// Also answer as soon as an answer is settled, and tell accuracy and scan time
     #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
@@ -74,22 +74,6 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum Then {
     Merge(paper::MergeArgs),
-}
-
-/// Parses a duration.
-pub fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
-        _ => Err("expected a positive number of seconds".into()),
-    }
-}
-
-/// Parses a fraction.
-pub fn share(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
-        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
-    }
 }
 
 fn groups(text: &str) -> Result<usize, String> {
@@ -177,11 +161,11 @@ impl Evaluation<'_> {
         let as_query = |of: usize, entry: &Entry| {
             left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
         };
-        let progress = |step, done, of| steps.tell(step, done, of);
+        let progress = |step, done, of| steps.show(step, done, of);
         let prepared =
             evaluate::prepare_folds(method, self.entries, self.folds, self.cache, &progress)?;
         for remark in &prepared.remarks {
-            eprintln!("{remark}");
+            say!("{remark}");
         }
         let (entries, folds, prepared) = (self.entries, self.folds, &prepared);
         let Also { settle, leave_out, false_rejections } = self.also;
@@ -241,7 +225,7 @@ impl LeftOut {
                 String::new()
             };
             if let Some(first) = keys.first() {
-                eprintln!("warning: {remark} ({first}{more})");
+                say!("warning: {remark} ({first}{more})");
             }
         }
     }
@@ -306,9 +290,9 @@ fn tell(report: &Report) {
     let o = &report.outcome;
     let sources: Vec<_> = o.sources.iter().map(|id| id.as_str()).collect();
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
-    eprintln!();
-    eprintln!("{} · {} · {}{mark}", report.protocol, o.method, sources.join(", "));
-    eprintln!(
+    say!();
+    say!("{} · {} · {}{mark}", report.protocol, o.method, sources.join(", "));
+    say!(
         "accuracy   {} ± {} over {} folds (95 % interval over queries: {} to {})",
         show::percent(o.accuracy_mean),
         show::percent(o.accuracy_std),
@@ -316,14 +300,16 @@ fn tell(report: &Report) {
         show::percent(o.accuracy_low),
         show::percent(o.accuracy_high)
     );
-    eprintln!("precision  {}", show::percent(o.precision_mean));
-    eprintln!(
+    say!("precision  {}", show::percent(o.precision_mean));
+    say!(
         "           {} surfaces, {} queries against {} library trials",
-        o.classes, o.queries, o.library_trials
+        o.classes,
+        o.queries,
+        o.library_trials
     );
-    eprintln!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
+    say!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
     for (truth, answer, count) in o.confusion.worst(5) {
-        eprintln!("           {count} × {truth} taken for {answer}");
+        say!("           {count} × {truth} taken for {answer}");
     }
     report.settled.iter().for_each(tell_settled);
     report.unknown.iter().for_each(tell_unknown);
@@ -331,7 +317,7 @@ fn tell(report: &Report) {
 
 fn tell_settled(s: &SettledOutcome) {
     let percent = show::percent;
-    eprintln!(
+    say!(
         "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
         percent(s.accuracy),
         percent(s.accuracy_low),
@@ -340,30 +326,34 @@ fn tell_settled(s: &SettledOutcome) {
         s.lost,
         s.gained
     );
-    eprintln!(
+    say!(
         "           after {:.2} s in the mean, {:.2} s in the median, of {:.2} s; {} of {} scans \
          settled before their end",
-        s.scan_s_mean, s.scan_s_p50, s.whole_s_mean, s.settled, s.queries
+        s.scan_s_mean,
+        s.scan_s_p50,
+        s.whole_s_mean,
+        s.settled,
+        s.queries
     );
     let shown = s.rules.iter().filter(|rule| rule.shown).count();
-    eprintln!(
+    say!(
         "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
         percent(s.stated_loss),
         s.rules.len()
     );
-    eprintln!("           following takes {} of one core", percent(s.core_share));
+    say!("           following takes {} of one core", percent(s.core_share));
 }
 
 fn tell_unknown(u: &UnknownOutcome) {
     let percent = show::percent;
-    eprintln!(
+    say!(
         "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
         percent(u.unknown_caught),
         u.unknown_queries,
         percent(u.unknown_caught_low),
         percent(u.unknown_caught_high)
     );
-    eprintln!(
+    say!(
         "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
          left-out trials)",
         percent(u.false_rejections),

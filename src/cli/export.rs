@@ -34,13 +34,13 @@ pub struct ImportArgs {
 pub fn export(args: &ExportArgs) -> Done {
     let library = mcap::open(&args.recording, &Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
-    eprintln!("{trials} trial(s) written to {}", shown(&args.out));
+    say!("{trials} trial(s) written to {}", shown(&args.out));
     Ok(())
 }
 
 /// Runs `surfaced import`.
 pub fn import(args: &ImportArgs) -> Done {
     let trials = mcap::import(&args.mcap, &args.library)?;
-    eprintln!("{trials} trial(s) written to {}", shown(&args.library));
+    say!("{trials} trial(s) written to {}", shown(&args.library));
     Ok(())
 }

@@ -32,7 +32,7 @@ pub fn run(
 ) -> Done {
     let options = method.reference_options();
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let Some(shard) = shard else {
         let part = paper::work(library, &options, Shard::WHOLE, &progress)?;
         drop(steps);
@@ -52,14 +52,14 @@ pub fn run(
             )));
         }
         drop(steps);
-        eprintln!("{}: done before", shown(&path));
+        say!("{}: done before", shown(&path));
         return Ok(());
     }
     let part = paper::work(library, &options, shard, &progress)?;
     drop(steps);
     // Plain numbers and text: nothing here that JSON cannot express.
     write(&path, &serde_json::to_string(&part).expect("plain data"))?;
-    eprintln!("wrote {}", shown(&path));
+    say!("wrote {}", shown(&path));
     Ok(())
 }
 
@@ -118,7 +118,7 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
             write(&out.join("confusion.svg"), &figure)?;
             written = "report.json, bars.svg, confusion.svg";
         }
-        eprintln!("wrote {written} to {}", shown(out));
+        say!("wrote {written} to {}", shown(out));
     }
     if json {
         show::json(&report);
@@ -130,15 +130,15 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
 
 fn tell(report: &Report) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
-    eprintln!();
-    eprintln!("{}{mark} · reference · {}", report.data, report.settings);
-    eprintln!("accuracies in percent, mean ± sd over folds");
-    eprintln!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
+    say!();
+    say!("{}{mark} · reference · {}", report.data, report.settings);
+    say!("accuracies in percent, mean ± sd over folds");
+    say!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
     let mut head = (String::new(), "");
     for row in &report.rows {
         let of_row = (row.place.to_string(), row.protocol);
         if of_row != head {
-            eprintln!("{} · {}", row.place, row.protocol);
+            say!("{} · {}", row.place, row.protocol);
             head = of_row;
         }
         tell_row(row);
@@ -151,7 +151,7 @@ fn tell_row(row: &ReportRow) {
         None => format!("{mean:.1}       "),
     };
     if let Some(why) = &row.not_run {
-        eprintln!("  {:<52} not run: {why}", row.name);
+        say!("  {:<52} not run: {why}", row.name);
         return;
     }
     let ours = match row.accuracy_mean {
@@ -164,9 +164,9 @@ fn tell_row(row: &ReportRow) {
         [] => String::new(),
         missing => format!("  without {}, which the data lack", missing.join(", ")),
     };
-    eprintln!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
+    say!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
     if let Some(Some(precision)) = row.published.map(|p| p.precision) {
         let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
-        eprintln!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
+        say!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
     }
 }

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::choose::choose;
-use super::eval::share;
 use super::figure::write;
 use super::method::MethodArgs;
+use super::parse::share;
 use super::{Done, Failure, SourceArgs, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
@@ -67,7 +67,7 @@ impl ComparingArgs {
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        eprintln!(
+        say!(
             "plan for {}: {} by {}{used}",
             plan.library,
             names.join(" + "),
@@ -114,7 +114,7 @@ pub fn run(args: &Args) -> Done {
     let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();
     let options = PlanOptions { target: args.target, protocol, cache: None };
-    let planned = search(&library, options, &|step, done, of| steps.tell(step, done, of))?;
+    let planned = search(&library, options, &|step, done, of| steps.show(step, done, of))?;
     drop(steps);
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {
@@ -125,15 +125,15 @@ pub fn run(args: &Args) -> Done {
     }
     tell(&planned);
     if args.out.is_none() {
-        eprintln!("\n{text}");
+        say!("\n{text}");
     }
     verdict(args, &planned)
 }
 
 fn tell(planned: &Planned) {
-    eprintln!("\nsource       alone   latency    scan");
+    say!("\nsource       alone   latency    scan");
     for cost in &planned.sources {
-        eprintln!(
+        say!(
             "{:<8} {:>9} {:>6.2} ms {:>5.1} s",
             cost.source,
             show::percent(cost.accuracy),
@@ -141,21 +141,21 @@ fn tell(planned: &Planned) {
             cost.scan_s
         );
     }
-    eprintln!();
+    say!();
     for step in &planned.steps {
-        eprintln!("{step}");
+        say!("{step}");
     }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
-    eprintln!(
+    say!(
         "plan: {} by {}, {:.1} s of scan, {:.2} ms",
         sources.join(" + "),
         planned.plan.method.name().as_str(),
         e.scan_s,
         e.latency_ms
     );
-    eprintln!(
+    say!(
         "expected accuracy {} of {} queries of {} surfaces, {} (95 % interval {} to {}){mark}",
         show::percent(e.accuracy),
         e.queries,
@@ -165,7 +165,7 @@ fn tell(planned: &Planned) {
         show::percent(e.accuracy_high)
     );
     if e.reached && !e.shown {
-        eprintln!(
+        say!(
             "{} queries are too few to show {}, even without a mistake: more trials would",
             e.queries,
             show::percent(e.target)

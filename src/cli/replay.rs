@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
+use super::keys::watch_signals;
 use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::terminal::watch_signals;
 use super::{Done, Failure, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
@@ -20,7 +20,9 @@ use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
-use crate::station::{Keep, LibraryState, Needs, Notice, Recogniser, Station};
+use crate::station::{
+    DurationRequirements, LibraryState, Recogniser, ScanStore, Station, StationEvent,
+};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -49,7 +51,7 @@ pub struct Args {
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::parse::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -91,7 +93,7 @@ fn by_protocol(
 ) -> Result<Stage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
-    eprintln!("each trial is named by {}", protocol.name());
+    say!("protocol: {}", protocol.name());
     Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 
@@ -129,24 +131,25 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        station = station.listener(JsonLines);
+        let commands = station.commands();
+        station = station.listener(JsonLines { commands });
     }
     let library = args.library.as_ref().filter(|_| args.serve.asked());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
-        station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
     let (mut station, server) = args.serve.start(station, address, library.is_some())?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
-    station.tell(&Notice::Reading);
+    station.emit(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
     station = station.recogniser(Arc::new(recogniser));
     if follows {
         station = station.progress_every(LOOK_S);
     }
     let signals = match &server {
-        Some(_) => Some(watch_signals(station.orders())?),
+        Some(_) => Some(watch_signals(station.commands())?),
         None => None,
     };
     let totals = station.run()?;
@@ -169,10 +172,10 @@ fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
-    let needs = Needs::of(&stage.scene, compared, stage.synthetic);
+    let needs = DurationRequirements::of(&stage.scene, compared, stage.synthetic);
     let mut recogniser = Recogniser::with_folds(models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;
-    applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+    applied.remarks.iter().for_each(|remark| say!("{remark}"));
     Ok((recogniser, applied.follows))
 }
 
@@ -196,7 +199,7 @@ impl Stage {
 
 fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let prepared = evaluate::prepare_folds(method, &stage.entries, &stage.folds, None, &progress)?;
     stage.folds.iter().map(|fold| prepared.fit(method, &fold.library)).collect()
 }

@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> Done {
         report.join(other, &whose).map_err(refused)?;
     }
     keep(args, &report)?;
-    eprintln!("\n{}", report.markdown());
+    say!("\n{}", report.markdown());
     if args.figure.json {
         show::json(&report);
     }
@@ -103,10 +103,10 @@ fn measured(args: &Args) -> Result<Report, Failure> {
         named => named.iter().map(|MethodArg(name)| *name).collect(),
     };
     for (done, method) in methods.iter().enumerate() {
-        eprintln!("{}/{}  {}", done + 1, methods.len(), method.as_str());
+        say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
         let method = quick(*method).build(&scene);
         let steps = show::Steps::new();
-        let told = stress::run(&*method, &plan, &|step, done, of| steps.tell(step, done, of))?;
+        let told = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
         drop(steps);
         report.methods.push(told);
         // What is done stays, should a later method fail or a person lose patience.

@@ -205,14 +205,13 @@ impl<'a> Opening<'a> {
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
-            return Err(LibraryError::file(
-                &folder.path,
-                format!(
-                    "the same trial ({key}) as {}; remove one, or tell them apart by `trial = N` \
-                     or `user = \"…\"` in trial.toml",
-                    other.display()
-                ),
-            ));
+            let why = format!(
+                "not used, it is the same trial ({key}) as {}; remove one, or tell them apart by \
+                 `trial = N` or `user = \"…\"` in trial.toml",
+                other.display()
+            );
+            self.pass_over(&folder.path, why);
+            return Ok(());
         }
         self.trials.insert(key, (folder.path.clone(), sources));
         Ok(())

@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moments_are_told_as_the_calendar_has_them() {
+    fn moments_become_calendar_dates() {
         let at = |seconds| utc(UNIX_EPOCH + Duration::from_secs(seconds));
         // `date -u -d @SECONDS`
         assert_eq!(at(0), "1970-01-01T00:00:00Z");

@@ -28,8 +28,8 @@ const FRAME_SCHEMA: &str = r#"{"title": "surfaced.Frame", "type": "object", "pro
 /// The schema that viewers know for pictures, <https://docs.foxglove.dev/docs/sdk/schemas/compressed-image>.
 const PICTURE_SCHEMA: &str = r#"{"title": "foxglove.CompressedImage", "type": "object", "properties": {"timestamp": {"type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999}}}, "frame_id": {"type": "string"}, "data": {"type": "string", "contentEncoding": "base64"}, "format": {"type": "string"}}}"#;
 
-/// Writes a recording, a library or one of its trials (`SURFACE/TRIAL`), as `out`; tells how many
-/// trials that were.
+/// Writes a recording, a library or one of its trials (`SURFACE/TRIAL`), as `out`; gives the
+/// number of trials.
 ///
 /// # Errors
 /// If the recording cannot be read, or `out` exists or cannot be written.
@@ -53,8 +53,8 @@ pub fn export(recording: &Path, library: &Library, out: &Path) -> Result<usize, 
     Ok(library.entries.len())
 }
 
-/// Writes back the files of a recording that was exported, below `dir`, which must not be there
-/// yet; tells how many trials they are.
+/// Writes back the files of a recording that was exported, below `dir`, which must not exist
+/// yet; gives the number of trials.
 ///
 /// # Errors
 /// If `mcap` is no such file, holds none of a recording's files, or names one that would lie
@@ -132,7 +132,7 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
 fn trials(recording: &Path) -> Result<Vec<PathBuf>, LibraryError> {
     let root = recording.canonicalize().map_err(|error| LibraryError::io(recording, error))?;
     let inner = visible(&root)?;
-    // A trial is files alone; a library is folders, whatever else may lie beside them.
+    // A trial is files alone; a library is folders, with any files beside them.
     if !inner.iter().any(|item| item.is_dir) {
         return Ok(vec![root]);
     }
@@ -158,7 +158,7 @@ fn media_type(name: &str) -> &'static str {
     }
 }
 
-/// Writes the messages of a trial, and tells how long it lasts, in seconds.
+/// Writes the messages of a trial, and gives its duration in seconds.
 fn write(
     writer: &mut Writer<BufWriter<File>>,
     trial: &Trial,

@@ -18,7 +18,7 @@ use super::hub::{Hub, Undelivered};
 use super::readers::Wants;
 use super::state::Told;
 use super::{Settings, metrics, order, page};
-use crate::station::Order;
+use crate::station::Command;
 
 /// Why a request is refused.
 #[derive(Debug, thiserror::Error)]
@@ -114,17 +114,17 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/events", get(events))
         .route(
             "/start",
-            post(|State(hub): Shared| async move { tell(&hub, "start", Order::Start) }),
+            post(|State(hub): Shared| async move { tell(&hub, "start", Command::Start) }),
         )
-        .route("/stop", post(|State(hub): Shared| async move { tell(&hub, "stop", Order::Stop) }))
+        .route("/stop", post(|State(hub): Shared| async move { tell(&hub, "stop", Command::Stop) }))
         .route(
             "/reload",
-            post(|State(hub): Shared| async move { tell(&hub, "reload", Order::Reload) }),
+            post(|State(hub): Shared| async move { tell(&hub, "reload", Command::Reload) }),
         )
         .route("/enroll", post(enroll))
         .route(
             "/enroll/end",
-            post(|State(hub): Shared| async move { tell(&hub, "enroll/end", Order::EndEnroll) }),
+            post(|State(hub): Shared| async move { tell(&hub, "enroll/end", Command::EndEnroll) }),
         );
     let mut router = Router::new()
         .nest("/api/v1", api)
@@ -217,7 +217,7 @@ struct Accepted {
     accepted: &'static str,
 }
 
-fn tell(hub: &Hub, accepted: &'static str, order: Order) -> Result<Response, Problem> {
+fn tell(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
     hub.order(order)?;
     Ok((StatusCode::ACCEPTED, Json(Accepted { accepted })).into_response())
 }

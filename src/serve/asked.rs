@@ -17,7 +17,7 @@ use tower_service::Service;
 use super::accept::{LARGEST_BODY, Limits};
 use super::hub::Hub;
 use super::{Settings, Token, api, label};
-use crate::station::Order;
+use crate::station::Command;
 
 /// What the server of the token wants to hear.
 const SECRET: &str = "0123456789abcdef";
@@ -25,7 +25,7 @@ const SECRET: &str = "0123456789abcdef";
 /// A server without a network, and what it orders.
 struct Asked {
     router: Router,
-    orders: Receiver<Order>,
+    orders: Receiver<Command>,
     runtime: Runtime,
 }
 
@@ -64,7 +64,7 @@ impl Asked {
         let ordered = orders.try_recv().ok();
         assert_eq!(ordered.is_some(), status == StatusCode::ACCEPTED, "{method} {path}: {status}");
         assert!(ordered.is_none() || method == Method::POST, "{method} {path} ordered something");
-        if let Some(Order::Enroll { surface, user, trials }) = ordered {
+        if let Some(Command::Enroll { surface, user, trials }) = ordered {
             for name in [surface, user] {
                 assert_eq!(label::check("label", &name).as_ref(), Ok(&name));
                 assert!(!name.starts_with('.') && !name.contains(['/', '\\', '\0', '<', '\n']));

@@ -40,7 +40,7 @@ pub use accept::Limits;
 pub use reporter::Reporter;
 pub use token::Token;
 
-use crate::station::Order;
+use crate::station::Command;
 use hub::Hub;
 
 /// The port where nothing else is said.
@@ -100,7 +100,7 @@ pub struct Server {
 }
 
 /// How long the end of the server waits for answers under way.
-const LAST_WORDS: Duration = Duration::from_millis(500);
+const SHUTDOWN_GRACE: Duration = Duration::from_millis(500);
 
 impl Server {
     /// Serves from now on; `orders` go to the station.
@@ -110,7 +110,7 @@ impl Server {
     /// system gives no thread.
     pub fn start(
         settings: &Settings,
-        orders: Sender<Order>,
+        orders: Sender<Command>,
     ) -> Result<(Self, Reporter), ServeError> {
         if !settings.address.ip().is_loopback() && settings.token.is_none() {
             return Err(ServeError::Open(settings.address));
@@ -133,7 +133,7 @@ impl Server {
                 let told = tokio::spawn(hub::run(hub.clone(), notices, stopped.clone()));
                 accept::serve(listener, hub, &settings, stopped).await;
                 // Whatever was entered before the end is still told, to those who read at once.
-                let _ = tokio::time::timeout(LAST_WORDS, told).await;
+                let _ = tokio::time::timeout(SHUTDOWN_GRACE, told).await;
             });
         };
         let thread = std::thread::Builder::new()

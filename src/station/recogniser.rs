@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::need::Needs;
-use super::notice::LibraryState;
+use super::event::{LibraryState, Remark, RemarkKind};
+use super::requirements::DurationRequirements;
 use crate::library::Entry;
 use crate::recognise::{
     Follow, FollowOptions, Model, Ranking, RecogniseError, Rejection, RejectionError, Settling,
@@ -22,11 +22,11 @@ pub struct Verdict {
     pub unknown: bool,
     /// Scan duration that 400 samples T* apart need on the first one, in seconds.
     pub needed_s: Option<f64>,
-    /// For people: what is not perfect about the scan, a line each.
-    pub remarks: Vec<String>,
+    /// What is not perfect about the scan.
+    pub remarks: Vec<Remark>,
 }
 
-/// Reads a library: again and again, if it is told to.
+/// Reads a library, as often as it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
 /// A library, ready to name scans.
@@ -35,14 +35,18 @@ pub struct Recogniser {
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
-    needs: Needs,
+    requirements: DurationRequirements,
     library: LibraryState,
 }
 
 impl Recogniser {
     /// Names scans by one model.
-    pub fn new(model: Arc<dyn Model>, needs: Needs, library: LibraryState) -> Self {
-        Self::with_folds(vec![model], BTreeMap::new(), needs, library)
+    pub fn new(
+        model: Arc<dyn Model>,
+        requirements: DurationRequirements,
+        library: LibraryState,
+    ) -> Self {
+        Self::with_folds(vec![model], BTreeMap::new(), requirements, library)
     }
 
     /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
@@ -52,21 +56,21 @@ impl Recogniser {
     pub fn with_folds(
         models: Vec<Arc<dyn Model>>,
         model_of: BTreeMap<TrialKey, usize>,
-        needs: Needs,
+        requirements: DurationRequirements,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        Self { models, model_of, following, needs, library }
+        Self { models, model_of, following, requirements, library }
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
+    /// Calls scans unknown that fit no surface, at a rate of false rejections. Gives what that
     /// rests on, for each model.
     ///
     /// # Errors
     /// If the method gives no p-value, or a library has too few trials; no scan is called
     /// unknown then.
-    pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+    pub fn reject_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
         let rejections = self.models.iter().map(|model| model.rejection(rate));
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {
@@ -76,7 +80,7 @@ impl Recogniser {
     }
 
     /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
-    /// scan waits for it. Says what was found; nothing, if the method cannot follow scans.
+    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
@@ -84,8 +88,8 @@ impl Recogniser {
         followers.map(|follower| follower.settling().clone()).collect()
     }
 
-    /// Tells people what answers rest on, together with the library.
-    pub fn remark(&mut self, remarks: &[String]) {
+    /// Adds remarks on what answers rest on to those of the library.
+    pub fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
 
@@ -95,19 +99,23 @@ impl Recogniser {
     }
 
     /// Flaws of the scan's channels, and samples closer than T*.
-    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<String> {
+    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, signal) in &scan.trial.signals {
             // A source with a fixed length scale is a switch, and rests most of the time.
             if let Signal::Series(series) = signal
-                && !self.needs.is_switch(id)
+                && !self.requirements.is_switch(id)
             {
                 let left_out =
                     if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
+                remarks.extend(flaws(series).iter().map(|flaw| Remark {
+                    kind: RemarkKind::Flaw,
+                    source: id.clone(),
+                    text: format!("{id}: {flaw}{left_out}"),
+                }));
             }
         }
-        remarks.extend(self.needs.warnings(ranking, scan.scan_s));
+        remarks.extend(self.requirements.remarks(ranking, scan.scan_s));
         remarks
     }
 
@@ -118,16 +126,16 @@ impl Recogniser {
     pub fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
         let model = &self.models[at];
-        // What came out of the rings, and nothing else; less what no comparison should see.
-        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
+        // What came out of the rings and nothing else, but for channels with flaws.
+        let trial = Arc::new(without_flawed(scan.trial.clone(), self.requirements.scene()).0);
         let ranking = model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)?;
         let rejection = self.following[at].rejection.as_ref();
         let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
-        let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
+        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
         Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
     }
 
-    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
+    /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].
     pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
         let at = self.model(truth);
         self.models[at].clone().follow(&self.following[at])
@@ -135,7 +143,7 @@ impl Recogniser {
 
     /// Scan duration that 400 samples T* apart need on a surface, in seconds.
     pub fn needed_s(&self, surface: &str) -> Option<f64> {
-        self.needs.scan_s(surface, &self.library.sources)
+        self.requirements.scan_s(surface, &self.library.sources)
     }
 
     /// For people: what scans are compared with.

@@ -18,7 +18,7 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
         return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
     }
     let trials = vectors(tables, &args.sources.sources)?;
-    eprintln!(
+    say!(
         "{}: feature tables {}, {} trials",
         tables.name,
         tables.sources.iter().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
@@ -28,7 +28,7 @@ pub fn run(args: &Args, tables: &FeatureTables) -> Done {
     let folds = evaluate::folds(protocol, &keys)?;
     let method = args.method.spec()?.build(&Scene::lmt108());
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let (outcome, predictions) = evaluate::run_features(&*method, &trials, &folds, &progress)
         .map_err(|error| match error {
             EvaluateError::Recognise(e @ RecogniseError::NeedsRecordings(_)) => {

@@ -8,23 +8,23 @@ use crossbeam_channel::{SendTimeoutError, Sender, TrySendError};
 use super::{Event, Totals};
 use crate::ring::Stop;
 
-/// Events kept for a reader that is late, beside those in the channel.
+/// Events kept for a reader that is late, besides those in the channel.
 const BACKLOG: usize = 256;
-/// How long, after a stop, a reader is waited for.
+/// How long a stop waits for the reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-pub(super) struct Outbox {
+pub(super) struct EventQueue {
     events: Sender<Event>,
     stop: Stop,
     backlog: VecDeque<Event>,
-    /// After a stop: until when a reader is waited for.
+    /// After a stop: until when to wait for the reader.
     patience: Option<Instant>,
     /// Whether to wait for the reader: true while no device would lose by it.
     pub waits: bool,
     pub totals: Totals,
 }
 
-impl Outbox {
+impl EventQueue {
     pub fn new(events: Sender<Event>, stop: Stop, waits: bool) -> Self {
         Self {
             events,
@@ -36,8 +36,8 @@ impl Outbox {
         }
     }
 
-    /// Tells what must not be missed.
-    pub fn tell(&mut self, event: Event) {
+    /// Sends what must not be missed.
+    pub fn push(&mut self, event: Event) {
         match &event {
             Event::Scan(_) => self.totals.scans += 1,
             Event::Warning(_) => self.totals.warnings += 1,
@@ -46,7 +46,7 @@ impl Outbox {
         self.backlog.push_back(event);
         self.flush();
         while self.backlog.len() > BACKLOG {
-            // Scans last of all: a flood of warnings must not wash them away.
+            // Scans last: a flood of warnings must not displace them.
             let other = self.backlog.iter().position(|event| !matches!(event, Event::Scan(_)));
             self.backlog.remove(other.unwrap_or(0));
             self.totals.dropped_events += 1;
@@ -54,15 +54,15 @@ impl Outbox {
     }
 
     pub fn warn(&mut self, text: String) {
-        self.tell(Event::Warning(text));
+        self.push(Event::Warning(text));
     }
 
-    /// Tells what the next one of its kind makes up for. False if the reader was busy.
-    pub fn tell_snapshot(&mut self, event: Event) -> bool {
+    /// Sends what the next one of its kind would include as well. False if the reader was busy.
+    pub fn offer(&mut self, event: Event) -> bool {
         self.flush();
-        let told = self.backlog.is_empty() && self.send(event).is_ok();
-        self.totals.late_snapshots += u64::from(!told);
-        told
+        let sent = self.backlog.is_empty() && self.send(event).is_ok();
+        self.totals.late_snapshots += u64::from(!sent);
+        sent
     }
 
     /// Passes on what is left over.
@@ -78,7 +78,7 @@ impl Outbox {
     pub fn finish(mut self) -> Totals {
         self.waits = true;
         self.flush();
-        // Nobody reads any more: said in the account, which the session returns as well.
+        // Nobody reads any more: the account, which the session returns as well, says so.
         self.totals.dropped_events += self.backlog.len() as u64;
         self.backlog.clear();
         let _ = self.send(Event::Finished(self.totals.clone()));
@@ -140,17 +140,17 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_of_warnings_washes_no_scan_away() {
+    fn a_flood_of_warnings_displaces_no_scan() {
         let (sender, events) = crossbeam_channel::bounded(1);
-        let mut outbox = Outbox::new(sender, Stop::default(), false);
+        let mut event_queue = EventQueue::new(sender, Stop::default(), false);
         for number in 1..=10 {
-            outbox.tell(scan(number));
-            (0..1000).for_each(|_| outbox.warn("noise".into()));
+            event_queue.push(scan(number));
+            (0..1000).for_each(|_| event_queue.warn("noise".into()));
         }
         let reader = std::thread::spawn(move || {
             events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
         });
-        let totals = outbox.finish();
+        let totals = event_queue.finish();
         assert_eq!(reader.join().unwrap(), 10);
         assert_eq!(totals.dropped_events as usize, 10 + 10_000 - 1 - BACKLOG);
     }
@@ -160,9 +160,9 @@ mod tests {
         let (sender, events) = crossbeam_channel::bounded(1);
         drop(events);
         let stop = Stop::default();
-        let mut outbox = Outbox::new(sender, stop.clone(), true);
-        outbox.warn("nobody hears this".into());
+        let mut event_queue = EventQueue::new(sender, stop.clone(), true);
+        event_queue.warn("nobody reads this".into());
         assert!(stop.requested());
-        assert_eq!(outbox.finish().dropped_events, 1);
+        assert_eq!(event_queue.finish().dropped_events, 1);
     }
 }

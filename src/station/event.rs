@@ -1,4 +1,4 @@
-//! What a station tells, and what it can be told to do.
+//! What a station reports, and the commands that it takes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ pub struct Answer {
     pub surface: Option<String>,
     /// What it truly was, where a recording says so; likewise the next two.
     pub truth: Option<String>,
-    /// Who dragged.
+    /// The person who dragged.
     pub user: Option<String>,
     /// Number of the trial.
     pub trial: Option<u32>,
@@ -34,14 +34,14 @@ pub struct Answer {
     /// Probability of the first surface, by a method that gives one.
     pub confidence: Option<f64>,
     /// Share of left-out library trials that fit their surface no better than this one fits the
-    /// first (a conformal p-value), where the library is large enough to tell.
+    /// first (a conformal p-value), where the library is large enough.
     pub fit: Option<f64>,
-    /// From the end of the scan to its name, in milliseconds.
+    /// From the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
     /// How long the scan lasted, in seconds.
     pub scan_s: f64,
     /// The scan time after which the answer was settled, in seconds; `None` if it never was, or
-    /// nobody watched.
+    /// the scan was not followed.
     pub settled_s: Option<f64>,
     /// Frames (and pictures) lost within the scan.
     pub lost_samples: u64,
@@ -51,20 +51,47 @@ pub struct Answer {
     pub spoiled: Vec<String>,
     /// Scan duration that 400 samples T* apart need on the named surface, in seconds.
     pub needed_s: Option<f64>,
-    /// For people: what is not perfect about the scan, a line each.
-    pub remarks: Vec<String>,
+    /// What is not perfect about the scan.
+    pub remarks: Vec<Remark>,
+}
+
+/// Something that is not perfect about a scan; in JSON, its text.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub struct Remark {
+    /// What it is about.
+    pub kind: RemarkKind,
+    /// The source that it is about.
+    pub source: SourceId,
+    /// For people.
+    pub text: String,
+}
+
+/// The kinds of remark about a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RemarkKind {
+    /// A channel has a flaw.
+    Flaw,
+    /// Samples lie closer than T*.
+    CloserThanTStar,
+}
+
+impl From<Remark> for String {
+    fn from(remark: Remark) -> Self {
+        remark.text
+    }
 }
 
 /// A surface and its probability.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Named {
+pub struct SurfaceProbability {
     /// The label.
     pub surface: String,
     /// From 0 to 1.
     pub probability: f64,
 }
 
-/// How the scan that goes on looks so far.
+/// What the scan in progress looks like so far.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Guess {
     /// Number of the scan.
@@ -72,10 +99,10 @@ pub struct Guess {
     /// Seconds of drag so far.
     pub scan_s: f64,
     /// The most probable surfaces, at most five; empty as long as there is nothing to say.
-    pub named: Vec<Named>,
+    pub named: Vec<SurfaceProbability>,
     /// The answer will not change any more, to the stated error.
     pub settled: bool,
-    /// Scan duration that the most probable surface asks for, in seconds.
+    /// Scan duration that the most probable surface needs, in seconds.
     pub needed_s: Option<f64>,
 }
 
@@ -122,28 +149,44 @@ impl LibraryState {
     }
 }
 
-/// A scan was kept as a trial of a library, or refused.
+/// What became of a scan that was to be kept as a trial of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolled {
     /// Number of the scan.
     pub scan: u32,
     /// The surface.
     pub surface: String,
+    /// What became of it.
+    pub outcome: EnrolledOutcome,
     /// Number of the trial, if it was kept.
     pub trial: Option<u32>,
     /// Its folder, if it was kept.
     pub folder: Option<PathBuf>,
-    /// For people: why it was refused, or what is not perfect about it, a line each.
+    /// For people: why it was not kept, or what is not perfect about it, a line each.
     pub remarks: Vec<String>,
     /// How many trials are still wanted.
     pub wanted: u32,
 }
 
-/// What a station tells.
+/// What became of a scan that was to be kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EnrolledOutcome {
+    /// It is a trial of the library.
+    Kept,
+    /// It is no good trial.
+    Refused,
+    /// It could not be written, stays in memory, and is tried again.
+    Waiting,
+    /// It could not be written, and is gone.
+    Lost,
+}
+
+/// What happens in a station.
 #[derive(Clone, Debug)]
-pub enum Notice {
+pub enum StationEvent {
     /// The session has begun, and this is what its streams carry, now and at any time; the first
-    /// notice.
+    /// event.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
@@ -156,28 +199,28 @@ pub enum Notice {
     },
     /// What is new in the streams.
     Trace(Arc<Trace>),
-    /// A scan has begun, or gone on to another part.
+    /// A scan has begun, or has come to another part.
     Phase {
         /// number of the scan
         scan: u32,
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// A scan goes on.
+    /// News of the scan in progress.
     Guess(Guess),
     /// A scan was named.
     Answer(Arc<Answer>),
-    /// A scan was kept for a library, or refused.
+    /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
     /// The library is being read; scans wait for it.
     Reading,
     /// Scans are compared with this library from now on.
     Library(LibraryState),
-    /// For people: something was lost, damaged or not understood, and work went on.
+    /// For people: something was lost, damaged or not understood, and work continues.
     Warning(String),
-    /// The station's loop turns; the answer to [`Order::Ping`].
+    /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
-    /// The station has ended; the last notice.
+    /// The station has ended; the last event.
     Finished(Arc<Totals>),
 }
 
@@ -188,53 +231,53 @@ impl Answer {
     }
 }
 
-/// What a station can be told to do.
+/// A command to a station.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Begin a scan now, whatever the detector says.
+pub enum Command {
+    /// Begin a scan now, regardless of the detector.
     Start,
-    /// End the scan that goes on.
+    /// End the scan in progress.
     Stop,
-    /// Keep the next `trials` good scans as trials of `surface`.
+    /// ScanStore the next `trials` good scans as trials of `surface`.
     Enroll {
         /// the label
         surface: String,
-        /// who drags
+        /// the person who drags
         user: String,
         /// how many
         trials: u32,
     },
-    /// Keep all scans that follow, good or not.
+    /// ScanStore all scans that follow, good or not.
     Record {
         /// the label
         surface: String,
-        /// who drags
+        /// the person who drags
         user: String,
     },
-    /// Keep no more scans.
+    /// ScanStore no more scans.
     EndEnroll,
-    /// Give a sign of life.
+    /// Answer with [`StationEvent::Alive`].
     Ping,
-    /// Read the library and the plan anew, without dropping a sample.
+    /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan that goes on, and then all.
+    /// End the scan in progress, name it, and stop the station.
     Quit,
 }
 
-/// Who is told what happens. Called on the thread that runs the station: must not wait.
+/// Takes the events of a station. Called on the station's own thread: must not wait.
 pub trait Listener {
-    /// Something happened.
-    fn notice(&mut self, notice: &Notice);
+    /// Takes an event.
+    fn on_event(&mut self, event: &StationEvent);
 }
 
 impl<L: Listener + ?Sized> Listener for &mut L {
-    fn notice(&mut self, notice: &Notice) {
-        (**self).notice(notice);
+    fn on_event(&mut self, event: &StationEvent) {
+        (**self).on_event(event);
     }
 }
 
 impl<L: Listener + ?Sized> Listener for Box<L> {
-    fn notice(&mut self, notice: &Notice) {
-        (**self).notice(notice);
+    fn on_event(&mut self, event: &StationEvent) {
+        (**self).on_event(event);
     }
 }

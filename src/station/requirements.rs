@@ -1,13 +1,14 @@
-//! What T* asks of a scan: how much longer to drag.
+//! What T* requires of a scan: how much longer to drag.
 
+use super::event::{Remark, RemarkKind};
 use crate::duration::{DurationReport, Question, Settings, report};
 use crate::kernel::Threshold;
 use crate::library::{Entry, Library};
 use crate::recognise::Ranking;
 use crate::scene::{Domain, Scene, SourceId};
 
-/// T* of a library's surfaces, as far as it can be told.
-pub struct Needs {
+/// T* of a library's surfaces, as far as it is known.
+pub struct DurationRequirements {
     scene: Scene,
     report: Option<DurationReport>,
 }
@@ -15,9 +16,9 @@ pub struct Needs {
 /// Draws of a start for each lag: a fifth of the paper's, since this runs before every replay.
 const DRAWS: usize = 100;
 
-impl Needs {
+impl DurationRequirements {
     /// From the trials that are compared with. A library too small for T*, or without sources of
-    /// domain `time`, asks for nothing.
+    /// domain `time`, requires nothing.
     pub fn of(scene: &Scene, entries: Vec<Entry>, synthetic: bool) -> Self {
         let scene = scene.clone();
         let (name, remarks) = (String::new(), Vec::new());
@@ -46,7 +47,7 @@ impl Needs {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The longest scan that any of some sources asks for on a surface, in seconds.
+    /// The longest scan that any of some sources requires on a surface, in seconds.
     pub fn scan_s(&self, surface: &str, sources: &[SourceId]) -> Option<f64> {
         let report = self.report.as_ref()?;
         (sources.iter())
@@ -55,12 +56,14 @@ impl Needs {
             .max_by(f64::total_cmp)
     }
 
-    /// Warnings about sources whose samples lie closer than T*.
-    pub fn warnings(&self, ranking: &Ranking, scan_s: f64) -> Vec<String> {
+    /// Remarks on sources whose samples lie closer than T*.
+    pub fn remarks(&self, ranking: &Ranking, scan_s: f64) -> Vec<Remark> {
         let Some(report) = &self.report else { return Vec::new() };
         (ranking.sources.iter())
             .filter_map(|id| {
-                report.need(ranking.surface(), id.as_str())?.warning(id.as_str(), scan_s)
+                let need = report.need(ranking.surface(), id.as_str())?;
+                let text = need.warning(id.as_str(), scan_s)?;
+                Some(Remark { kind: RemarkKind::CloserThanTStar, source: id.clone(), text })
             })
             .collect()
     }

@@ -4,16 +4,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::mono::{Pcm, Pick, mix};
-use crate::ring::{Bell, SeriesSink};
+use crate::ring::{SeriesSink, Waker};
 
 /// Room for a callback of the usual size; a larger one is mixed part by part.
 const PART: usize = 4096;
 
 /// Takes samples from a callback: never waits, never allocates. What does not fit is counted as
 /// lost, in its place.
-pub struct Intake {
+pub struct CallbackSink {
     ring: SeriesSink,
-    bell: Bell,
+    waker: Waker,
     pick: Pick,
     mono: Vec<f32>,
     broken: Broken,
@@ -24,16 +24,16 @@ pub struct Intake {
 pub struct Broken(Arc<AtomicU64>);
 
 impl Broken {
-    /// So many so far.
+    /// Their number so far.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-impl Intake {
-    /// Puts samples into `ring`, of one channel, and rings `bell` each time.
-    pub fn new(ring: SeriesSink, bell: Bell, pick: Pick) -> Self {
-        Self { ring, bell, pick, mono: Vec::with_capacity(PART), broken: Broken::default() }
+impl CallbackSink {
+    /// Puts samples into `ring`, of one channel, and wakes `waker` each time.
+    pub fn new(ring: SeriesSink, waker: Waker, pick: Pick) -> Self {
+        Self { ring, waker, pick, mono: Vec::with_capacity(PART), broken: Broken::default() }
     }
 
     /// The samples that were no numbers, and became silence.
@@ -41,7 +41,7 @@ impl Intake {
         self.broken.clone()
     }
 
-    /// Takes interleaved samples of so many channels.
+    /// Takes interleaved samples of `channels` channels.
     pub fn take<T: Pcm>(&mut self, interleaved: &[T], channels: usize) {
         let channels = channels.max(1);
         for part in interleaved.chunks(PART * channels) {
@@ -52,6 +52,6 @@ impl Intake {
             }
             self.ring.push(&self.mono);
         }
-        self.bell.ring();
+        self.waker.wake();
     }
 }
