@@ -14,7 +14,7 @@ use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
-    GuessSoFar, LOOK_S, Method, Reference, ReferenceOptions, RejectionError, without_flawed,
+    GuessSoFar, LOOK_S, Model, Reference, ReferenceOptions, RejectionError, without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::trial::{Image, Signal, Trial};
@@ -24,7 +24,7 @@ fn embedding(scene: &Scene) -> Embedding {
 }
 
 fn prepared(method: &Embedding, trial: &Trial) -> FrameFeatures {
-    method.prepare(&Entry::in_memory(trial.clone()), trial).unwrap()
+    method.frames(&Entry::in_memory(trial.clone()), trial).unwrap()
 }
 
 /// A small synthetic library, its model, and a scan by somebody else.
@@ -38,7 +38,7 @@ fn made() -> (Scene, Embedding, Arc<EmbeddingModel>, Trial) {
         trials.into_iter().partition(|trial| trial.key.user == "expert");
     let method = embedding(&scene);
     let library = experts.iter().map(|trial| Arc::new(prepared(&method, trial))).collect();
-    let model = Arc::new(method.fit(library).unwrap());
+    let model = Arc::new(method.train(library).unwrap());
     (scene, method, model, users[1].clone())
 }
 
@@ -79,7 +79,7 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
 #[test]
 fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_scan_says() {
     let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let fine = said(&mut *follower, &scene, &scan, 0.01);
     assert_eq!(fine.len(), 17, "one look each {LOOK_S} s");
     let settled = fine.last().unwrap().settled.clone().expect("four easy surfaces");
@@ -102,8 +102,8 @@ fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_s
 
 #[test]
 fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
-    let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let (scene, _, model, scan) = made();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.remove(&id("fr"));
     let expected = said(&mut *follower, &scene, &without, 0.1);
@@ -130,8 +130,8 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 
 #[test]
 fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end() {
-    let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let (scene, _, model, scan) = made();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.retain(|source, _| *source != id("fr") && *source != id("ca1"));
     let expected = said(&mut *follower, &scene, &without, 0.1);
@@ -164,7 +164,7 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;
+    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap();
     let run = || {
         let how = (0.01, None);
         evaluate::run_settled(&method, &scene, &entries, &folds, &library, how, quiet).unwrap()
@@ -186,7 +186,7 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;
+    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap();
     let how = (5, 0.01);
     let plain = |entry: &Entry| entry.clone();
     let outcome =
@@ -199,13 +199,14 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
 
 #[test]
 fn a_method_or_a_library_that_cannot_tell_says_so() {
-    let (scene, method, model, _) = made();
-    let error = method.rejection(&model, 0.01).unwrap_err();
+    let (scene, _, model, _) = made();
+    let error = model.rejection(0.01).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });
-    assert!(method.rejection(&model, 0.1).is_ok(), "16 trials are enough for 10 %");
-    let reference = Reference::new(scene, ReferenceOptions::default());
-    let error = reference.rejection(&Vec::new(), 0.01).unwrap_err().to_string();
-    assert!(error.contains("reference") && error.contains("--method embedding"), "{error}");
+    assert!(model.rejection(0.1).is_ok(), "16 trials are enough for 10 %");
+    let reference = Reference::new(scene, ReferenceOptions::default()).model(&[]).unwrap();
+    let error = reference.rejection(0.01).unwrap_err();
+    assert_eq!(error, RejectionError::NoPValue);
+    assert!(error.to_string().contains("the method `embedding` can"), "{error}");
 }
 
 fn surfaced(args: &[&str]) -> Output {

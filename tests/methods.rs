@@ -11,7 +11,8 @@ use common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{self, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingOptions, FrameFeatures, FrameStream, Method, Ranking,
+    Embedding, EmbeddingModel, EmbeddingOptions, FrameFeatures, FrameStream, Method, Model,
+    Ranking, RecogniseError,
 };
 use surfaced::scene::{Scene, SourceId};
 use surfaced::seed;
@@ -21,7 +22,7 @@ fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
 }
 
-fn accuracy<M: Method>(method: &M, entries: &[Entry], folds: &[Fold], seconds: Option<f64>) -> f64 {
+fn accuracy(method: &dyn Method, entries: &[Entry], folds: &[Fold], seconds: Option<f64>) -> f64 {
     let cut = move |entry: &Entry| match seconds {
         Some(s) => entry.clone().changed(move |trial| trial.first_seconds(s, |_| true)),
         None => entry.clone(),
@@ -58,24 +59,32 @@ fn negative_controls_stay_far_below() {
 fn a_gain_changes_nothing_where_means_are_aligned() {
     let Some((scene, entries, folds)) = real_sounds(1) else { return };
     let method = embedding(&scene);
-    let library = |i: &usize| Arc::new(prepared(&method, &entries[*i].load().unwrap()));
-    let model = method.fit(folds[0].library.iter().map(library).collect()).unwrap();
+    let library = |i: &usize| Arc::new(framed(&method, &entries[*i].load().unwrap()));
+    let model = method.train(folds[0].library.iter().map(library).collect()).unwrap();
     for &query in folds[0].queries.iter().step_by(6) {
         let mut trial = entries[query].load().unwrap();
-        let plain = method.rank(&model, &prepared(&method, &trial)).unwrap();
+        let plain = rank(&model, &trial).unwrap();
         for signal in trial.signals.values_mut() {
             if let Signal::Series(series) = signal {
                 series.view_mut().mapv_inplace(|x| x * 0.5);
             }
         }
-        let quieter = method.rank(&model, &prepared(&method, &trial)).unwrap();
+        let quieter = rank(&model, &trial).unwrap();
         assert_eq!(plain.surface(), quieter.surface());
         assert!((plain.margin - quieter.margin).abs() < 0.02 * plain.margin.max(1.0));
     }
 }
 
-fn prepared<M: Method>(method: &M, trial: &Trial) -> M::Prepared {
-    method.prepare(&Entry::in_memory(trial.clone()), trial).unwrap()
+fn framed(method: &Embedding, trial: &Trial) -> FrameFeatures {
+    method.frames(&Entry::in_memory(trial.clone()), trial).unwrap()
+}
+
+fn trained(method: &Embedding, library: &[Trial]) -> EmbeddingModel {
+    method.train(library.iter().map(|trial| Arc::new(framed(method, trial))).collect()).unwrap()
+}
+
+fn rank(model: &EmbeddingModel, query: &Trial) -> Result<Ranking, RecogniseError> {
+    model.rank(&model.prepare(&Entry::in_memory(query.clone()), query)?)
 }
 
 /// Coloured noise: each surface has a spectrum and a roughness of its own. About `seconds` long.
@@ -115,10 +124,8 @@ fn made_library(trials: u32, seconds: f64) -> Vec<Trial> {
     (0..4).flat_map(|s| (1..=trials).map(move |n| made(s, n, seconds))).collect()
 }
 
-fn fit_and_rank<M: Method>(method: &M, library: &[Trial], query: &Trial) -> Ranking {
-    let library = library.iter().map(|trial| Arc::new(prepared(method, trial))).collect();
-    let model = method.fit(library).unwrap();
-    method.rank(&model, &prepared(method, query)).unwrap()
+fn fit_and_rank(method: &Embedding, library: &[Trial], query: &Trial) -> Ranking {
+    rank(&trained(method, library), query).unwrap()
 }
 
 fn checked(ranking: &Ranking, surfaces: usize) {
@@ -170,13 +177,13 @@ fn one_trial_a_surface_is_said_to_be_uncalibrated_and_unfit_ones_fall_back_to_th
     let method = embedding(&scene);
     let model = |seconds| {
         let library = made_library(1, seconds);
-        method.fit(library.iter().map(|t| Arc::new(prepared(&method, t))).collect()).unwrap()
+        trained(&method, &library)
     };
     let long = model(1.2);
     assert!(long.remarks().iter().any(|r| r.contains("calibrate")), "{:?}", long.remarks());
     let short = model(0.3);
     assert!(short.remarks().iter().any(|r| r.starts_with("ir: too little to train")));
-    let query = prepared(&method, &made(3, 5, 1.2));
+    let query = framed(&method, &made(3, 5, 1.2));
     let posterior = long.posterior(&query).unwrap().unwrap();
     assert_eq!(posterior.surfaces[posterior.best()], "s3");
     assert!((posterior.log_posterior.iter().map(|p| p.exp()).sum::<f64>() - 1.0).abs() < 1e-9);
@@ -205,8 +212,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
     let scene = Scene::lmt108();
     let method = embedding(&scene);
     let library = made_library(2, 1.2);
-    let model =
-        method.fit(library.iter().map(|t| Arc::new(prepared(&method, t))).collect()).unwrap();
+    let model = trained(&method, &library);
     for seconds in [0.01, 0.35, 1.2] {
         let whole = made(1, 7, seconds);
         let mut stream = FrameStream::new(scene.clone(), whole.key.clone());
@@ -222,7 +228,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
                 stream.push(name, &piece).unwrap();
             }
         }
-        let batch: FrameFeatures = prepared(&method, &whole);
+        let batch = framed(&method, &whole);
         let expected = model.posterior(&batch).unwrap().unwrap();
         assert_eq!(model.posterior(&stream.so_far()).unwrap().unwrap(), expected);
     }
@@ -243,9 +249,8 @@ fn rates_may_differ_where_the_band_is_the_same_and_are_refused_where_it_is_not()
         assert_eq!(fit_and_rank(&embedding(&scene), &library, &query).surface(), "s1");
     }
     let method = embedding(&scene);
-    let model =
-        method.fit(library.iter().map(|t| Arc::new(prepared(&method, t))).collect()).unwrap();
-    let error = method.rank(&model, &prepared(&method, &at(8_000.0, 1))).unwrap_err();
+    let model = trained(&method, &library);
+    let error = rank(&model, &at(8_000.0, 1)).unwrap_err();
     assert!(error.to_string().contains("8000 Hz in the query"), "{error}");
 }
 
@@ -267,8 +272,7 @@ fn a_query_without_a_common_source_is_refused() {
     let mut library = made_library(1, 0.5);
     library.iter_mut().for_each(|t| t.signals.retain(|name, _| name != &id("ir")));
     let method = embedding(&scene);
-    let model =
-        method.fit(library.iter().map(|t| Arc::new(prepared(&method, t))).collect()).unwrap();
-    let error = method.rank(&model, &prepared(&method, &query)).unwrap_err().to_string();
+    let model = trained(&method, &library);
+    let error = rank(&model, &query).unwrap_err().to_string();
     assert!(error.contains("no source in common: the query has ir"), "{error}");
 }

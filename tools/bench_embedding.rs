@@ -16,7 +16,9 @@ use std::time::Instant;
 
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::Entry;
-use surfaced::recognise::{Embedding, EmbeddingOptions, FrameFeatures, FrameStream, Method};
+use surfaced::recognise::{
+    Embedding, EmbeddingModel, EmbeddingOptions, FrameFeatures, FrameStream, Model, Prepared,
+};
 use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{EXPERT, Series, Signal, Trial};
 
@@ -45,7 +47,7 @@ fn main() {
             library.iter().map(|entry| Arc::new(prepare(&method, entry, &load(entry)))).collect();
         let frames_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let model = method.fit(prepared).unwrap_or_else(|error| panic!("{error}"));
+        let model = method.train(prepared).unwrap_or_else(|error| panic!("{error}"));
         let name = if discriminant { "with" } else { "without" };
         println!(
             "\nembedding {name} discriminant, {} trials × 8 sources: generated and transformed in \
@@ -60,16 +62,17 @@ fn main() {
             let trial = load(entry);
             let mut answer = String::new();
             for _ in 0..RUNS {
-                answer = name_once(&method, &model, &scene, entry, &trial, &mut times);
+                answer = name_once(&model, &scene, entry, &trial, &mut times);
             }
             right += usize::from(answer == entry.key.surface);
         }
         times.print();
-        let ready: Vec<FrameFeatures> =
-            asked.iter().map(|entry| prepare(&method, entry, &load(entry))).collect();
+        let ready =
+            |entry: &&Entry| Prepared::Frames(Arc::new(prepare(&method, entry, &load(entry))));
+        let ready: Vec<Prepared> = asked.iter().map(ready).collect();
         let before = processor_s();
         for query in (0..RUNS).flat_map(|_| &ready) {
-            drop(black_box(method.rank(&model, black_box(query))));
+            drop(black_box(model.rank(black_box(query))));
         }
         if let Some(used_s) = processor_s().zip(before).map(|(after, before)| after - before) {
             let each_ms = used_s * 1e3 / (RUNS * ready.len()) as f64;
@@ -93,7 +96,7 @@ fn load(entry: &Entry) -> Trial {
 }
 
 fn prepare(method: &Embedding, entry: &Entry, trial: &Trial) -> FrameFeatures {
-    method.prepare(entry, trial).unwrap_or_else(|error| panic!("{error}"))
+    method.frames(entry, trial).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Milliseconds, one for each time that a query was named.
@@ -128,8 +131,7 @@ impl Times {
 
 /// Names a trial both ways; the answers are the same.
 fn name_once(
-    method: &Embedding,
-    model: &<Embedding as Method>::Model,
+    model: &EmbeddingModel,
     scene: &Scene,
     entry: &Entry,
     trial: &Trial,
@@ -158,15 +160,15 @@ fn name_once(
     last.iter().for_each(|(id, piece)| push(&mut stream, id, piece));
     times.last_piece.push(lap(start));
     let part = Instant::now();
-    let query = black_box(stream.so_far());
+    let query = black_box(Prepared::Frames(Arc::new(stream.so_far())));
     times.gathering.push(lap(part));
     let part = Instant::now();
-    let ranking = method.rank(model, &query).unwrap_or_else(|error| panic!("{error}"));
+    let ranking = model.rank(&query).unwrap_or_else(|error| panic!("{error}"));
     times.ranking.push(lap(part));
     times.after_scan.push(lap(start));
 
     let start = Instant::now();
-    let again = method.rank(model, &prepare(method, entry, trial));
+    let again = model.prepare(entry, trial).and_then(|query| model.rank(&query));
     times.whole.push(lap(start));
     let again = again.unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(ranking.surface(), again.surface(), "in pieces and as a whole");

@@ -70,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             &method(&scene),
             &entries,
             &folds,
-            &prepared.trials,
+            &prepared,
             |query| query.clone().within(&scene),
             &|_, _, _| {},
         )?;

@@ -164,11 +164,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
 
 /// What names the queries, each by the library of its fold, and whether it follows scans while they
 /// go on; tells people what its answers rest on.
-fn recogniser(
-    args: &Args,
-    how: &Comparing,
-    stage: &Stage,
-) -> Result<(Recogniser, bool), Failure> {
+fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser, bool), Failure> {
     let models = models(&*how.method.build(&stage.scene), stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
@@ -201,7 +197,6 @@ impl Stage {
 fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
     let progress = |step, done, of| steps.tell(step, done, of);
-    let prepared =
-        evaluate::prepare_folds(method, &stage.entries, &stage.folds, None, &progress)?;
+    let prepared = evaluate::prepare_folds(method, &stage.entries, &stage.folds, None, &progress)?;
     stage.folds.iter().map(|fold| prepared.fit(method, &fold.library)).collect()
 }

@@ -133,8 +133,7 @@ pub(crate) fn stamp<'a>(
         for path in paths {
             let about = std::fs::metadata(path).ok()?;
             parts.push([about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat());
-            let times =
-                [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
+            let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
             parts.push(times.map(i64::to_le_bytes).concat());
         }
     }

@@ -178,7 +178,9 @@ mod tests {
     fn settings_of_another_method_are_refused() {
         let spec = |text: &str| toml::from_str::<MethodSpec>(text);
         assert!(spec("method = \"reference\"\nneighbours = 3").is_ok());
-        for text in ["method = \"embedding\"\nn = 3", "method = \"svm\"\nn = 3", "method = \"joint\""] {
+        for text in
+            ["method = \"embedding\"\nn = 3", "method = \"svm\"\nn = 3", "method = \"joint\""]
+        {
             assert!(spec(text).is_err(), "{text}");
         }
     }

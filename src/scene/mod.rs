@@ -13,7 +13,9 @@ use std::fmt;
 use std::sync::Arc;
 
 /// Short name of a source, such as `mi2`: letters, digits, `_` and `-`.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+)]
 #[serde(try_from = "String")]
 pub struct SourceId(Arc<str>);
 

@@ -182,9 +182,11 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::recognise::{RankedSurface, Ranking, Settling};
-    use crate::scene::SourceId;
-    use crate::station::LibraryState;
+    use crate::library::Entry;
+    use crate::recognise::features::FeatureVector;
+    use crate::recognise::{FollowOptions, Model, Prepared, RankedSurface, Ranking, Settling};
+    use crate::scene::{Scene, SourceId};
+    use crate::station::{LibraryState, Needs};
     use crate::trial::{Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
@@ -197,32 +199,28 @@ mod tests {
         }
     }
 
-    impl Recogniser for PanicsIn {
-        fn name(&self, _: &Scan) -> Result<Verdict, RecogniseError> {
-            self.reach("name");
-            let ranking = Ranking {
+    impl Model for PanicsIn {
+        fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
+            self.reach("prepare");
+            let (key, sources) = (entry.key.clone(), BTreeMap::new());
+            Ok(Prepared::Features(Arc::new(FeatureVector { key, sources })))
+        }
+
+        fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
+            self.reach("rank");
+            Ok(Ranking {
                 ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
                 margin: 0.0,
                 sources: Vec::new(),
                 nearest: TrialKey::new("oak", "", 1),
                 confidence: None,
-                fit: None,
-            };
-            Ok(Verdict { ranking, unknown: false, needed_s: None, remarks: Vec::new() })
+                p_value: None,
+            })
         }
 
-        fn follow(&self, _: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+        fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
             self.reach("follow");
             Some(Box::new(Follower { by: *self, settling: Settling::choose(&[], 0.01) }))
-        }
-
-        fn needed_s(&self, _: &str) -> Option<f64> {
-            self.reach("needed_s");
-            Some(2.0)
-        }
-
-        fn library(&self) -> LibraryState {
-            LibraryState::default()
         }
     }
 
@@ -269,15 +267,17 @@ mod tests {
 
     #[test]
     fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
-        for (part, guesses, needs, names) in [
-            ("nothing", true, true, true),
-            ("follow", false, false, true),
-            ("look", false, false, true),
-            ("needed_s", true, false, true),
-            ("name", true, true, false),
+        for (part, guesses, names) in [
+            ("nothing", true, true),
+            ("follow", false, true),
+            ("look", false, true),
+            ("prepare", true, false),
+            ("rank", true, false),
         ] {
             let worker = Worker::start(false).unwrap();
-            let by: Arc<Recogniser> = Arc::new(PanicsIn(part));
+            let needs = Needs::of(&Scene::lmt108(), Vec::new(), false);
+            let model = Arc::new(PanicsIn(part));
+            let by = Arc::new(Recogniser::new(model, needs, LibraryState::default()));
             for number in 1..=2 {
                 let progress = Progress {
                     number,
@@ -292,7 +292,6 @@ mod tests {
                 let Ok(Told::Guess(guess)) = worker.told.recv() else { panic!("{part}: no guess") };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert_eq!(!guess.named.is_empty(), guesses, "{part}");
-                assert_eq!(guess.needed_s, needs.then_some(2.0), "{part}");
                 let Ok(Told::Named(named)) = worker.told.recv() else { panic!("{part}: no name") };
                 match named {
                     Ok(answer) => assert!(names && answer.scan == number, "{part}"),

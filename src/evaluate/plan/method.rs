@@ -66,7 +66,10 @@ impl ChoosingMethod<'_> {
     }
 
     /// A setting that reaches the target and is far cheaper than `embedding`.
-    fn cheaper(&mut self, embedded: &Outcome) -> Result<Option<(MethodSpec, Outcome)>, EvaluateError> {
+    fn cheaper(
+        &mut self,
+        embedded: &Outcome,
+    ) -> Result<Option<(MethodSpec, Outcome)>, EvaluateError> {
         let limit_ms = CHEAPER_BY * embedded.query_ms_p50;
         for setting in CHEAPER.map(reference) {
             let mut glimpse = self.on.folds[..1].to_vec();
@@ -82,7 +85,8 @@ impl ChoosingMethod<'_> {
                 self.told.push(format!(
                     "{} is as good, and takes {:.2} ms instead of {:.2} ms",
                     shown(&setting),
-                    outcome.query_ms_p50, embedded.query_ms_p50
+                    outcome.query_ms_p50,
+                    embedded.query_ms_p50
                 ));
                 return Ok(Some((setting, outcome)));
             }

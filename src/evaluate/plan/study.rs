@@ -150,11 +150,7 @@ impl Study {
 }
 
 /// Milliseconds from the raw samples of one source to its answer.
-fn time_alone(
-    model: &dyn Model,
-    trial: &Trial,
-    id: &SourceId,
-) -> Option<f64> {
+fn time_alone(model: &dyn Model, trial: &Trial, id: &SourceId) -> Option<f64> {
     let signal = trial.signals.get(id)?.clone();
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
     let entry = Entry::in_memory(alone.clone());

@@ -150,8 +150,7 @@ impl<'a> Queries<'a> {
 
     /// What a library answers to each of them, changed.
     fn answers(&self, models: &Models, change: impl Fn(&Trial) -> Trial + Sync) -> Vec<Answer> {
-        let answer =
-            |(query, raw): &(usize, Trial)| models.answer(self.plan, *query, change(raw));
+        let answer = |(query, raw): &(usize, Trial)| models.answer(self.plan, *query, change(raw));
         self.trials.par_iter().map(answer).collect()
     }
 }

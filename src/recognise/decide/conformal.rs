@@ -101,7 +101,7 @@ pub enum RejectionError {
     /// a method without a p-value
     #[error(
         "this method cannot say whether a surface is unknown: that would take comparing every \
-         trial of the library with all others; `embedding` can"
+         trial of the library with all others; the method `embedding` can"
     )]
     NoPValue,
 }

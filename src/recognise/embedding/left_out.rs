@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::EmbeddingModel;
-use super::calibrate::{HeldOut, Temperature, log_posterior};
+use super::calibrate::{HeldOut, Temperature};
 use super::discriminant::Discriminant;
 use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;

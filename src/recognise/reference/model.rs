@@ -221,8 +221,11 @@ impl<'a> Comparing<'a> {
 
     /// The library's trials before the first repetition.
     fn all(&self, library: &[Arc<PreparedTrial>]) -> Vec<Scored> {
-        let scored =
-            |trial: &Arc<PreparedTrial>| Scored { trial: trial.clone(), sums: Vec::new(), repetitions: 0 };
+        let scored = |trial: &Arc<PreparedTrial>| Scored {
+            trial: trial.clone(),
+            sums: Vec::new(),
+            repetitions: 0,
+        };
         library.iter().map(scored).collect()
     }
 
@@ -250,4 +253,3 @@ struct Scored {
     sums: Vec<Option<f64>>,
     repetitions: usize,
 }
-
