@@ -10,7 +10,7 @@ use super::method::{at_least_one, options_of};
 use super::{Done, Failure, show};
 use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
 use crate::recognise::{
-    EmbeddingOptions, Method, MethodName, MethodSpec, ReferenceOptions, STAGES,
+    Method, MethodName, MethodSpec, ReferenceOptions, STAGES,
 };
 use crate::scene::{Domain, Phase, Scene, SourceId};
 use crate::trial::Signal;
@@ -34,15 +34,11 @@ pub struct Args {
 }
 
 /// Settings that are charted; the flagged ones on the first seconds of a drag, too.
-fn settings() -> [(MethodSpec, bool); 10] {
+fn settings() -> [(MethodSpec, bool); 6] {
     let reference = |samples, repetitions, halving: bool| {
         let halving = if halving { STAGES.to_vec() } else { Vec::new() };
         let usual = ReferenceOptions::default();
         MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
-    };
-    let embedding = |discriminant, harmonics| {
-        let usual = EmbeddingOptions::default();
-        MethodSpec::Embedding(EmbeddingOptions { discriminant, harmonics, ..usual })
     };
     [
         (reference(100, 1, false), false),
@@ -50,10 +46,6 @@ fn settings() -> [(MethodSpec, bool); 10] {
         (reference(100, 10, false), false),
         (reference(400, 10, false), true),
         (reference(400, 10, true), false),
-        (embedding(false, Some(1)), false),
-        (embedding(false, None), true),
-        (embedding(true, Some(1)), false),
-        (embedding(true, Some(2)), false),
         (subsets_by(), true),
     ]
 }

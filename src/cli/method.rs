@@ -77,12 +77,6 @@ pub struct MethodArgs {
     /// With `reference`: sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
-    /// With `embedding`: let the nearest trial win, instead of training a discriminant
-    #[arg(long)]
-    no_discriminant: bool,
-    /// With `embedding`: harmonics of each band, 1 to 4 (default: 4, or 2 for several channels)
-    #[arg(long, value_name = "H", value_parser = clap::value_parser!(u8).range(1..=4))]
-    harmonics: Option<u8>,
     /// With `reference`: compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
@@ -111,24 +105,18 @@ impl MethodArgs {
             || self.exact
             || self.halving
             || self.no_tables;
-        let of_embedding = self.no_discriminant || self.harmonics.is_some();
-        let by_options =
-            [(of_reference, MethodName::Reference), (of_embedding, MethodName::Embedding)];
-        let mut named = self.method.map(|MethodArg(name)| name);
-        for (_, its) in by_options.into_iter().filter(|(given, _)| *given) {
-            match named {
-                Some(other) if other != its => {
-                    return Err(Failure::Usage(format!(
-                        "an option was given that goes with --method {} alone, not with {}; see \
-                         --help",
-                        its.as_str(),
-                        other.as_str()
-                    )));
-                }
-                _ => named = Some(its),
+        match self.method {
+            None if of_reference => Ok(MethodName::Reference),
+            None => Ok(MethodName::Embedding),
+            Some(MethodArg(other)) if of_reference && other != MethodName::Reference => {
+                Err(Failure::Usage(format!(
+                    "an option was given that goes with --method reference alone, not with {}; \
+                     see --help",
+                    other.as_str()
+                )))
             }
+            Some(MethodArg(name)) => Ok(name),
         }
-        Ok(named.unwrap_or(MethodName::Embedding))
     }
 
     /// The method that was asked for.
@@ -139,7 +127,7 @@ impl MethodArgs {
         let trees = TreeOptions { seed: self.seed };
         Ok(match self.name()? {
             MethodName::Reference => MethodSpec::Reference(self.reference_options()),
-            MethodName::Embedding => MethodSpec::Embedding(self.embedding_options()),
+            MethodName::Embedding => MethodSpec::Embedding(EmbeddingOptions { seed: self.seed }),
             MethodName::Adaboost => MethodSpec::Adaboost(trees),
             MethodName::RandomForest => MethodSpec::RandomForest(trees),
             other => other.into(),
@@ -155,15 +143,6 @@ impl MethodArgs {
                 MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..open })
             }
             other => other.clone(),
-        }
-    }
-
-    /// The settings of `embedding`.
-    pub fn embedding_options(&self) -> EmbeddingOptions {
-        EmbeddingOptions {
-            discriminant: !self.no_discriminant,
-            harmonics: self.harmonics.map(usize::from),
-            ..EmbeddingOptions::default()
         }
     }
 
@@ -199,14 +178,6 @@ pub fn options_of(method: &MethodSpec) -> String {
             options += &format!(" --n {samples} --repetitions {repetitions}");
             if !halving.is_empty() {
                 options += " --halving";
-            }
-        }
-        MethodSpec::Embedding(EmbeddingOptions { discriminant, harmonics, .. }) => {
-            if !discriminant {
-                options += " --no-discriminant";
-            }
-            if let Some(harmonics) = harmonics {
-                options += &format!(" --harmonics {harmonics}");
             }
         }
         _ => {}

@@ -48,7 +48,7 @@ pub struct ComparingArgs {
     /// Compare as this plan says, which `surfaced plan` has written
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving", "no_discriminant", "harmonics"
+        "halving"
     ])]
     plan: Option<PathBuf>,
 }

@@ -59,6 +59,12 @@ pub enum RecogniseError {
         /// the trial
         trial: String,
     },
+    /// a query that says nothing
+    #[error(
+        "too little to name: every source is silent, or shorter than a frame; drag for longer, and \
+         check the cables"
+    )]
+    TooLittle,
     /// a number of channels that the scene does not describe
     #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
     Channels {

@@ -35,7 +35,7 @@ pub use decide::interval::jeffreys_quantile;
 pub use decide::settle::{SettleRule, Settling};
 pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
 pub use error::RecogniseError;
-pub use features::{FrameFeatures, FrameStream, amplitude_spectrum, band_bins, hsv};
+pub use features::{FrameFeatures, amplitude_spectrum, band_bins, hsv};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;

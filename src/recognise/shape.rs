@@ -57,6 +57,12 @@ impl LibraryShape {
     }
 }
 
+impl FromIterator<(SourceId, SourceShape)> for LibraryShape {
+    fn from_iter<I: IntoIterator<Item = (SourceId, SourceShape)>>(shapes: I) -> Self {
+        Self { sources: shapes.into_iter().collect() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -50,7 +50,17 @@ impl FrameView {
         bands: usize,
     ) -> Self {
         let exponent = (frame_s * rate_hz).log2().round().clamp(1.0, 24.0);
-        let points = 1usize << exponent as u32;
+        Self::of_points(1 << exponent as u32, rate_hz, channels, band_hz, bands)
+    }
+
+    /// The same with frames of `points` samples, a power of two.
+    pub fn of_points(
+        points: usize,
+        rate_hz: f64,
+        channels: usize,
+        band_hz: (f64, f64),
+        bands: usize,
+    ) -> Self {
         Self { points, rate_hz, channels, edges: band_edges(points, rate_hz, band_hz, bands) }
     }
 

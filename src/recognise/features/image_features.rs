@@ -29,7 +29,7 @@ pub enum Part {
 }
 
 /// The grid of a picture.
-#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PixelGrid {
     /// Row by row.
     cells: Vec<Cell>,

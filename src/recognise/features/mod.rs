@@ -1,6 +1,6 @@
 //! What is computed of a trial before any comparison.
 //!
-//! Of frames of log-band levels, decimated series and neighbouring pixels: [`FrameFeatures`], for
+//! Of frames of log-band levels, block sums and neighbouring pixels: [`FrameFeatures`], for
 //! `embedding`. Of fixed lists of numbers, for the comparison classifiers: [`FeatureVector`], with
 //!
 //! | source | features, for each channel | |
@@ -10,21 +10,19 @@
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
 //! | picture | [`picture_statistics::FEATURES`] | colour statistics, co-occurrence, gradients |
 //!
-//! Nothing here knows of other trials, but for [`normalisation`], which takes its units from a
-//! library.
+//! Nothing here knows of other trials, but for their lengths, which frames follow.
 
+pub(super) mod block_sums;
 mod colour;
-pub(super) mod decimated;
 pub(super) mod frame_features;
-mod frames;
+pub(super) mod frames;
 pub(super) mod image_features;
-pub(super) mod normalisation;
 pub mod picture_statistics;
 pub mod series_statistics;
 mod spectrum;
 mod vector;
 
 pub use colour::hsv;
-pub use frame_features::{FrameFeatures, FrameStream};
+pub use frame_features::{FrameFeatures};
 pub use spectrum::{amplitude_spectrum, band_bins};
 pub use vector::{FeatureVector, SourceFeatures};
