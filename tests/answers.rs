@@ -144,7 +144,7 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
     let black = Image::new(Image::COLS, Image::ROWS, black).unwrap();
     flawed.signals.insert(id("ca1"), Signal::Image(black));
     assert_eq!(said(&mut *follower, &scene, &flawed, 0.1), expected);
-    let (left, _) = without_flawed(flawed, &scene);
+    let (left, _) = without_flawed(flawed, &scene, |_, _| true);
     assert_eq!(left, without);
     // A source that stops halfway counts until it has rested for half of what came.
     let mut halfway = scan.clone();

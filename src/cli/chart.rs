@@ -9,9 +9,7 @@ use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
 use super::{Done, Failure, show};
 use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
-use crate::recognise::{
-    Method, MethodName, MethodSpec, ReferenceOptions, STAGES,
-};
+use crate::recognise::{Method, MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Phase, Scene, SourceId};
 use crate::trial::Signal;
 

@@ -17,7 +17,7 @@ use crate::evaluate::{
     self, EvaluateError, Fold, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::library::Entry;
-use crate::recognise::{Method, without_flawed};
+use crate::recognise::{Method, Model, without_flawed};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -158,8 +158,8 @@ impl Evaluation<'_> {
         let steps = show::Steps::new();
         let left_out = LeftOut::default();
         let (scene, seconds) = (self.scene, self.seconds);
-        let as_query = |of: usize, entry: &Entry| {
-            left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene)
+        let as_query = |model: &Arc<dyn Model>, of: usize, entry: &Entry| {
+            left_out.leave_out(first_seconds(entry, scene, seconds[of]), scene, model)
         };
         let progress = |step, done, of| steps.show(step, done, of);
         let prepared =
@@ -181,7 +181,7 @@ impl Evaluation<'_> {
                 entries,
                 folds,
                 prepared,
-                |entry: &Entry| as_query(0, entry),
+                |model: &Arc<dyn Model>, entry: &Entry| as_query(model, 0, entry),
                 how,
                 &progress,
             )
@@ -203,10 +203,11 @@ struct LeftOut(Arc<Mutex<BTreeMap<String, BTreeSet<TrialKey>>>>);
 
 impl LeftOut {
     /// The entry without sources whose sensor is dead or stuck.
-    fn leave_out(&self, entry: Entry, scene: &Scene) -> Entry {
+    fn leave_out(&self, entry: Entry, scene: &Scene, model: &Arc<dyn Model>) -> Entry {
         let (noted, scene, key) = (self.clone(), scene.clone(), entry.key.clone());
+        let model = model.clone();
         entry.changed(move |trial| {
-            let (trial, remarks) = without_flawed(trial, &scene);
+            let (trial, remarks) = without_flawed(trial, &scene, |id, c| model.moves(id, c));
             // A thread that panicked while it held the lock left a whole map.
             let mut noted = noted.0.lock().unwrap_or_else(PoisonError::into_inner);
             for remark in remarks {

@@ -173,14 +173,11 @@ impl MethodArgs {
 /// The options that ask for a method, as far as charts and people tell settings apart by them.
 pub fn options_of(method: &MethodSpec) -> String {
     let mut options = format!("--method {}", method.name().as_str());
-    match method {
-        MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) => {
-            options += &format!(" --n {samples} --repetitions {repetitions}");
-            if !halving.is_empty() {
-                options += " --halving";
-            }
+    if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {
+        options += &format!(" --n {samples} --repetitions {repetitions}");
+        if !halving.is_empty() {
+            options += " --halving";
         }
-        _ => {}
     }
     options
 }

@@ -74,7 +74,7 @@ pub fn run_prepared(
     as_query: impl Fn(&Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<(Outcome, Vec<Prediction>), EvaluateError> {
-    let as_query = |_, entry: &Entry| as_query(entry);
+    let as_query = |_: &Arc<dyn Model>, _: usize, entry: &Entry| as_query(entry);
     let mut all = run_variants(method, entries, folds, prepared, 1, as_query, progress)?;
     Ok(all.swap_remove(0))
 }
@@ -90,12 +90,12 @@ pub fn run_variants(
     folds: &[Fold],
     prepared: &PreparedLibrary,
     variants: usize,
-    as_query: impl Fn(usize, &Entry) -> Entry,
+    as_query: impl Fn(&Arc<dyn Model>, usize, &Entry) -> Entry,
     progress: Progress<'_>,
 ) -> Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError> {
     let keys = |i: usize| &entries[i].key;
     name_queries(method, &keys, folds, prepared, variants, progress, |model, i, variant| {
-        let entry = as_query(variant, &entries[i]);
+        let entry = as_query(model, variant, &entries[i]);
         let trial = entry.load().map_err(RecogniseError::from)?;
         let start = Instant::now();
         let query = model.prepare(&entry, &trial)?;
@@ -139,7 +139,7 @@ fn name_queries<'a>(
     prepared: &PreparedLibrary,
     variants: usize,
     progress: Progress<'_>,
-    answer: impl Fn(&dyn Model, usize, usize) -> Result<(Ranking, Instant), RecogniseError>,
+    answer: impl Fn(&Arc<dyn Model>, usize, usize) -> Result<(Ranking, Instant), RecogniseError>,
 ) -> Result<Vec<(Outcome, Vec<Prediction>)>, EvaluateError> {
     let total = variants * folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
     let mut predictions: Vec<Vec<Prediction>> = vec![Vec::new(); variants];
@@ -148,7 +148,7 @@ fn name_queries<'a>(
         let model = prepared.fit(method, &fold.library)?;
         for (variant, predictions) in predictions.iter_mut().enumerate() {
             for &query in &fold.queries {
-                let (ranking, start) = answer(&*model, query, variant)?;
+                let (ranking, start) = answer(&model, query, variant)?;
                 let query_ms = start.elapsed().as_secs_f64() * 1e3;
                 predictions.push(Prediction {
                     key: keys(query).clone(),

@@ -1,11 +1,12 @@
 //! How well a method tells surfaces that are not in the library: whole surfaces are left out.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::run::Progress;
 use super::{EvaluateError, Fold, wilson_interval};
 use crate::library::Entry;
-use crate::recognise::{Method, PreparedLibrary, RecogniseError, Rejection};
+use crate::recognise::{Method, Model, PreparedLibrary, RecogniseError, Rejection};
 
 /// Queries of surfaces that were left out of the library, and of those that were not. Shares are
 /// fractions from 0 to 1, with 95 % Wilson intervals.
@@ -45,7 +46,7 @@ pub fn run_unknown(
     entries: &[Entry],
     folds: &[Fold],
     prepared: &PreparedLibrary,
-    as_query: impl Fn(&Entry) -> Entry,
+    as_query: impl Fn(&Arc<dyn Model>, &Entry) -> Entry,
     (groups, rate): (usize, f64),
     progress: Progress<'_>,
 ) -> Result<UnknownOutcome, EvaluateError> {
@@ -70,7 +71,7 @@ pub fn run_unknown(
             if queries.is_empty() {
                 // The libraries have one shape, so what one model prepares serves all.
                 let query = |&i: &usize| -> Result<_, RecogniseError> {
-                    let entry = as_query(&entries[i]);
+                    let entry = as_query(&model, &entries[i]);
                     Ok((i, model.prepare(&entry, &entry.load()?)?))
                 };
                 queries = fold.queries.iter().map(query).collect::<Result<_, _>>()?;

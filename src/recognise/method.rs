@@ -61,6 +61,12 @@ pub trait Model: Send + Sync {
     /// prepared by another kind of method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
+    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
+    /// there may rest in a query, too: its sensor is not dead.
+    fn moves(&self, _source: &SourceId, _channel: usize) -> bool {
+        true
+    }
+
     /// What each source says alone; `None` by a method that cannot take them apart.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ use crate::recognise::{
     without_flawed,
 };
 use crate::scan::Scan;
+use crate::scene::SourceId;
 use crate::trial::{Signal, TrialKey, flaws};
 
 /// What a scan was named.
@@ -127,7 +128,9 @@ impl Recogniser {
         let at = self.model(scan.truth.as_ref());
         let model = &self.models[at];
         // What came out of the rings and nothing else, but for channels with flaws.
-        let trial = Arc::new(without_flawed(scan.trial.clone(), self.requirements.scene()).0);
+        let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
+        let (trial, _) = without_flawed(scan.trial.clone(), self.requirements.scene(), moves);
+        let trial = Arc::new(trial);
         let ranking = model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)?;
         let rejection = self.following[at].rejection.as_ref();
         let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));

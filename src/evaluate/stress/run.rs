@@ -12,7 +12,7 @@ use crate::library::Entry;
 use crate::recognise::{
     Method, Model, PreparedLibrary, Ranking, RecogniseError, prepare_library, without_flawed,
 };
-use crate::scene::Scene;
+use crate::scene::{Scene, SourceId};
 use crate::seed;
 use crate::trial::Trial;
 
@@ -182,7 +182,12 @@ impl Models {
 
     fn answer(&self, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
         let truth = &plan.entries[query].key.surface;
-        let trial = if plan.keep_flawed { trial } else { without_flawed(trial, plan.scene).0 };
+        let trial = if plan.keep_flawed {
+            trial
+        } else {
+            let moves = |id: &SourceId, channel: usize| self.all.moves(id, channel);
+            without_flawed(trial, plan.scene, moves).0
+        };
         let trial = Arc::new(trial);
         // The two libraries have one shape.
         let Ok(prepared) = self.all.prepare(&Entry::in_memory(Arc::clone(&trial)), &trial) else {

@@ -7,19 +7,31 @@ use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 const PLAIN: &str = "the picture is of one colour";
 
 /// The query without those sources that have a channel which is stuck, or a picture of one colour,
-/// and for each a line that says so. Switches, which rest most of the time, are left alone; so are
-/// all sources where nothing else would be left to compare.
+/// and for each a line that says so. A channel that rests in the library's own trials may rest; so
+/// may switches, which rest most of the time. Nothing is left out where nothing else would be left to
+/// compare.
 ///
-/// Libraries are taken as they are: what is in them was looked at when it was enrolled.
-pub fn without_flawed(mut trial: Trial, scene: &Scene) -> (Trial, Vec<String>) {
-    let flaw_of = |signal: &Signal| match signal {
+/// `moves` says whether a channel of a source, counted from 0, moves in the library
+/// ([`crate::recognise::Model::moves`]). Libraries are taken as they are: what is in them was looked at when it was enrolled.
+pub fn without_flawed(
+    mut trial: Trial,
+    scene: &Scene,
+    moves: impl Fn(&SourceId, usize) -> bool,
+) -> (Trial, Vec<String>) {
+    let flaw_of = |id: &SourceId, signal: &Signal| match signal {
         Signal::Image(image) => is_plain(image).then(|| PLAIN.to_string()),
         Signal::Series(series) => flaws(series)
             .into_iter()
-            .find(|flaw| matches!(flaw, Flaw::Constant { .. } | Flaw::Stuck { .. }))
+            .find(|flaw| match flaw {
+                Flaw::Constant { channel, .. } | Flaw::Stuck { channel, .. } => {
+                    moves(id, channel - 1)
+                }
+                Flaw::Saturated { .. } => false,
+            })
             .map(|flaw| flaw.to_string()),
     };
-    let left_out = left_out(scene, trial.signals.iter().map(|(id, signal)| (id, flaw_of(signal))));
+    let sources = trial.signals.iter().map(|(id, signal)| (id, flaw_of(id, signal)));
+    let left_out = left_out(scene, sources);
     trial.signals.retain(|id, _| !left_out.iter().any(|(other, _)| other == id));
     let remarks =
         left_out.into_iter().map(|(id, flaw)| format!("{id} is left out: {flaw}")).collect();
@@ -58,7 +70,7 @@ mod tests {
     }
 
     fn kept(trial: Trial) -> (Vec<String>, usize) {
-        let (trial, remarks) = without_flawed(trial, &Scene::lmt108());
+        let (trial, remarks) = without_flawed(trial, &Scene::lmt108(), |_, _| true);
         (trial.signals.keys().map(SourceId::to_string).collect(), remarks.len())
     }
 
@@ -66,11 +78,18 @@ mod tests {
     fn a_dead_source_goes_with_a_word_and_a_switch_stays() {
         let alive = vec![1.0, 2.0, 1.5, 0.3];
         let trial = query(&[("ir", vec![0.0; 4]), ("mi2", alive.clone()), ("me", vec![0.0; 4])]);
-        let (after, remarks) = without_flawed(trial.clone(), &Scene::lmt108());
+        let (after, remarks) = without_flawed(trial.clone(), &Scene::lmt108(), |_, _| true);
         assert_eq!(remarks, ["ir is left out: channel 1 is stuck at 0; check its cable"]);
         assert!(after.signals.contains_key("me") && !after.signals.contains_key("ir"));
         let halfway: Vec<f32> = (0..70).map(|i| if i < 30 { i as f32 } else { 3.0 }).collect();
         assert_eq!(kept(query(&[("ir", halfway), ("mi2", alive)])), (vec!["mi2".into()], 1));
+    }
+
+    #[test]
+    fn a_channel_that_rests_in_the_library_may_rest_in_a_query() {
+        let trial = query(&[("ir", vec![0.0; 4]), ("mi2", vec![1.0, 2.0, 1.5, 0.3])]);
+        let (after, remarks) = without_flawed(trial, &Scene::lmt108(), |id, _| id.as_str() != "ir");
+        assert!(after.signals.len() == 2 && remarks.is_empty());
     }
 
     #[test]

@@ -117,7 +117,9 @@ mod tests {
             sure[0] = 0.0;
             let held = held_back(&sure, trials);
             let most = (trials as f64 + 0.5) / (trials as f64 + 1.0);
-            assert!((held[0] - most).abs() < 1e-12 && (held.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!(
+                (held[0] - most).abs() < 1e-12 && (held.iter().sum::<f64>() - 1.0).abs() < 1e-12
+            );
         }
         let even = held_back(&[0.5f64.ln(); 2], 3);
         assert!((even[0] - 0.5).abs() < 1e-12);

@@ -181,7 +181,11 @@ impl Discriminant {
 
     /// u·m_c, taken apart by stretches of the vector: how much each speaks for each class, shape
     /// (stretches, C). A class's distance is |u|² + |m_c|² less twice their sum.
-    pub fn terms(&self, vector: ArrayView1<'_, f32>, stretches: &[std::ops::Range<usize>]) -> Array2<f64> {
+    pub fn terms(
+        &self,
+        vector: ArrayView1<'_, f32>,
+        stretches: &[std::ops::Range<usize>],
+    ) -> Array2<f64> {
         let weights = self.means.mapv(|x| x as f32).dot(&self.projection);
         let offset = self.means.dot(&self.origin);
         Array2::from_shape_fn((stretches.len(), self.means.nrows()), |(s, class)| {
@@ -226,8 +230,11 @@ mod tests {
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
         let (vectors, labels) = data();
         // Every third round is of excerpts, whose means are their own.
-        let labels: Vec<usize> =
-            labels.iter().enumerate().map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c }).collect();
+        let labels: Vec<usize> = labels
+            .iter()
+            .enumerate()
+            .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
+            .collect();
         let trained = trained(&vectors, &labels, 3).unwrap();
         let z = vectors.mapv(f64::from);
         let mut means = Array2::<f64>::zeros((6, 8));
@@ -264,9 +271,7 @@ mod tests {
             Scatter::new(&vectors.slice(s![from..to, ..]).to_owned(), &labels[from..to], 8)
         };
         let mut all = sums(0, 90);
-        let distances = |s: &Scatter| {
-            Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2))
-        };
+        let distances = |s: &Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
         assert_eq!(distances(&all)[3], f64::INFINITY, "a class without vectors");
         all.subtract(&sums(0, 30));
         for (a, b) in distances(&all).iter().zip(distances(&sums(30, 90))) {

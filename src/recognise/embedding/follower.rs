@@ -62,7 +62,7 @@ impl Follower {
     fn guess(&mut self, scan_s: f64) -> Option<GuessSoFar> {
         let scan = &self.scan;
         // Dead or stuck so far: as for whole scans, see `without_flawed`.
-        let flaw = |id| scan.is_flawed(id).then_some(());
+        let flaw = |id| scan.is_flawed(&self.model, id).then_some(());
         let came = scan.waiting.iter().filter(|(_, w)| !w.broken && w.passed_on > 0);
         let known: Vec<&SourceId> = came.map(|(id, _)| id).chain(&scan.pictures).collect();
         let flawed = left_out(&self.model.scene, known.iter().map(|id| (*id, flaw(*id))));
@@ -108,9 +108,10 @@ impl ScanSoFar {
         }
     }
 
-    fn is_flawed(&self, id: &SourceId) -> bool {
+    fn is_flawed(&self, model: &EmbeddingModel, id: &SourceId) -> bool {
         let stuck = |waiting: &Waiting| {
-            waiting.rest.iter().enumerate().any(|(c, rest)| rest.flaw(c).is_some())
+            let mut channels = waiting.rest.iter().enumerate();
+            channels.any(|(c, rest)| rest.flaw(c).is_some() && model.joint.moves(id, c))
         };
         self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
     }

@@ -49,7 +49,12 @@ impl BandScale {
 
     /// Means of the features of values from which the `shift` of their band is taken, from the
     /// `sums` over `frames` of values as they were.
-    pub fn shifted_means(&self, sums: &[f64], frames: usize, shift: impl Fn(usize) -> f64) -> Vec<f32> {
+    pub fn shifted_means(
+        &self,
+        sums: &[f64],
+        frames: usize,
+        shift: impl Fn(usize) -> f64,
+    ) -> Vec<f32> {
         let (width, n) = (self.centre.len(), frames.max(1) as f64);
         let mut means = vec![0.0; sums.len()];
         for band in 0..width {
@@ -169,9 +174,8 @@ mod tests {
         let mut sums = vec![0.0; BAND_FEATURES * width];
         scale.add(&values, &mut sums);
         let band = 12;
-        let angles = values[band..].iter().step_by(width).map(|&x| {
-            0.6 * (f64::from(x) - 0.1) / 0.801
-        });
+        let angles =
+            values[band..].iter().step_by(width).map(|&x| 0.6 * (f64::from(x) - 0.1) / 0.801);
         let expected = angles.fold([0.0; 4], |[a, b, c, d], t| {
             [a + t.cos(), b + t.sin(), c + (2.0 * t).cos(), d + (2.0 * t).sin()]
         });

@@ -1,6 +1,5 @@
 //! All sources of a trial in one vector, each feature in the library's deviations.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -10,7 +9,7 @@ use super::picture::PictureEmbedder;
 use super::series::{Level, SeriesEmbedder, Window};
 use crate::recognise::features::frame_features::{FrameFeatures, SourceFrames};
 use crate::recognise::features::image_features::Part;
-use crate::scene::{Domain, Phase, Scene, SourceSpec};
+use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 
 /// Features are held within this many deviations of the library.
 const CLIP: f32 = 8.0;
@@ -37,7 +36,7 @@ impl Excerpt {
 /// How one source becomes its stretch of the vector.
 #[derive(Clone, Debug)]
 pub(super) enum SourceEmbedder {
-    Series(SeriesEmbedder),
+    Series(Box<SeriesEmbedder>),
     Picture(PictureEmbedder),
 }
 
@@ -51,7 +50,7 @@ impl SourceEmbedder {
         let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
         let pictures: Vec<_> = trials.iter().filter_map(|source| source.picture()).collect();
         if !series.is_empty() {
-            Some(Self::Series(SeriesEmbedder::new(&series, level)))
+            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, level))))
         } else if !pictures.is_empty() {
             Some(Self::Picture(PictureEmbedder::new(&pictures)))
         } else {
@@ -189,6 +188,15 @@ impl JointEmbedder {
         (vectors, present)
     }
 
+    /// Whether a channel of a source moves in the library; unknown sources are said to.
+    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        let stretch = self.stretches.iter().find(|stretch| stretch.spec.id == *source);
+        match stretch.map(|stretch| &stretch.embedder) {
+            Some(SourceEmbedder::Series(embedder)) => embedder.moves(channel),
+            _ => true,
+        }
+    }
+
     /// Length in seconds of a trial's drag: of its longest source that is dragged, if it has one.
     pub fn drag_s(&self, trial: &FrameFeatures) -> Option<f64> {
         let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
@@ -202,6 +210,3 @@ pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
     let there = stretches.iter().zip(present).filter(|(_, has)| **has);
     there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
 }
-
-/// Vectors of several trials, told apart by what they have.
-pub(super) type ByPresent<T> = BTreeMap<Present, T>;

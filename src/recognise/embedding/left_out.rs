@@ -69,7 +69,8 @@ impl LeftOut {
             let trained = trained(i)?;
             let long_enough = joint.drag_s(&library[i])? >= *begun_s.last()?;
             let (vectors, _) = joint.embed(&library[i], &excerpts);
-            let distances = vectors.iter().map(|v| (trained.distances(v[..].into()), labels.class[i]));
+            let distances =
+                vectors.iter().map(|v| (trained.distances(v[..].into()), labels.class[i]));
             long_enough.then(|| (i, distances.collect::<Vec<HeldOut>>()))
         };
         let begun: Vec<(usize, Vec<HeldOut>)> = if begun_s.is_empty() {

@@ -125,8 +125,10 @@ pub fn log_symmetric(mut a: Vec<f64>, n: usize) -> Vec<f64> {
     (0..n).for_each(|i| v[i * n + i] = 1.0);
     let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
     for _ in 0..SWEEPS {
-        let off: f64 =
-            (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a[i * n + j].powi(2)).sum();
+        let off: f64 = (0..n)
+            .flat_map(|i| (0..i).map(move |j| (i, j)))
+            .map(|(i, j)| a[i * n + j].powi(2))
+            .sum();
         if off <= 1e-24 * diagonal {
             break;
         }

@@ -179,7 +179,8 @@ impl EmbeddingModel {
             return known.clone();
         }
         let trained = self.training.discriminant(&self.joint, present, None);
-        let trained = Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
+        let trained =
+            Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
         lock().insert(present.clone(), trained.clone());
         trained
     }
@@ -233,6 +234,10 @@ impl Model for EmbeddingModel {
         self.rank_frames(query.frames(NAME)?)
     }
 
+    fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        self.joint.moves(source, channel)
+    }
+
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
         let scan_s = self.scan_s(query.frames(NAME)?);
@@ -254,7 +259,11 @@ impl Model for EmbeddingModel {
 
 impl JointEmbedder {
     /// Checks that a query, or a trial of the library itself, can be compared with a library.
-    fn check(&self, query: &FrameFeatures, library: &[Arc<FrameFeatures>]) -> Result<(), RecogniseError> {
+    fn check(
+        &self,
+        query: &FrameFeatures,
+        library: &[Arc<FrameFeatures>],
+    ) -> Result<(), RecogniseError> {
         let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
         if !query.sources.keys().any(known) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);

@@ -107,7 +107,14 @@ impl EmbeddingModel {
     /// What each source says: its share of the distance to each surface, over 2τ, so that the sums
     /// are −ln posterior but for one number that is the same for all surfaces.
     pub(super) fn evidence(&self, vector: &[f32], present: &Present, scan_s: f64) -> Evidence {
-        let stretches: Vec<_> = self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s).collect();
+        let stretches: Vec<_> = self
+            .joint
+            .stretches
+            .iter()
+            .zip(present)
+            .filter(|(_, has)| **has)
+            .map(|(s, _)| s)
+            .collect();
         let columns: Vec<_> = stretches.iter().map(|stretch| stretch.columns.clone()).collect();
         let trained = self.discriminant(present);
         let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));

@@ -22,6 +22,9 @@ const RIDGE: f64 = 1e-3;
 /// Correlations are held within this before their inverse hyperbolic tangent is taken.
 const MOST_CORRELATED: f64 = 0.99;
 
+/// What a constant channel's deviation is said to be.
+const STILL: f64 = 1e-9;
+
 /// Places among [`MOMENTS`] of ln deviation and ln drift, which a gain moves.
 const LOUDNESS: [usize; 2] = [0, 8];
 
@@ -146,6 +149,11 @@ impl SeriesEmbedder {
         }
     }
 
+    /// Whether a channel moves in most trials of the library.
+    pub fn moves(&self, channel: usize) -> bool {
+        self.deviations.get(channel).is_none_or(|&deviation| deviation > 2.0 * STILL)
+    }
+
     fn channels(&self) -> usize {
         self.deviations.len()
     }
@@ -186,7 +194,12 @@ impl SeriesEmbedder {
 
     /// Sums of one view over each window. Each frame is worked on once, however many windows hold
     /// it.
-    fn view_sums(&self, series: &SeriesFrames, view: usize, windows: &[Range<usize>]) -> Vec<ViewSums> {
+    fn view_sums(
+        &self,
+        series: &SeriesFrames,
+        view: usize,
+        windows: &[Range<usize>],
+    ) -> Vec<ViewSums> {
         let ranges: Vec<Range<usize>> =
             windows.iter().map(|blocks| frames_of(series, view, blocks)).collect();
         let mut ends: Vec<usize> = ranges.iter().flat_map(|r| [r.start, r.end]).collect();

@@ -22,7 +22,7 @@ use crate::seed;
 use crate::trial::TrialKey;
 
 /// Random excerpts of each trial.
-const EXCERPTS: usize = 4;
+const EXCERPTS: usize = 6;
 
 /// Length of an excerpt as a share of its trial.
 const SHARE: f64 = 0.4;
@@ -79,8 +79,14 @@ impl Training {
             (if vector == 0 { class } else { labels.classes + class }, labels.group[trial])
         };
         let (of_rows, groups) = (0..rows.nrows()).map(of_row).unzip();
-        let mut training =
-            Self { rows, labels: of_rows, groups, classes: labels.classes, present, all: OnceLock::new() };
+        let mut training = Self {
+            rows,
+            labels: of_rows,
+            groups,
+            classes: labels.classes,
+            present,
+            all: OnceLock::new(),
+        };
         training.fill_absent(joint);
         training
     }
@@ -95,7 +101,10 @@ impl Training {
                 continue;
             }
             let columns = ndarray::s![stretch.columns.clone()];
-            let mut sums = vec![(0.0f32, ndarray::Array1::<f32>::zeros(stretch.columns.len())); 2 * self.classes];
+            let mut sums = vec![
+                (0.0f32, ndarray::Array1::<f32>::zeros(stretch.columns.len()));
+                2 * self.classes
+            ];
             for (row, values) in self.rows.rows().into_iter().enumerate() {
                 if self.present[trial(row)][s] {
                     let (count, sum) = &mut sums[self.labels[row]];

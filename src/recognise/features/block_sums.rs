@@ -264,14 +264,7 @@ fn powers(x: &[f32]) -> [f64; 6] {
     }
     let crossings = x.windows(2).filter(|w| (w[0] < mean) != (w[1] < mean)).count();
     let add = |lanes: [f32; LANES]| lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
-    [
-        total,
-        cubes.iter().sum(),
-        fourths.iter().sum(),
-        add(magnitude),
-        add(root),
-        crossings as f64,
-    ]
+    [total, cubes.iter().sum(), fourths.iter().sum(), add(magnitude), add(root), crossings as f64]
 }
 
 /// What some blocks add up to.
@@ -433,8 +426,7 @@ mod tests {
     fn an_offset_costs_no_digits() {
         let samples = series(4000, 1);
         let shifted: Vec<f32> = samples.iter().map(|x| x + 500.0).collect();
-        let (a, b) =
-            (BlockSums::new(1, 128, &samples), BlockSums::new(1, 128, &shifted));
+        let (a, b) = (BlockSums::new(1, 128, &samples), BlockSums::new(1, 128, &shifted));
         let (a, b) = (statistics(&a), statistics(&b));
         for (a, b) in a.moments.iter().zip(&b.moments).take(6) {
             assert!((a - b).abs() < 0.01, "{a} vs {b}");

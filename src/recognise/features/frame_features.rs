@@ -45,13 +45,15 @@ impl SourceViews {
     pub fn new(spec: &SourceSpec, series: (f64, usize), shape: &LibraryShape) -> Self {
         let (rate_hz, frames) = series;
         let known = shape.get(&spec.id);
-        let (library_hz, median) = known.map_or((rate_hz, frames), |s| (s.rate_hz, s.median_frames));
+        let (library_hz, median) =
+            known.map_or((rate_hz, frames), |s| (s.rate_hz, s.median_frames));
         let wished = (FRAME_S * library_hz).max(LEAST_POINTS);
         let power_of_two = |points: f64| 1usize << points.log2().round().clamp(0.0, 24.0) as u32;
         let long = power_of_two(wished.min(MOST_OF_TRIAL * median as f64));
         let short = (long / SHORTER).max(FEWEST);
         // At another rate, frames are as long as those of the library, as near as powers of two come.
-        let at_rate = |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
+        let at_rate =
+            |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
         let (low, high) = match spec.domain {
             Domain::Spectrum { band_hz } => band_hz,
             Domain::Time | Domain::Image => (0.0, TIME_BAND_HZ),
@@ -150,9 +152,10 @@ pub struct SeriesFrames {
 impl SeriesFrames {
     /// Frames a recording.
     pub fn new(views: SourceViews, series: &Series) -> Self {
-        let frames = views.0.each_ref().map(|view| {
-            PackedFrames::new(&ViewFrames::new(view.clone(), series.samples()).values)
-        });
+        let frames = views
+            .0
+            .each_ref()
+            .map(|view| PackedFrames::new(&ViewFrames::new(view.clone(), series.samples()).values));
         let blocks = BlockSums::new(series.channels(), views.block(), series.samples());
         Self { views, frames, blocks, samples: series.frames() }
     }
@@ -261,7 +264,9 @@ impl FrameFeatures {
         let known: Vec<(&SourceSpec, &Signal)> = known.collect();
         let sources = known
             .into_par_iter()
-            .map(|(spec, signal)| Ok((spec.id.clone(), SourceFrames::new(spec, signal, key, shape)?)))
+            .map(|(spec, signal)| {
+                Ok((spec.id.clone(), SourceFrames::new(spec, signal, key, shape)?))
+            })
             .collect::<Result<_, RecogniseError>>()?;
         Ok(Self { key: key.clone(), sources })
     }

@@ -23,6 +23,6 @@ mod spectrum;
 mod vector;
 
 pub use colour::hsv;
-pub use frame_features::{FrameFeatures};
+pub use frame_features::FrameFeatures;
 pub use spectrum::{amplitude_spectrum, band_bins};
 pub use vector::{FeatureVector, SourceFeatures};
