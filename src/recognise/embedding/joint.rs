@@ -14,6 +14,9 @@ use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 /// Features are held within this many deviations of the library.
 const CLIP: f32 = 8.0;
 
+/// A band of at least this share of all frequencies counts as all of them.
+const NEARLY_ALL: f64 = 0.9;
+
 /// A part of a trial: of all its sources the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Excerpt {
@@ -50,7 +53,8 @@ impl SourceEmbedder {
         let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
         let pictures: Vec<_> = trials.iter().filter_map(|source| source.picture()).collect();
         if !series.is_empty() {
-            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, level))))
+            let all_frequencies = is_whole(&spec.domain, 0.5 * series[0].rate_hz());
+            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, level, all_frequencies))))
         } else if !pictures.is_empty() {
             Some(Self::Picture(PictureEmbedder::new(&pictures)))
         } else {
@@ -80,6 +84,16 @@ impl SourceEmbedder {
             // The checks of a trial against its scene give a source one kind of data.
             _ => vec![vec![0.0; self.dims()]; excerpts.len()],
         }
+    }
+}
+
+/// Whether a source is compared by all frequencies up to half its rate, or nearly all.
+fn is_whole(domain: &Domain, highest_hz: f64) -> bool {
+    match *domain {
+        Domain::Spectrum { band_hz: (low, high) } => {
+            high.min(highest_hz) - low >= NEARLY_ALL * highest_hz
+        }
+        Domain::Time | Domain::Image => true,
     }
 }
 

@@ -1,6 +1,9 @@
 //! A series, or a window of it, as a vector (method §9): Fourier features of its log-band frames,
 //! moments, lag covariance.
 //!
+//! Moments and lag covariance see all frequencies. They are left out where a source is compared by
+//! a part of its spectrum alone: what a configuration excludes must not come in by another way.
+//!
 //! Everything is a mean over frames or a sum over blocks, so that windows of one trial share their
 //! work, and a scan that grows is looked at in constant time.
 
@@ -66,6 +69,8 @@ pub(super) struct SeriesEmbedder {
     /// Median over a library of the deviation of each channel.
     deviations: Vec<f64>,
     level: Level,
+    /// Whether moments and lag covariance are features.
+    all_frequencies: bool,
 }
 
 /// What a window of a series adds up to.
@@ -125,7 +130,8 @@ impl ViewSums {
 
 impl SeriesEmbedder {
     /// In units of some trials of a library, at least one.
-    pub fn new(trials: &[&SeriesFrames], level: Level) -> Self {
+    /// `all_frequencies` says whether the source is compared by all there are.
+    pub fn new(trials: &[&SeriesFrames], level: Level, all_frequencies: bool) -> Self {
         let views = trials[0].views.clone();
         let channels = views.0[0].channels;
         let [(long, of_long), (short, of_short)] =
@@ -146,6 +152,7 @@ impl SeriesEmbedder {
             scales: [long, short],
             views,
             level,
+            all_frequencies,
         }
     }
 
@@ -162,6 +169,9 @@ impl SeriesEmbedder {
     pub fn dims(&self) -> usize {
         let channels = self.channels();
         let bands: usize = self.views.0.iter().map(|view| view.width()).sum();
+        if !self.all_frequencies {
+            return BAND_FEATURES * bands;
+        }
         let stacked = LAGS.len() * channels;
         BAND_FEATURES * bands
             + (MOMENTS.len() + usize::from(self.level == Level::Mean)) * channels
@@ -224,8 +234,6 @@ impl SeriesEmbedder {
 
     /// The vector of what a window adds up to; `reference` is that of its blocks.
     pub fn vector(&self, sums: &SeriesSums, reference: &[f32], rate_hz: f64) -> Vec<f32> {
-        let stats = sums.blocks.statistics(rate_hz);
-        let gain = self.ln_gain(&stats);
         let mut vector = Vec::with_capacity(self.dims());
         for (v, of_view) in sums.views.iter().enumerate() {
             let bands = self.views.0[v].bands();
@@ -237,6 +245,11 @@ impl SeriesEmbedder {
             let shift = |band: usize| shifts[band / bands];
             vector.extend(self.scales[v].shifted_means(&of_view.bands, of_view.frames, shift));
         }
+        if !self.all_frequencies {
+            return vector;
+        }
+        let stats = sums.blocks.statistics(rate_hz);
+        let gain = self.ln_gain(&stats);
         for of_channel in stats.moments.chunks_exact(MOMENTS.len()) {
             let value = |(i, x): (usize, &f64)| if LOUDNESS.contains(&i) { x - gain } else { *x };
             vector.extend(of_channel.iter().enumerate().map(|x| value(x) as f32));
