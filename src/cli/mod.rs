@@ -3,6 +3,7 @@
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
 
 mod answers;
+mod bad_files;
 mod chart;
 mod choose;
 mod compare;

@@ -22,7 +22,7 @@ pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryErr
 }
 
 fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
-    let bytes = files::read_bytes(path)?;
+    let bytes = files::read_bytes(path, files::MOST_TEXT)?;
     parse(&bytes).map_err(|(line, problem)| {
         LibraryError::file(
             path,

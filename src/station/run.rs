@@ -107,6 +107,7 @@ impl<'a> Station<'a> {
             naming: Naming::None("no library was given".into()),
             load: self.load,
             loading: None,
+            load_again: false,
             pending: VecDeque::new(),
             enrolling: None,
             listeners: self.listeners,
@@ -144,6 +145,8 @@ struct Run<'a> {
     naming: Naming,
     load: Option<Load>,
     loading: Option<Receiver<Loaded>>,
+    /// The library is to be read once more: it may have changed since the reading began.
+    load_again: bool,
     /// What the worker has had no time for yet.
     pending: VecDeque<Job>,
     enrolling: Option<Enrolling>,
@@ -185,6 +188,9 @@ impl Run<'_> {
                     self.loading = None;
                     let gone = |_| Err("the thread that reads the library panicked".to_string());
                     self.loaded(loaded.unwrap_or_else(gone));
+                    if std::mem::take(&mut self.load_again) {
+                        self.reload();
+                    }
                 }
                 recv(orders) -> order => if let Ok(order) = order { self.order(order) },
             }
@@ -292,6 +298,11 @@ impl Run<'_> {
         let Some(load) = self.load.clone() else {
             return self.warn("there is no library that could be read anew");
         };
+        // One at a time: each takes a thread and the memory of a library.
+        if self.loading.is_some() {
+            self.load_again = true;
+            return;
+        }
         if !matches!(self.naming, Naming::Ready(_)) {
             self.naming = Naming::Loading;
         }
@@ -300,7 +311,6 @@ impl Run<'_> {
         let work = move || {
             let _ = tell.send(load());
         };
-        // One that still reads is left to end by itself: the library has changed since.
         match std::thread::Builder::new().name("load-library".into()).spawn(work) {
             Ok(_) => self.loading = Some(loaded),
             Err(error) => self.loaded(Err(format!("no thread to read the library: {error}"))),

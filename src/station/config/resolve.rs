@@ -19,7 +19,7 @@ use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
 use crate::scan::detect::{Feel, Limits};
 use crate::scan::{CutFrom, Detection};
-use crate::scene::config::scene;
+use crate::scene::config::{line_of, scene};
 use crate::scene::{Phase, Scene, SourceId};
 
 /// Name of the microphone's stream, from which several sources are cut.
@@ -115,7 +115,7 @@ impl Positive for f64 {
 
 impl Source<'_> {
     fn fail<T, S>(&self, at: &Spanned<S>, problem: impl Into<String>) -> Result<T, ConfigError> {
-        let line = self.text[..at.span().start.min(self.text.len())].lines().count().max(1);
+        let line = line_of(self.text, at.span().start);
         Err(ConfigError::Value { path: self.path.to_path_buf(), line, problem: problem.into() })
     }
 
