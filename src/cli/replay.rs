@@ -131,7 +131,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     if args.json {
         station = station.listener(JsonLines);
     }
-    let library = args.library.as_ref().filter(|_| args.serve.asked());
+    let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
         station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
