@@ -99,7 +99,7 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
 /// Said of a pipe, a socket or a device, which may never end.
 const SPECIAL: &str = "not used, it is neither a file nor a folder";
 
-/// Opens a regular file, and tells its length; anything else is refused, and never waited for.
+/// Opens a regular file, and gives its length; anything else is refused at once.
 ///
 /// # Errors
 /// If it cannot be opened or is no regular file.

@@ -111,7 +111,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     /// If one of them cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
 
-    /// A number that changes whenever what would be loaded does, if that can be told without
+    /// A number that changes whenever what would be loaded does, if that can be known without
     /// reading it.
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
@@ -191,7 +191,7 @@ impl Entry {
         self.loader.load(&self.sources)
     }
 
-    /// A number that changes whenever the trial does, if that can be told without reading it.
+    /// A number that changes whenever the trial does, if that can be known without reading it.
     pub fn stamp(&self) -> Option<u64> {
         self.loader.stamp(&self.sources)
     }

@@ -232,7 +232,7 @@ impl<'a> Opening<'a> {
         if let Some((other, _)) = self.trials.get(&key) {
             // No error: another program may be adding trials just now.
             let why = format!(
-                "not used, the same trial ({key}) as {}; remove one, or tell them apart by \
+                "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
                  `trial = N` or `user = \"…\"` in trial.toml",
                 other.strip_prefix(self.root).unwrap_or(other).display()
             );

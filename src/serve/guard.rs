@@ -216,7 +216,7 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
         if guard.budgets().logs(Instant::now()) {
             // The path is a stranger's; the log stays one plain line.
             let path: String = path.chars().take(100).collect();
-            eprintln!("warning: refused {method} {path:?} from {}: {status}", client.address);
+            tracing::warn!("refused {method} {path:?} from {}: {status}", client.address);
         }
     }
     let headers = response.headers_mut();

@@ -51,6 +51,10 @@ impl Server {
             .enable_time()
             .build()
             .map_err(ServeError::System)?;
+        let listener = {
+            let _inside = runtime.enter();
+            tokio::net::TcpListener::from_std(listener).map_err(ServeError::System)?
+        };
         let settings = settings.clone();
         let work = move || {
             runtime.block_on(async move {

@@ -17,7 +17,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Array>, MatError> {
     if rest.is_empty() { Ok(arrays) } else { Err(MatError::CutShort) }
 }
 
-/// Files as SciPy and MATLAB would write them, in the byte order asked for.
+/// Files as SciPy and MATLAB would write them, in a given byte order.
 struct Writer(Order);
 
 impl Writer {
