@@ -31,7 +31,7 @@ pub(crate) fn drawing(error: impl std::fmt::Display) -> FigureError {
     FigureError(error.to_string())
 }
 
-/// A white picture of so many points, and what `draw` puts on it.
+/// A white picture of `size` in points, and what `draw` puts on it.
 pub(crate) fn svg(
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> Drawn,

@@ -3,6 +3,7 @@
 //! Keys, not call order, decide what is drawn. So results depend neither on the number of threads
 //! nor on the order in which a library happens to be read.
 
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
@@ -26,10 +27,27 @@ pub fn rng(seed: u64, key: &[&[u8]]) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed ^ stable_hash(key))
 }
 
+/// A number from the uniform distribution on [0, 1), with 53 bits.
+pub fn uniform(rng: &mut impl Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A number from the standard normal distribution, from two independent uniform ones: `u` in
+/// (0, 1], `v` in [0, 1) (Box and Muller 1958).
+pub fn box_muller(u: f64, v: f64) -> f64 {
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// A number from the standard normal distribution.
+pub fn normal(rng: &mut impl Rng) -> f64 {
+    // 1 − u lies in (0, 1], so the logarithm is finite.
+    let u = 1.0 - uniform(rng);
+    box_muller(u, uniform(rng))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::Rng;
 
     #[test]
     fn a_key_is_more_than_its_letters() {
@@ -42,5 +60,14 @@ mod tests {
         assert_eq!(draw(1, "mi2"), draw(1, "mi2"));
         assert_ne!(draw(1, "mi2"), draw(1, "mi1"));
         assert_ne!(draw(1, "mi2"), draw(2, "mi2"));
+    }
+
+    #[test]
+    fn normal_numbers_have_mean_0_and_variance_1() {
+        let mut rng = rng(1, &[b"test"]);
+        let xs: Vec<f64> = (0..20_000).map(|_| normal(&mut rng)).collect();
+        let mean = xs.iter().sum::<f64>() / xs.len() as f64;
+        let variance = xs.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / xs.len() as f64;
+        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
     }
 }

@@ -2,7 +2,7 @@
 
 mod common;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use common::{open, picture, says, temp, write_file, write_wav};
 use surfaced::trial::Signal;
@@ -228,13 +228,15 @@ fn two_folders_of_one_trial_and_two_files_of_one_source() {
     let (_dir, path) = temp();
     write_wav(&path.join("Oak/a1/mi2.wav"), 44_100, 1, &[1]);
     write_wav(&path.join("Oak/b1/mi2.wav"), 44_100, 1, &[1]);
-    // The first one is used: a script beside a recorder must not make the library unreadable.
     let library = open(&path).unwrap();
-    assert_eq!(library.entries.len(), 1);
-    let remarks = library.remarks.join("\n");
+    assert_eq!(
+        library.entries.len(),
+        1,
+        "one of them is used, since another program may be adding"
+    );
     says(
-        &remarks,
-        &["Oak/b1: not used, it is the same trial (Oak · expert · trial 1) as", "Oak/a1"],
+        &library.remarks[0],
+        &["Oak/b1: not used, the same trial (Oak · expert · trial 1) as", "Oak/a1"],
     );
     std::fs::remove_dir_all(path.join("Oak/b1")).unwrap();
     write_file(&path.join("Oak/a1/ca1.jpg"), "x");
@@ -274,4 +276,76 @@ fn a_file_that_may_not_be_read() {
         return;
     }
     says(&refusal(&path), &["mi2.wav", "permission denied; let yourself read it"]);
+}
+
+/// Two surfaces of three trials each, in which two files are damaged: one at its end, one in its
+/// samples.
+fn with_two_bad_files() -> (tempfile::TempDir, PathBuf) {
+    let (dir, path) = temp();
+    for surface in ["Oak", "Steel"] {
+        for trial in 1..=4 {
+            let hum = |i: i32| ((i * (trial + 1) * surface.len() as i32) % 997 * 20) as i16;
+            let samples: Vec<i16> = (0..8000).map(hum).collect();
+            write_wav(&path.join(format!("{surface}/trial{trial}/mi2.wav")), 44_100, 1, &samples);
+        }
+    }
+    let cut = path.join("Oak/trial1/mi2.wav");
+    let bytes = std::fs::read(&cut).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() - 100]).unwrap();
+    let spec = hound::WavSpec {
+        channels: 1,
+        sample_rate: 44_100,
+        bits_per_sample: 32,
+        sample_format: hound::SampleFormat::Float,
+    };
+    let mut writer = hound::WavWriter::create(path.join("Steel/trial2/mi2.wav"), spec).unwrap();
+    (0..8000).for_each(|i| writer.write_sample(if i == 7 { f32::NAN } else { 0.1 }).unwrap());
+    writer.finalize().unwrap();
+    (dir, path)
+}
+
+#[test]
+fn eval_names_all_bad_files_at_once_and_goes_on_without_them_when_it_may() {
+    let (_dir, path) = with_two_bad_files();
+    let eval = |more: &[&str]| {
+        let mut command = assert_cmd::Command::cargo_bin("surfaced").unwrap();
+        command.arg("eval").arg(&path).args(["--protocol", "leave-one-trial-out", "--json"]);
+        let output = command.args(more).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap(), output.stdout)
+    };
+    let (code, said, _) = eval(&[]);
+    assert_eq!(code, Some(1));
+    for part in ["2 files cannot be used", "Oak/trial1", "Steel/trial2", "NaN", "--skip-bad"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let (code, said, out) = eval(&["--skip-bad"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("Oak/trial1") && said.contains("Steel/trial2"), "{said}");
+    let report: serde_json::Value = serde_json::from_slice(&out).unwrap();
+    assert_eq!(report["queries"], 6);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_to_nothing_and_a_pipe_are_passed_over_and_said() {
+    let (_dir, path) = temp();
+    write_wav(&path.join("Oak/trial1/mi2.wav"), 44_100, 1, &[1, 2, 3]);
+    std::os::unix::fs::symlink("nowhere", path.join("Oak/trial1/ac.wav")).unwrap();
+    std::os::unix::fs::symlink("nowhere", path.join("Steel")).unwrap();
+    let pipe = path.join("Oak/trial1/mi1.wav");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RWXU).unwrap();
+    let library = open(&path).unwrap();
+    assert_eq!(library.entries[0].sources.len(), 1);
+    let said = library.remarks.join("\n");
+    assert!(said.contains("a link to nothing") && said.contains("neither a file"), "{said}");
+}
+
+#[test]
+fn a_band_above_half_the_rate_is_refused_when_the_library_is_opened() {
+    let (_dir, path) = temp();
+    write_wav(&path.join("Oak/trial1/pac.wav"), 2000, 1, &[1, 2, 3]);
+    let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [1500, 3000]\n";
+    write_file(&path.join("library.toml"), text);
+    let error = open(&path).unwrap_err().to_string();
+    assert!(error.contains("above half") && error.contains("pac.wav"), "{error}");
 }

@@ -265,3 +265,69 @@ fn after_all_of_it_the_server_ends_at_once() {
     served.server.stop();
     assert!(begin.elapsed() < SOON);
 }
+
+/// A server with a token, which takes few requests, and believes a proxy on this machine.
+fn guarded() -> Served {
+    serve(|settings| {
+        settings.token = Some(Token::new("0123456789abcdef").unwrap());
+        settings.proxies = vec!["127.0.0.1".parse().unwrap()];
+        settings.limits.burst = 20.0;
+        settings.limits.requests_a_second = 0.01;
+        settings.limits.guess_burst = 5.0;
+        settings.limits.guesses_a_second = 0.01;
+    })
+}
+
+#[test]
+fn guesses_of_the_token_are_limited_on_every_way_in_and_none_is_right_after_that() {
+    for guess in [
+        "Authorization: Bearer 0123456789abcdeX",
+        "Cookie: surfaced_token=0123456789abcdeX",
+        "", // in the address
+    ] {
+        let served = guarded();
+        let path = if guess.is_empty() { "/?token=0123456789abcdeX" } else { "/healthz" };
+        let headers: Vec<&str> = Some(guess).filter(|line| !line.is_empty()).into_iter().collect();
+        let statuses: Vec<u16> =
+            (0..8).map(|_| served.request("GET", path, &headers, "").status).collect();
+        assert_eq!(statuses, [401, 401, 401, 401, 401, 429, 429, 429], "{guess}");
+        let right = ["Authorization: Bearer 0123456789abcdef"];
+        let reply = served.request("GET", "/healthz", &right, "");
+        assert_eq!(reply.status, 429, "a token is not compared where guesses are used up");
+    }
+}
+
+#[test]
+fn strangers_lock_out_neither_those_who_know_the_token_nor_another_address() {
+    let served = guarded();
+    let entered = served.get("/?token=0123456789abcdef");
+    assert_eq!(entered.status, 303);
+    let session = entered.head.split("surfaced_session=").nth(1).unwrap();
+    let session = session.split(';').next().unwrap();
+    let browser = format!("Cookie: surfaced_token=0123456789abcdef; surfaced_session={session}");
+    let program = "Authorization: Bearer 0123456789abcdef";
+    for _ in 0..60 {
+        served.get("/healthz");
+    }
+    assert_eq!(served.get("/healthz").status, 429);
+    assert_eq!(served.request("GET", "/healthz", &[program], "").status, 200);
+    for _ in 0..10 {
+        served.request("GET", "/healthz", &["Cookie: surfaced_token=wrong"], "");
+    }
+    assert_eq!(served.request("GET", "/healthz", &[&browser], "").status, 200);
+    let elsewhere = [program, "X-Forwarded-For: 127.9.9.9, 192.0.2.7"];
+    assert_eq!(served.request("GET", "/healthz", &elsewhere, "").status, 200);
+}
+
+#[test]
+fn the_cookie_is_secure_behind_a_proxy_with_tls() {
+    let served = guarded();
+    let tls = ["X-Forwarded-For: 192.0.2.7", "X-Forwarded-Proto: https"];
+    let secure = |reply: common::http::Reply| reply.head.contains("; secure");
+    assert!(secure(served.request("GET", "/?token=0123456789abcdef", &tls, "")));
+    assert!(!secure(served.get("/?token=0123456789abcdef")));
+    let direct = serve(|settings| {
+        settings.token = Some(Token::new("0123456789abcdef").unwrap());
+    });
+    assert!(!secure(direct.request("GET", "/?token=0123456789abcdef", &tls, "")));
+}

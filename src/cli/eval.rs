@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::answers::AnswerArgs;
+use super::bad_files::{self, BadFileArgs};
 use super::choose::{Choice, choose};
 use super::method::MethodArgs;
 use super::{Done, Failure, SourceArgs, paper, show};
@@ -52,6 +53,8 @@ pub struct Args {
     out: Option<PathBuf>,
     #[command(flatten)]
     sources: SourceArgs,
+    #[command(flatten)]
+    bad_files: BadFileArgs,
     #[command(flatten)]
     method: MethodArgs,
     /// Use only the first seconds of each query's drag
@@ -243,10 +246,11 @@ pub fn run(args: &Args) -> Done {
     if let Some(tables) = table::open(data)? {
         return features::run(args, &tables);
     }
-    let library = super::open(data)?;
+    let (library, skipped) = args.bad_files.open(data, |scene| args.sources.narrow(scene))?;
     if args.paper {
         let out = args.out.as_deref();
-        return paper::run(&library, &args.method, args.shard, out, args.json);
+        paper::run(&library, &args.method, args.shard, out, args.json)?;
+        return skipped.verdict();
     }
     let Some(protocol) = args.protocol else {
         return Err(Failure::Usage("name a protocol, or --paper".into()));
@@ -262,7 +266,8 @@ pub fn run(args: &Args) -> Done {
         false_rejections: args.answers.false_rejections(),
     };
     let evaluation = Evaluation { entries, folds, scene, seconds: &[query_seconds], cache, also };
-    let mut done = evaluation.of(&*args.method.spec()?.build(scene))?;
+    let done = evaluation.of(&*args.method.spec()?.build(scene));
+    let mut done = done.map_err(|error| bad_files::explain(entries, error))?;
     // There is one length, so one outcome.
     let (outcome, predictions) = done.each.swap_remove(0);
     let report = Report {
@@ -275,7 +280,8 @@ pub fn run(args: &Args) -> Done {
         unknown: done.unknown,
         predictions: predictions.into_iter().map(Answer::from).collect(),
     };
-    finish(args.json, report)
+    finish(args.json, report)?;
+    skipped.verdict()
 }
 
 fn finish(json: bool, report: Report) -> Done {

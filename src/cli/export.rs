@@ -8,13 +8,13 @@ use crate::scene::Scene;
 
 /// Write a recording as MCAP, which Foxglove and other tools open
 ///
-/// The file holds each frame and picture as a message to look at, and the recording's own files, so
+/// The file holds samples and pictures as messages to look at, and the recording's own files, so
 /// that `surfaced import` gives them back byte for byte.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
                         surfaced export my-library/oak/expert-01 oak.mcap")]
 pub struct ExportArgs {
-    /// A library, or one trial of it
+    /// A library, one trial of it, or the LMT108 database
     recording: PathBuf,
     /// The file to write; it must not be there yet
     out: PathBuf,
@@ -34,13 +34,20 @@ pub struct ImportArgs {
 pub fn export(args: &ExportArgs) -> Done {
     let library = mcap::open(&args.recording, &Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
-    say!("{trials} trial(s) written to {}", shown(&args.out));
+    say!("wrote {} to {}", counted(trials), shown(&args.out));
     Ok(())
 }
 
 /// Runs `surfaced import`.
 pub fn import(args: &ImportArgs) -> Done {
     let trials = mcap::import(&args.mcap, &args.library)?;
-    say!("{trials} trial(s) written to {}", shown(&args.library));
+    match trials {
+        0 => say!("wrote {}", shown(&args.library)),
+        trials => say!("wrote {} to {}", counted(trials), shown(&args.library)),
+    }
     Ok(())
+}
+
+fn counted(trials: usize) -> String {
+    if trials == 1 { "1 trial".into() } else { format!("{trials} trials") }
 }

@@ -7,6 +7,7 @@
 mod say;
 
 mod answers;
+mod bad_files;
 mod chart;
 mod choose;
 mod compare;

@@ -134,7 +134,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
         let commands = station.commands();
         station = station.listener(JsonLines { commands });
     }
-    let library = args.library.as_ref().filter(|_| args.serve.asked());
+    let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));

@@ -5,47 +5,57 @@ use std::path::Path;
 use ndarray::Array2;
 
 use super::Failure;
+use crate::dataset::table::line_of;
 
-/// Reads samples, shape (rows, columns).
+/// Reads samples, shape (rows, columns), separated by commas, semicolons or tabs; blank lines are
+/// skipped.
 ///
 /// # Errors
 /// With file and line, if the file cannot be read, holds nothing, has rows of different lengths,
 /// or a field is not a finite number.
 pub fn read(path: &Path) -> Result<Array2<f64>, Failure> {
     let failed = |problem: String| Failure::Failed(format!("{}: {problem}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let text = std::fs::read(path).map_err(|error| failed(error.to_string()))?;
+    parse(&text).map_err(failed)
+}
+
+fn parse(text: &[u8]) -> Result<Array2<f64>, String> {
+    let separator = text.iter().copied().find(|byte| b",;\t\n".contains(byte));
+    let separator = separator.filter(|byte| *byte != b'\n').unwrap_or(b',');
+    let mut reader = csv::ReaderBuilder::new()
+        .delimiter(separator)
+        .has_headers(false)
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .from_reader(text);
     let (mut values, mut columns, mut rows) = (Vec::new(), 0, 0);
-    for (at, line) in text.lines().enumerate() {
-        let line = line.trim_start_matches('\u{feff}').trim();
-        if line.is_empty() {
+    for row in reader.records() {
+        let row = row.map_err(|error| error.to_string())?;
+        if row.iter().all(str::is_empty) && row.len() <= 1 {
             continue;
         }
-        let at = at + 1;
-        let before = values.len();
-        for field in line.split([',', ';', '\t']) {
-            match field.trim().parse::<f64>() {
+        let line = line_of(text, &row);
+        for field in &row {
+            match field.parse::<f64>() {
                 Ok(x) if x.is_finite() => values.push(x),
                 _ => {
-                    return Err(failed(format!(
-                        "line {at}: `{}` is no finite number; expected one sample a line, a \
-                         column a channel, a point for decimals, no header",
-                        field.trim()
-                    )));
+                    return Err(format!(
+                        "line {line}: `{field}` is not a finite number; expected one sample a \
+                         line, a column a channel, a point for decimals, no header"
+                    ));
                 }
             }
         }
-        let found = values.len() - before;
         if rows == 0 {
-            columns = found;
-        } else if found != columns {
-            return Err(failed(format!(
-                "line {at}: {found} column(s), but {columns} in the lines before"
-            )));
+            columns = row.len();
+        } else if row.len() != columns {
+            let found = counted(row.len());
+            return Err(format!("line {line}: {found}, but {columns} in the lines before"));
         }
         rows += 1;
     }
     if rows == 0 {
-        return Err(failed("no samples; expected one a line".into()));
+        return Err("no samples; expected one a line".into());
     }
     // Each row was checked to have the same number of columns.
     Ok(Array2::from_shape_vec((rows, columns), values).expect("rows of equal length"))
@@ -63,10 +73,41 @@ pub fn same_columns(
         return Ok(());
     }
     Err(Failure::Failed(format!(
-        "{} has {} column(s), but {} has {}; samples of one source have the same channels",
+        "{} has {}, but {} has {}; samples of one source have the same channels",
         a_path.display(),
-        a.ncols(),
+        counted(a.ncols()),
         b_path.display(),
         b.ncols()
     )))
+}
+
+fn counted(columns: usize) -> String {
+    if columns == 1 { "1 column".into() } else { format!("{columns} columns") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commas_semicolons_and_tabs_separate_and_blank_lines_do_not_count() {
+        for text in ["1,2\n3,4\n", "1; 2\n\n3;4", "\u{feff}1\t2\r\n3\t4\r\n  \n"] {
+            let samples = parse(text.as_bytes()).unwrap();
+            assert_eq!(samples, ndarray::array![[1.0, 2.0], [3.0, 4.0]], "{text:?}");
+        }
+        assert_eq!(parse(b"1\n2\n").unwrap().shape(), [2, 1]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (text, part) in [
+            ("1,2\n\n3,x\n", "line 3: `x` is not a finite number"),
+            ("1,2\n3\n", "line 2: 1 column, but 2"),
+            ("1,2\n3,\n", "line 2: `` is not"),
+            ("\n\n", "no samples"),
+        ] {
+            let said = parse(text.as_bytes()).unwrap_err();
+            assert!(said.contains(part), "{text:?}: {said}");
+        }
+    }
 }

@@ -9,10 +9,10 @@ use crate::station::Station;
 
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
-/// How often the page is told what is new, in seconds: 25 times a second, so that 20 are drawn even
-/// where some come late.
+/// How often new samples are sent to the page, in seconds: 25 times a second, so that 20 are drawn
+/// even where some come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// How often it is told how a scan goes on, in seconds of drag.
+/// How often the progress of a scan is sent to it, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
@@ -25,6 +25,12 @@ pub struct ServeArgs {
     /// least 16 characters in the environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR", value_parser = address)]
     serve: Option<Option<SocketAddr>>,
+    /// A proxy in front of the server, which is believed who its clients are
+    ///
+    /// `X-Forwarded-For` and `X-Forwarded-Proto` count only from these addresses. Give it once for
+    /// each proxy.
+    #[arg(long = "serve-proxy", value_name = "ADDR", requires = "serve")]
+    proxies: Vec<IpAddr>,
 }
 
 /// An address with its port, or one of the two.
@@ -42,13 +48,13 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 
 impl ServeArgs {
     /// Whether to serve at all.
-    pub fn asked(&self) -> bool {
+    pub fn is_wanted(&self) -> bool {
         self.serve.is_some()
     }
 
     /// Options of a session that is shown, if it is.
     pub fn options(&self, options: Options) -> Options {
-        if !self.asked() {
+        if !self.is_wanted() {
             return options;
         }
         Options {
@@ -58,8 +64,8 @@ impl ServeArgs {
         }
     }
 
-    /// Serves `station`, if that was asked for, and says where on stderr. `default` is where, if
-    /// nothing is said; `enrolls` tells whether the station keeps scans.
+    /// Serves `station`, if `--serve` is given, and says where on stderr. `default` is the address
+    /// of `--serve` without one; `enrolls` is whether the station keeps scans.
     pub fn start<'a>(
         &self,
         station: Station<'a>,
@@ -73,7 +79,8 @@ impl ServeArgs {
             Err(_) => None,
         };
         let address = address.unwrap_or(default);
-        let settings = Settings { address, token, enrolls, ..Settings::default() };
+        let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
+        let settings = Settings { address, token, proxies, enrolls, ..Settings::default() };
         let started: Result<(Server, Reporter), _> = Server::start(&settings, station.commands());
         let (server, reporter) = started.map_err(|error| match error {
             ServeError::Open(_) => usage(error),

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use name::Part;
 
 use crate::library::files::{self, Listed};
-use crate::library::loader::{Headers, SourceFiles};
+use crate::library::loader::{Headers, SourceFiles, channels as counted};
 use crate::library::recording::{self, Seen};
-use crate::library::{Library, LibraryError};
+use crate::library::{Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
@@ -51,14 +51,14 @@ pub(super) fn open(
     root: &Path,
     listed: &[Listed],
     defaults: &Scene,
-) -> Result<Library, LibraryError> {
+) -> Result<Opened, LibraryError> {
     let mut found = Found::default();
     for item in listed.iter().filter(|item| is_scans(item)) {
         found.walk(item, &mut Vec::new())?;
     }
     let mut headers = Headers::default();
     let mut entries = Vec::new();
-    let mut passed = found.passed;
+    let (mut passed, mut bad) = (found.passed, Vec::new());
     for (key, parts) in found.trials {
         let mut sources = BTreeMap::new();
         for (source, channels) in parts {
@@ -68,10 +68,10 @@ pub(super) fn open(
                 continue;
             };
             match complete(spec, channels)? {
-                Ok(paths) => {
-                    let files = source_files(&mut headers, spec, paths)?;
-                    sources.insert(spec.id.clone(), files);
-                }
+                Ok(paths) => match source_files(&mut headers, spec, paths) {
+                    Ok(files) => drop(sources.insert(spec.id.clone(), files)),
+                    Err(error) => bad.push(error),
+                },
                 Err(why) => Seen::count(&mut passed, why, key.to_string()),
             }
         }
@@ -86,6 +86,9 @@ pub(super) fn open(
     }
     remarks.extend(passed.into_iter().map(|(what, seen)| seen.say(&what)));
     if entries.is_empty() {
+        if let Some(error) = LibraryError::of_all(bad) {
+            return Err(error);
+        }
         let mut problem = "the LMT108 database, but without a single whole recording; looked for \
                            names such as SoundScans/Movement/Training/\
                            G1EpoxyRasterPlate_Sound_Movement_train1.wav"
@@ -96,13 +99,8 @@ pub(super) fn open(
         }
         return Err(LibraryError::NothingFound { path: root.to_path_buf(), problem });
     }
-    Ok(Library {
-        name: "LMT108".into(),
-        scene: defaults.clone(),
-        entries,
-        synthetic: false,
-        remarks,
-    })
+    let (name, scene) = ("LMT108".into(), defaults.clone());
+    Ok(Opened { library: Library { name, scene, entries, synthetic: false, remarks }, bad })
 }
 
 type Channels = BTreeMap<usize, PathBuf>;
@@ -121,7 +119,9 @@ impl Found {
             if item.is_hidden() {
                 continue;
             }
-            if item.is_dir {
+            if let Some(why) = item.unusable {
+                self.pass_over(&item, why);
+            } else if item.is_dir {
                 if above.len() < DEEPEST {
                     self.walk(&item, above)?;
                 } else {
@@ -189,7 +189,7 @@ fn complete(
         let path = channels.into_values().next().unwrap_or_default();
         let problem = format!(
             "the database has {} for source `{}`; correct its description in the configuration",
-            if is_image { "an image".into() } else { format!("{} channel(s)", names.len()) },
+            if is_image { "an image".into() } else { counted(names.len()) },
             spec.id,
         );
         return Err(LibraryError::file(&path, problem));
@@ -209,10 +209,14 @@ fn source_files(
     mut paths: Vec<PathBuf>,
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
-        // One file each: `complete` saw to it.
+        // One file each at least: `complete` saw to it.
         "mi1" | "mi2" => headers.wav(spec, None, &paths.remove(0))?,
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
-        _ => SourceFiles::Columns { paths, rate_hz: TEXT_RATE_HZ },
+        _ => {
+            let fail = |problem| LibraryError::file(&paths[0], problem);
+            spec.check_rate(TEXT_RATE_HZ).map_err(fail)?;
+            SourceFiles::Columns { paths, rate_hz: TEXT_RATE_HZ }
+        }
     })
 }
 

@@ -18,8 +18,9 @@ use name::Listing;
 
 use super::lmt108;
 use crate::library::files::{self, Listed};
+use crate::library::loader::channels as counted;
 use crate::library::recording::Seen;
-use crate::library::{Entry, Library, LibraryError};
+use crate::library::{Entry, Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceSpec};
 use crate::trial::TrialKey;
 
@@ -75,7 +76,7 @@ pub(super) fn open(
     root: &Path,
     listed: &[Listed],
     defaults: &Scene,
-) -> Result<Library, LibraryError> {
+) -> Result<Opened, LibraryError> {
     // The lists and the folders lie in the root or in DataLMT108.
     let mut inside = Vec::new();
     for folder in listed.iter().filter(|item| is_folder(item, DATA)) {
@@ -87,6 +88,7 @@ pub(super) fn open(
         trials: BTreeMap::new(),
         passed: BTreeMap::new(),
         remarks: vec![],
+        bad: vec![],
     };
     for split in &SPLITS {
         opening.split(split, &everywhere)?;
@@ -99,6 +101,8 @@ struct Opening<'a> {
     trials: BTreeMap<TrialKey, MatTrial>,
     passed: BTreeMap<String, Seen>,
     remarks: Vec<String>,
+    /// Files that cannot be used.
+    bad: Vec<LibraryError>,
 }
 
 impl Opening<'_> {
@@ -108,6 +112,9 @@ impl Opening<'_> {
             found.extend(files::list(&folder.path)?);
         }
         found.retain(|item| !item.is_hidden() && !item.is_dir);
+        for item in found.extract_if(.., |item| item.unusable.is_some()) {
+            item.unusable.iter().for_each(|why| self.pass_over(why, &item.name));
+        }
         let (trials, others): (Vec<_>, _) =
             found.into_iter().partition(|item| item.stem_and_extension().1 == "mat");
         for other in others {
@@ -136,7 +143,11 @@ impl Opening<'_> {
         self.remarks.extend(remarks);
         for (item, key) in trials.iter().zip(keys) {
             match key {
-                Ok(key) => self.trial(item, key)?,
+                Ok(key) => {
+                    if let Err(error) = self.trial(item, key) {
+                        self.bad.push(error);
+                    }
+                }
                 Err(why) => self.pass_over(&format!("not used, {why}"), &item.name),
             }
         }
@@ -178,7 +189,7 @@ impl Opening<'_> {
         Seen::count(&mut self.passed, why.to_string(), what.to_string());
     }
 
-    fn library(mut self, root: &Path) -> Result<Library, LibraryError> {
+    fn library(mut self, root: &Path) -> Result<Opened, LibraryError> {
         let entries: Vec<Entry> = (self.trials.into_iter())
             .map(|(key, trial)| {
                 let sources = trial.sources.keys().cloned().collect();
@@ -188,6 +199,9 @@ impl Opening<'_> {
         let passed = self.passed.into_iter().map(|(what, seen)| seen.say(&what));
         self.remarks.extend(passed);
         if entries.is_empty() {
+            if let Some(error) = LibraryError::of_all(self.bad) {
+                return Err(error);
+            }
             let problem = format!(
                 "the authors' processed form of LMT108, but without a single trial; looked for \
                  {DATA}/Library/*.mat and {DATA}/TestingSet/*.mat\n  {}",
@@ -200,13 +214,9 @@ impl Opening<'_> {
             entries.iter().map(|entry| (&entry.key, entry.sources.as_slice())).collect();
         let mut remarks = lmt108::summary(&keys, self.scene);
         remarks.extend(self.remarks);
-        Ok(Library {
-            name: "LMT108 (processed)".into(),
-            scene: self.scene.clone(),
-            entries,
-            synthetic: false,
-            remarks,
-        })
+        let (name, scene) = ("LMT108 (processed)".into(), self.scene.clone());
+        let library = Library { name, scene, entries, synthetic: false, remarks };
+        Ok(Opened { library, bad: self.bad })
     }
 }
 
@@ -222,7 +232,7 @@ fn stored(spec: &SourceSpec, variable: String, item: &Listed) -> Result<Stored, 
     };
     let is_image = matches!(spec.id.as_str(), "ca1" | "ca2");
     if is_image != (spec.domain == Domain::Image) || !is_image && spec.channels != channels {
-        let has = if is_image { "an image".into() } else { format!("{channels} channel(s)") };
+        let has = if is_image { "an image".into() } else { counted(channels) };
         let problem = format!(
             "the database has {has} for source `{}`; correct its description in the configuration",
             spec.id
@@ -234,5 +244,6 @@ fn stored(spec: &SourceSpec, variable: String, item: &Listed) -> Result<Stored, 
     }
     let is_sound = matches!(spec.id.as_str(), "mi1" | "mi2");
     let rate_hz = if is_sound { SOUND_RATE_HZ } else { SERIAL_RATE_HZ };
+    spec.check_rate(rate_hz).map_err(|problem| LibraryError::file(&item.path, problem))?;
     Ok(Stored::Series { variable, channels, rate_hz })
 }

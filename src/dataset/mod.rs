@@ -9,10 +9,10 @@ use std::path::Path;
 
 use crate::library::files::{self, Listed};
 use crate::library::recording::{self, DESCRIPTION};
-use crate::library::{Library, LibraryError};
+use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
-/// Opens whatever recordings a folder holds: finds out their form, then reads them with it.
+/// Opens the recordings of a folder, in any form: finds out their form, then reads them with it.
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
 ///   its folders, here or one folder further down),
@@ -26,6 +26,14 @@ use crate::scene::Scene;
 /// If the folder cannot be read, holds no recordings, or holds some that contradict their
 /// description.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+    open_usable(path, defaults)?.whole()
+}
+
+/// The same, but files and trials that cannot be used are listed beside the library.
+///
+/// # Errors
+/// If the folder cannot be read, or nothing in it can be used.
+pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let listed = files::list(path)?;
     if let Some(library) = open_lmt108(path, &listed, defaults) {
         return library;
@@ -34,7 +42,7 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     if !listed.iter().any(|item| item.name == DESCRIPTION) {
         let mut found = Vec::new();
         for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
-            // What cannot be listed here is reported by whoever needs it.
+            // What cannot be listed here is reported where it is needed.
             let inner = files::list(&item.path).unwrap_or_default();
             if lmt108::is_root(&inner) || mat::is_root(&inner) {
                 found.push((item, inner));
@@ -58,14 +66,14 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
             }
         }
     }
-    recording::open(path, defaults)
+    recording::open_usable(path, defaults)
 }
 
 fn open_lmt108(
     path: &Path,
     listed: &[Listed],
     defaults: &Scene,
-) -> Option<Result<Library, LibraryError>> {
+) -> Option<Result<Opened, LibraryError>> {
     if lmt108::is_root(listed) {
         return Some(lmt108::open(path, listed, defaults));
     }

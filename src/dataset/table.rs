@@ -39,13 +39,12 @@ pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
         trials: BTreeMap::new(),
     };
     for item in files::list(folder)?.iter().filter(|item| is_csv(item)) {
-        let text = std::fs::read_to_string(&item.path)
-            .map_err(|error| LibraryError::Io { path: item.path.clone(), error })?;
-        if text.starts_with(NAMES) {
+        let bytes = files::read_bytes(&item.path, files::MOST_TEXT)?;
+        if bytes.starts_with(NAMES.as_bytes()) {
             let stem = item.name.trim_end_matches(".csv");
             let id = SourceId::new(stem)
                 .map_err(|error| LibraryError::file(&item.path, error.to_string()))?;
-            read(&text, &id, &mut tables.trials)
+            read(&bytes, &id, &mut tables.trials)
                 .map_err(|problem| LibraryError::file(&item.path, problem))?;
             tables.sources.push(id);
         }
@@ -53,34 +52,46 @@ pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
     Ok((!tables.trials.is_empty()).then_some(tables))
 }
 
+/// The line that a row of a CSV text is on, counted from 1: `csv` gives that of the blank lines
+/// before it.
+pub(crate) fn line_of(text: &[u8], row: &csv::StringRecord) -> u64 {
+    let Some(start) = row.position() else { return 0 };
+    let after = text.get(start.byte() as usize..).unwrap_or_default();
+    let blank = after.iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
+    start.line() + blank.filter(|byte| **byte == b'\n').count() as u64
+}
+
 fn read(
-    text: &str,
+    text: &[u8],
     id: &SourceId,
     trials: &mut BTreeMap<TrialKey, BTreeMap<SourceId, Vec<f64>>>,
 ) -> Result<(), String> {
-    let mut lines = text.lines().enumerate().map(|(i, line)| (i + 1, line));
-    let columns = lines.next().map_or(0, |(_, header)| header.split(',').count());
-    for (number, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
-        let fields: Vec<&str> = line.split(',').collect();
-        if fields.len() != columns {
-            return Err(format!(
-                "line {number} has {} fields; the header has {columns}",
-                fields.len()
-            ));
+    let mut reader =
+        csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
+    let columns = reader.headers().map_err(|error| error.to_string())?.len();
+    for row in reader.records() {
+        let row = row.map_err(|error| error.to_string())?;
+        let line = line_of(text, &row);
+        if row.iter().all(str::is_empty) && row.len() <= 1 {
+            continue;
         }
-        let trial = fields[3].trim().parse().map_err(|_| {
-            format!("line {number}: trial is `{}`; expected a whole number", fields[3])
-        })?;
-        let user = if fields[2] == "train" { EXPERT.into() } else { format!("user{trial}") };
-        let values = fields[4..].iter().enumerate().map(|(at, field)| {
-            field.trim().parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
-                format!("line {number}, column {}: `{field}` is no finite number", at + 5)
+        if row.len() != columns {
+            let found = row.len();
+            return Err(format!("line {line} has {found} fields; the header has {columns}"));
+        }
+        let trial = row[3]
+            .parse()
+            .map_err(|_| format!("line {line}: trial is `{}`; expected a whole number", &row[3]))?;
+        let user = if &row[2] == "train" { EXPERT.into() } else { format!("user{trial}") };
+        let values = row.iter().enumerate().skip(4).map(|(at, field)| {
+            field.parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+                format!("line {line}, column {}: `{field}` is not a finite number", at + 1)
             })
         });
         let values = values.collect::<Result<Vec<f64>, String>>()?;
-        let key = TrialKey::new(fields[1], user, trial);
+        let key = TrialKey::new(&row[1], user, trial);
         if trials.entry(key.clone()).or_default().insert(id.clone(), values).is_some() {
-            return Err(format!("line {number}: {key} is there twice"));
+            return Err(format!("line {line}: {key} is there twice"));
         }
     }
     Ok(())

@@ -2,6 +2,7 @@
 
 use rand::Rng;
 
+use crate::seed::box_muller;
 use crate::trial::{Series, SignalError};
 
 /// A number of the standard normal distribution (Box and Muller 1958).
@@ -9,7 +10,7 @@ pub fn normal(rng: &mut impl Rng) -> f64 {
     // The half keeps the logarithm finite.
     let u = (f64::from(rng.next_u32()) + 0.5) / 4_294_967_296.0;
     let v = f64::from(rng.next_u32()) / 4_294_967_296.0;
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    box_muller(u, v)
 }
 
 /// Stationary AR(1): x(t) = φ·x(t − 1) + √(1 − φ²)·ε, φ = exp(−1/τ), with autocorrelation

@@ -1,7 +1,10 @@
 //! Folders, and errors of the file system that say what to do.
 
-use std::io;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
+#[cfg(unix)]
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use super::LibraryError;
@@ -30,19 +33,26 @@ impl LibraryError {
     }
 }
 
+/// Largest text file in bytes: a description, a feature table.
+pub(crate) const MOST_TEXT: u64 = 1 << 26;
+/// Largest description (`trial.toml`, `library.toml`) in bytes.
+const MOST_DESCRIPTION: u64 = 1 << 20;
+
 /// One thing in a folder.
 #[derive(Debug)]
 pub(crate) struct Listed {
     pub name: String,
     pub path: PathBuf,
     pub is_dir: bool,
+    /// For people: why it can be neither read nor listed.
+    pub unusable: Option<&'static str>,
 }
 
 impl Listed {
     /// A folder by its path; `None` if its name is not UTF-8.
     pub fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
-        Some(Self { name, path: path.to_path_buf(), is_dir: true })
+        Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
     }
 
     /// The name without its extension, and the extension in lower case.
@@ -59,7 +69,8 @@ impl Listed {
     }
 }
 
-/// What is in a folder, sorted by name; links are followed.
+/// What is in a folder, sorted by name; links are followed. What is neither a file nor a folder, or
+/// a link to nothing, is listed as [`Listed::unusable`].
 ///
 /// # Errors
 /// If the folder cannot be read, is a file, or holds a name that is not UTF-8.
@@ -74,51 +85,113 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
         let Some(name) = path.file_name().and_then(|name| name.to_str()).map(String::from) else {
             return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
         };
-        let is_dir = match std::fs::metadata(&path) {
-            Ok(about) => about.is_dir(),
-            Err(_) if name.starts_with('.') => false,
+        let (is_dir, unusable) = match std::fs::metadata(&path) {
+            Ok(about) if about.is_dir() => (true, None),
+            Ok(about) if about.is_file() => (false, None),
+            Ok(_) => (false, Some(SPECIAL)),
+            Err(_) if name.starts_with('.') => (false, None),
+            Err(_) if path.is_symlink() => (false, Some("not used, it is a link to nothing")),
             Err(error) => return Err(LibraryError::io(&path, error)),
         };
-        listed.push(Listed { name, path, is_dir });
+        listed.push(Listed { name, path, is_dir, unusable });
     }
     listed.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(listed)
 }
 
-/// The bytes of a file that must not be empty.
+/// Said of a pipe, a socket or a device, which may never end.
+const SPECIAL: &str = "not used, it is neither a file nor a folder";
+
+/// Opens a regular file, and gives its length; anything else is refused at once.
 ///
 /// # Errors
-/// If it cannot be read or is empty.
-pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, LibraryError> {
-    let bytes = std::fs::read(path).map_err(|error| LibraryError::io(path, error))?;
-    if bytes.is_empty() {
-        return Err(LibraryError::file(path, EMPTY_FILE));
+/// If it cannot be opened or is no regular file.
+pub(crate) fn open(path: &Path) -> io::Result<(File, u64)> {
+    let mut options = OpenOptions::new();
+    options.read(true);
+    // Without it, opening a pipe waits for its writer.
+    #[cfg(unix)]
+    options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32);
+    let file = options.open(path)?;
+    let about = file.metadata()?;
+    if !about.is_file() {
+        let problem = "not a regular file; expected a file, not a folder, a pipe or a device";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, problem));
     }
-    Ok(bytes)
+    Ok((file, about.len()))
+}
+
+/// The bytes of a regular file of at most `most` bytes that must not be empty.
+///
+/// # Errors
+/// If it cannot be read, is no regular file, is empty or larger.
+pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError> {
+    let fail = |error| LibraryError::io(path, error);
+    let (file, length) = open(path).map_err(fail)?;
+    let mut bytes = Vec::with_capacity(length.min(most) as usize);
+    // It may grow while it is read.
+    file.take(most + 1).read_to_end(&mut bytes).map_err(fail)?;
+    match bytes.len() as u64 {
+        0 => Err(LibraryError::file(path, EMPTY_FILE)),
+        length if length > most => Err(LibraryError::file(
+            path,
+            format!(
+                "larger than {} MiB, more than a file of its kind holds; remove it",
+                most >> 20
+            ),
+        )),
+        _ => Ok(bytes),
+    }
 }
 
 /// Said of a file of zero bytes.
 pub(super) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
-/// The text of a file, or nothing if there is no such file.
+/// The text of a description, or nothing if there is no such file; empty, if the file is.
 ///
 /// # Errors
-/// If it cannot be read or is not UTF-8.
+/// If it cannot be read, is no regular file, is larger than 1 MiB or is not UTF-8.
 pub(crate) fn read_text_if_there(path: &Path) -> Result<Option<String>, LibraryError> {
-    match std::fs::read(path) {
-        Ok(bytes) => match String::from_utf8(bytes) {
-            Ok(text) => Ok(Some(text)),
-            Err(error) => {
-                let good = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-                let line = 1 + good.iter().filter(|&&byte| byte == b'\n').count();
-                Err(LibraryError::file(
-                    path,
-                    format!("line {line}: not UTF-8; save the file as UTF-8"),
-                ))
-            }
-        },
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(LibraryError::io(path, error)),
+    match std::fs::metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Ok(about) if about.is_file() && about.len() == 0 => return Ok(Some(String::new())),
+        _ => {}
+    }
+    String::from_utf8(read_bytes(path, MOST_DESCRIPTION)?).map(Some).map_err(|error| {
+        let good = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let line = 1 + good.iter().filter(|&&byte| byte == b'\n').count();
+        LibraryError::file(path, format!("line {line}: not UTF-8; save the file as UTF-8"))
+    })
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pipes_devices_and_endless_files_are_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe.wav");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RWXU).unwrap();
+        let zero = folder.path().join("trial.toml");
+        std::os::unix::fs::symlink("/dev/zero", &zero).unwrap();
+        std::os::unix::fs::symlink("nowhere", folder.path().join("gone")).unwrap();
+        for path in [&pipe, &zero, folder.path()] {
+            let error = read_bytes(path, 10).unwrap_err().to_string();
+            assert!(error.contains("not a regular file"), "{error}");
+        }
+        assert!(read_text_if_there(&zero).is_err());
+        let listed = list(folder.path()).unwrap();
+        assert!(listed.iter().all(|item| item.unusable.is_some() && !item.is_dir), "{listed:?}");
+    }
+
+    #[test]
+    fn a_file_that_is_too_large_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x");
+        std::fs::write(&path, [7; 11]).unwrap();
+        assert!(read_bytes(&path, 10).unwrap_err().to_string().contains("larger than"));
+        assert_eq!(read_bytes(&path, 11).unwrap(), [7; 11]);
     }
 }
 

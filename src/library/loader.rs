@@ -96,7 +96,7 @@ pub(crate) struct Headers {
 
 impl Headers {
     /// A WAV file as the data of a source. `declared_hz` is the rate that the library's own
-    /// description demands.
+    /// description asks for.
     ///
     /// # Errors
     /// If the source is an image, if the file cannot be read, or if its channels or its rate are
@@ -115,6 +115,7 @@ impl Headers {
             ));
         }
         let header = wav::probe(path)?;
+        spec.check_rate(header.rate_hz).map_err(|problem| LibraryError::file(path, problem))?;
         if header.channels != spec.channels {
             return fail(format!(
                 "{}, but source `{id}` has {}; expected one channel a column: record again, or \
@@ -146,6 +147,7 @@ impl Headers {
     }
 }
 
-fn channels(count: usize) -> String {
+/// "1 channel", "2 channels".
+pub(crate) fn channels(count: usize) -> String {
     if count == 1 { "1 channel".into() } else { format!("{count} channels") }
 }

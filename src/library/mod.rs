@@ -1,6 +1,7 @@
 //! A library: labelled trials to compare with, loaded when they are needed.
 
 mod about;
+pub mod audit;
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
@@ -55,6 +56,9 @@ pub enum LibraryError {
         /// what is wrong with it
         error: Box<SceneError>,
     },
+    /// several files that cannot be used
+    #[error("{}", list(.0))]
+    Several(Vec<LibraryError>),
     /// a folder without recordings
     #[error("{}: {problem}", path.display())]
     NothingFound {
@@ -90,6 +94,41 @@ impl Outline {
     fn all(trial: &Trial) -> Outlines {
         let outline = |(id, signal): (&SourceId, _)| Some((id.clone(), Self::of(signal)?));
         trial.signals.iter().filter_map(outline).collect()
+    }
+}
+
+/// All errors, a line each.
+fn list(errors: &[LibraryError]) -> String {
+    let lines = errors.iter().map(|error| format!("\n  {error}"));
+    format!("{} files cannot be used:{}", errors.len(), lines.collect::<String>())
+}
+
+impl LibraryError {
+    /// Errors of several files as one, if there are any.
+    pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
+        match errors.len() {
+            0 | 1 => errors.pop(),
+            _ => Some(Self::Several(errors)),
+        }
+    }
+}
+
+/// A library as far as it can be used, and why the rest of it cannot.
+#[derive(Debug)]
+pub struct Opened {
+    /// What can be used.
+    pub library: Library,
+    /// Files and trials that cannot be, one error each.
+    pub bad: Vec<LibraryError>,
+}
+
+impl Opened {
+    /// The library, if all of it can be used.
+    ///
+    /// # Errors
+    /// All errors at once, if some cannot be.
+    pub fn whole(self) -> Result<Library, LibraryError> {
+        LibraryError::of_all(self.bad).map_or(Ok(self.library), Err)
     }
 }
 

@@ -7,18 +7,21 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
 
 use super::{LibraryError, files};
+use crate::jpeg;
 use crate::trial::{Image, SignalError};
 
 /// No picture of a surface needs more; a hostile header may promise anything.
 const MAX_SIDE: u32 = 1 << 14;
 const MAX_BYTES: u64 = 1 << 28;
+/// Largest file of a picture in bytes.
+const MOST_FILE: u64 = 1 << 26;
 
 /// Reads a picture of 320 × 480 pixels, or one that lies on its side.
 ///
 /// # Errors
 /// If the file cannot be read, is empty, cannot be decoded, or has another size.
 pub(crate) fn read(path: &Path) -> Result<Image, LibraryError> {
-    let bytes = files::read_bytes(path)?;
+    let bytes = files::read_bytes(path, MOST_FILE)?;
     let damaged = |why: String| {
         LibraryError::file(
             path,
@@ -29,7 +32,7 @@ pub(crate) fn read(path: &Path) -> Result<Image, LibraryError> {
         )
     };
     let signal = |error| LibraryError::Signal { path: path.to_path_buf(), error };
-    if is_cut_short(&bytes) {
+    if jpeg::is_cut_short(&bytes) {
         return Err(damaged("it is truncated".into()));
     }
     // Decoders are large and may panic on hostile input; nothing outlives the closure.
@@ -59,28 +62,4 @@ fn decode(bytes: &[u8]) -> Result<Result<DynamicImage, SignalError>, ImageError>
         return Ok(Err(SignalError::ImageSize { width: size.0, height: size.1 }));
     }
     DynamicImage::from_decoder(decoder).map(Ok)
-}
-
-/// Whether these are the bytes of a JPEG file that lacks its end, whose missing part the decoder
-/// would fill with grey. (PNG has checksums instead.)
-fn is_cut_short(bytes: &[u8]) -> bool {
-    const START: [u8; 2] = [0xFF, 0xD8];
-    let Some(mut rest) = bytes.strip_prefix(&START) else { return false };
-    // Walk from marker to marker: a thumbnail's end inside a segment is not the picture's.
-    loop {
-        let next = rest.windows(2).position(|two| {
-            // 0xFF before 0 is a pixel, before D0 to D7 a restart, before itself a filler.
-            two[0] == 0xFF && !matches!(two[1], 0 | 0xFF | 0xD0..=0xD7)
-        });
-        let Some(at) = next else { return true };
-        if rest[at + 1] == 0xD9 {
-            return false;
-        }
-        let &[_, _, high, low, ..] = &rest[at..] else { return true };
-        let length = usize::from(u16::from_be_bytes([high, low]));
-        match rest.get(at + 2 + length..) {
-            Some(after) => rest = after,
-            None => return true,
-        }
-    }
 }

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
-use super::{About, Entry, Library, LibraryError};
+use super::{About, Entry, Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey};
 
@@ -31,20 +31,30 @@ pub(crate) const UNFINISHED: &str = ".unfinished";
 /// [`Library::remarks`] says what was passed over.
 ///
 /// # Errors
-/// If a folder or a header cannot be read, `library.toml` or a `trial.toml` is wrong, a file's
-/// channels or rate are not those expected, two folders hold one trial, or nothing is found.
+/// All at once: folders and headers that cannot be read, a `library.toml` or `trial.toml` that is
+/// wrong, files whose channels or rate are not those expected; or that nothing is found.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+    open_usable(path, defaults)?.whole()
+}
+
+/// The same, but files and trials that cannot be used are listed beside the library.
+///
+/// # Errors
+/// If the folder cannot be read, `library.toml` is wrong, or nothing can be used.
+pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let folders = files::list(path)?;
     let mut opening = Opening::new(path, defaults.clone())?;
     for surface in &folders {
         if surface.is_dir && !surface.is_hidden() {
-            opening.surface(surface)?;
+            opening.surface(surface);
+        } else if let Some(why) = surface.unusable {
+            opening.pass_over(&surface.path, why);
         }
     }
     opening.library()
 }
 
-/// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one; `library.toml` is heeded.
+/// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one; its `library.toml` counts.
 ///
 /// # Errors
 /// As [`open`].
@@ -55,8 +65,8 @@ pub fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryErr
     };
     let mut opening = Opening::new(surface.parent().unwrap_or(surface), defaults.clone())?;
     let label = surface.file_name().unwrap_or_default().to_string_lossy();
-    opening.trial(&label, &item)?;
-    opening.library()
+    opening.trial(&label, &item);
+    opening.library()?.whole()
 }
 
 /// An entry whose data lie in files.
@@ -109,6 +119,8 @@ struct Opening<'a> {
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
     passed: BTreeMap<String, Seen>,
+    /// Files and trials that cannot be used.
+    bad: Vec<LibraryError>,
 }
 
 impl<'a> Opening<'a> {
@@ -122,6 +134,7 @@ impl<'a> Opening<'a> {
             headers: Headers::default(),
             trials: BTreeMap::new(),
             passed: BTreeMap::new(),
+            bad: Vec::new(),
         };
         let described = root.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
@@ -136,18 +149,19 @@ impl<'a> Opening<'a> {
         Ok(opening)
     }
 
-    fn library(self) -> Result<Library, LibraryError> {
-        let Opening { root, mut name, scene, trials, passed, synthetic, .. } = self;
+    fn library(self) -> Result<Opened, LibraryError> {
+        let Opening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
         let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
         if trials.is_empty() {
-            return Err(nothing_found(root, &scene, &remarks));
+            let nothing = || nothing_found(root, &scene, &remarks);
+            return Err(LibraryError::of_all(bad).unwrap_or_else(nothing));
         }
         let entries = trials.into_iter().map(|(key, (_, files))| entry(key, files)).collect();
         if name.is_empty() {
             let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
             name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         }
-        Ok(Library { name, scene, entries, synthetic, remarks })
+        Ok(Opened { library: Library { name, scene, entries, synthetic, remarks }, bad })
     }
 
     fn pass_over(&mut self, path: &Path, why: impl Into<String>) {
@@ -155,60 +169,72 @@ impl<'a> Opening<'a> {
         Seen::count(&mut self.passed, why.into(), place);
     }
 
-    fn surface(&mut self, surface: &Listed) -> Result<(), LibraryError> {
-        for item in &files::list(&surface.path)? {
+    fn surface(&mut self, surface: &Listed) {
+        let items = match files::list(&surface.path) {
+            Ok(items) => items,
+            Err(error) => return self.bad.push(error),
+        };
+        for item in &items {
             match item.stem_and_extension().1.as_str() {
                 _ if item.is_dir && item.name.ends_with(UNFINISHED) => {
                     self.pass_over(&item.path, "not used, it was never finished; remove the folder")
                 }
                 _ if item.is_hidden() => {}
-                _ if item.is_dir => self.trial(&surface.name, item)?,
+                _ if item.is_dir => self.trial(&surface.name, item),
                 "wav" | "png" | "jpg" | "jpeg" => self.pass_over(
                     &item.path,
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
-                _ => {}
+                _ => item.unusable.iter().for_each(|why| self.pass_over(&item.path, *why)),
             }
         }
-        Ok(())
     }
 
-    fn trial(&mut self, surface: &str, folder: &Listed) -> Result<(), LibraryError> {
+    fn trial(&mut self, surface: &str, folder: &Listed) {
+        if let Err(error) = self.read_trial(surface, folder) {
+            self.bad.push(error);
+        }
+    }
+
+    fn read_trial(&mut self, surface: &str, folder: &Listed) -> Result<(), LibraryError> {
         let about = About::read(&folder.path)?;
         if about.incomplete {
             self.pass_over(&folder.path, "not used, trial.toml says incomplete = true");
             return Ok(());
         }
+        let number = about.trial.map_or_else(|| number_of(folder), Ok);
+        let bad_files = self.bad.len();
         let mut sources = BTreeMap::new();
         for item in files::list(&folder.path)? {
-            if let Some((id, files)) = self.source(&item)?
-                && sources.insert(id.clone(), files).is_some()
-            {
-                return Err(LibraryError::file(
-                    &item.path,
-                    format!("a second file for source `{id}` of this trial; remove one"),
-                ));
+            match self.source(&item) {
+                Ok(Some((id, _))) if sources.contains_key(&id) => {
+                    let problem =
+                        format!("a second file for source `{id}` of this trial; remove one");
+                    self.bad.push(LibraryError::file(&item.path, problem));
+                }
+                Ok(Some((id, files))) => drop(sources.insert(id, files)),
+                Ok(None) => {}
+                Err(error) => self.bad.push(error),
             }
         }
         if sources.is_empty() {
-            self.pass_over(&folder.path, "not used, it holds no file of any source");
+            if self.bad.len() == bad_files {
+                self.pass_over(&folder.path, "not used, it holds no file of any source");
+            }
             return Ok(());
         }
-        let number = match about.trial {
-            Some(number) => number,
-            None => number_of(folder)?,
-        };
         let key = TrialKey {
             surface: about.surface.unwrap_or_else(|| surface.to_string()),
             user: about.user.unwrap_or_else(|| EXPERT.to_string()),
-            number,
+            number: number?,
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
+            // No error: another program may be adding trials just now.
             let why = format!(
-                "not used, it is the same trial ({key}) as {}; remove one, or tell them apart by \
+                "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
                  `trial = N` or `user = \"…\"` in trial.toml",
-                other.display()
+                other.strip_prefix(self.root).unwrap_or(other).display()
             );
             self.pass_over(&folder.path, why);
             return Ok(());
@@ -222,6 +248,10 @@ impl<'a> Opening<'a> {
         let (stem, extension) = item.stem_and_extension();
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
         if item.is_hidden() || item.is_dir || !(picture || extension == "wav") {
+            return Ok(None);
+        }
+        if let Some(why) = item.unusable {
+            self.pass_over(&item.path, why);
             return Ok(None);
         }
         let Some(spec) = self.scene.get(stem) else {

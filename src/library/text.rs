@@ -27,7 +27,7 @@ pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryErr
 /// If a file cannot be read or is empty.
 pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
     let lines = |path: &PathBuf| -> Result<usize, LibraryError> {
-        let bytes = files::read_bytes(path)?;
+        let bytes = files::read_bytes(path, files::MOST_TEXT)?;
         let lines = bytes.split(|&byte| byte == b'\n');
         Ok(lines.filter(|line| !line.trim_ascii().is_empty()).count())
     };
@@ -36,7 +36,7 @@ pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
 }
 
 fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
-    let bytes = files::read_bytes(path)?;
+    let bytes = files::read_bytes(path, files::MOST_TEXT)?;
     parse(&bytes).map_err(|(line, problem)| {
         LibraryError::file(
             path,

@@ -1,13 +1,17 @@
 //! Reading WAV files: what the header promises, checked against what is there.
+//!
+//! The chunks are walked here, since `hound` neither skips the padding of odd-sized chunks nor knows
+//! where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers: it decodes the samples
+//! behind a header that leaves no question open.
 
 use std::fs::File;
-use std::io::{BufReader, Seek};
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use hound::{SampleFormat, WavReader};
 
 use super::LibraryError;
-use super::files::EMPTY_FILE;
+use super::files::{self, EMPTY_FILE};
 use crate::trial::Series;
 
 /// What a WAV header says.
@@ -21,35 +25,10 @@ pub(crate) struct Header {
 /// Reads a header and checks that the file is long enough to hold what it promises.
 ///
 /// # Errors
-/// If the file cannot be read, is empty, is no WAV file, holds no samples, or is cut short.
+/// If the file cannot be read, is empty, is no WAV file, holds no samples or more than
+/// [`Series::MOST_SAMPLES`], or is cut short.
 pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
-    let reader = open(path)?;
-    let (spec, samples) = (reader.spec(), reader.len());
-    let mut file = reader.into_inner();
-    let fail = |error| LibraryError::io(path, error);
-    let start = file.stream_position().map_err(fail)?;
-    let rest = file.get_ref().metadata().map_err(fail)?.len().saturating_sub(start);
-    if samples == 0 {
-        return Err(LibraryError::file(
-            path,
-            match rest {
-                0 | 1 => "it holds no samples; record again, or remove the file".to_string(),
-                _ => format!(
-                    "its header promises no samples, but {rest} bytes follow: the recording \
-                     ended before its header was written; mend the header (for example with \
-                     `sox --ignore-length`), or record again"
-                ),
-            },
-        ));
-    }
-    // A lower bound: 24 bits may be stored in four bytes. Reading finds what this lets through.
-    let promised = u64::from(samples) * u64::from(spec.bits_per_sample.div_ceil(8));
-    if rest < promised {
-        return Err(truncated(path, Some((rest, promised))));
-    }
-    let channels = usize::from(spec.channels);
-    let frames = samples as usize / channels.max(1);
-    Ok(Header { rate_hz: f64::from(spec.sample_rate), channels, frames })
+    open(path).map(|(_, data)| data.header())
 }
 
 /// Reads a whole file; integers are scaled to ±1, that is value / 2^(bits − 1).
@@ -57,43 +36,219 @@ pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
 /// # Errors
 /// As [`probe`], and if a sample is not finite.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
-    let header = probe(path)?;
-    let reader = open(path)?;
-    let spec = reader.spec();
-    let scale = 1.0 / 2f64.powi(i32::from(spec.bits_per_sample) - 1);
-    let samples: Result<Vec<f32>, _> = match spec.sample_format {
+    let (file, data) = open(path)?;
+    let plain = Cursor::new(data.plain_header()).chain(file.take(data.length));
+    let samples = decode(plain, data.container).map_err(|error| match error {
+        hound::Error::IoError(error) if error.raw_os_error().is_some() => {
+            LibraryError::io(path, error)
+        }
+        // The file became shorter since its header was read.
+        _ => truncated(path, None),
+    })?;
+    let Header { rate_hz, channels, .. } = data.header();
+    Series::new(rate_hz, channels, samples)
+        .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
+}
+
+fn decode(plain: impl Read, container: u16) -> hound::Result<Vec<f32>> {
+    let reader = WavReader::new(plain)?;
+    let scale = 1.0 / 2f64.powi(i32::from(container) * 8 - 1);
+    match reader.spec().sample_format {
         SampleFormat::Float => reader.into_samples::<f32>().collect(),
         SampleFormat::Int => reader
             .into_samples::<i32>()
             .map(|sample| sample.map(|value| (f64::from(value) * scale) as f32))
             .collect(),
-    };
-    let samples = samples.map_err(|error| explain(path, error))?;
-    Series::new(header.rate_hz, header.channels, samples)
-        .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
+    }
 }
 
-fn open(path: &Path) -> Result<WavReader<BufReader<File>>, LibraryError> {
-    let fail = |error| LibraryError::io(path, error);
-    let file = File::open(path).map_err(fail)?;
-    if file.metadata().map_err(fail)?.len() == 0 {
+/// Numbers of the formats that are read.
+const PCM: u16 = 1;
+const FLOAT: u16 = 3;
+const EXTENSIBLE: u16 = 0xFFFE;
+
+/// How the samples of a file lie in it.
+#[derive(Clone, Copy, Debug)]
+struct Data {
+    /// [`PCM`] or [`FLOAT`].
+    format: u16,
+    channels: u16,
+    rate_hz: u32,
+    /// Bytes a sample, 1 to 4. A sample of fewer bits is in the upper ones, as
+    /// WAVE_FORMAT_EXTENSIBLE demands, so that it reads as a sample of the whole container.
+    container: u16,
+    /// Bytes of all samples.
+    length: u64,
+}
+
+impl Data {
+    fn header(self) -> Header {
+        let channels = usize::from(self.channels);
+        let frame = channels.max(1) as u64 * u64::from(self.container);
+        Header {
+            rate_hz: f64::from(self.rate_hz),
+            channels,
+            frames: (self.length / frame.max(1)) as usize,
+        }
+    }
+
+    /// The header of a plain WAV file with the same samples.
+    fn plain_header(self) -> Vec<u8> {
+        let Self { format, channels, rate_hz, container, length } = self;
+        // `open` saw to it that none of these wraps.
+        let frame = channels * container;
+        let length = length as u32;
+        let mut bytes = b"RIFF".to_vec();
+        bytes.extend(length.saturating_add(36).to_le_bytes());
+        bytes.extend(b"WAVEfmt \x10\0\0\0");
+        bytes.extend([format, channels].map(u16::to_le_bytes).concat());
+        bytes
+            .extend([rate_hz, rate_hz.saturating_mul(frame.into())].map(u32::to_le_bytes).concat());
+        bytes.extend([frame, container * 8].map(u16::to_le_bytes).concat());
+        bytes.extend(b"data");
+        bytes.extend(length.to_le_bytes());
+        bytes
+    }
+}
+
+/// Opens a file at its first sample.
+fn open(path: &Path) -> Result<(BufReader<File>, Data), LibraryError> {
+    let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+    if size == 0 {
         return Err(LibraryError::file(path, EMPTY_FILE));
     }
-    WavReader::new(BufReader::new(file)).map_err(|error| explain(path, error))
-}
-
-fn explain(path: &Path, error: hound::Error) -> LibraryError {
-    match error {
-        // hound reports a short read as an error of kind `Other`, without a number of the system.
-        hound::Error::IoError(error) if error.raw_os_error().is_none() => truncated(path, None),
-        hound::Error::IoError(error) => LibraryError::io(path, error),
-        error => LibraryError::file(
+    let mut file = BufReader::new(file);
+    let data = walk(&mut file).map_err(|problem| match problem {
+        Problem::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => truncated(path, None),
+        Problem::Io(error) => LibraryError::io(path, error),
+        Problem::Format(problem) => LibraryError::file(
             path,
             format!(
-                "not a WAV file that can be read ({error}); expected 16-bit, 24-bit or f32 PCM"
+                "not a WAV file that can be read ({problem}); expected 16-bit, 24-bit or f32 PCM"
             ),
         ),
+    })?;
+    let start = file.stream_position().map_err(|error| LibraryError::io(path, error))?;
+    let rest = size.saturating_sub(start);
+    check(data, rest).map_err(|problem| LibraryError::file(path, problem))?;
+    if rest < data.length {
+        return Err(truncated(path, Some((rest, data.length))));
     }
+    Ok((file, data))
+}
+
+/// Refuses what holds no samples, or more than any trial; `rest` are the bytes that follow.
+fn check(data: Data, rest: u64) -> Result<(), String> {
+    let samples = data.length / u64::from(data.container);
+    if samples == 0 {
+        return Err(match rest {
+            0 | 1 => "it holds no samples; record again, or remove the file".to_string(),
+            _ => format!(
+                "its header promises no samples, but {rest} bytes follow: the recording ended \
+                 before its header was written; mend the header (for example with \
+                 `sox --ignore-length`), or record again"
+            ),
+        });
+    }
+    if samples > Series::MOST_SAMPLES as u64 {
+        let frames = samples as f64 / f64::from(data.channels);
+        return Err(format!(
+            "{:.0} minutes are too long for a trial: {samples} samples, but at most {} are read; \
+             cut the recording into trials",
+            frames / f64::from(data.rate_hz.max(1)) / 60.0,
+            Series::MOST_SAMPLES,
+        ));
+    }
+    Ok(())
+}
+
+enum Problem {
+    Io(io::Error),
+    Format(String),
+}
+
+impl From<io::Error> for Problem {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+fn no(problem: &str) -> Problem {
+    Problem::Format(problem.into())
+}
+
+/// From chunk to chunk, up to the first sample.
+fn walk(file: &mut BufReader<File>) -> Result<Data, Problem> {
+    let riff: [u8; 12] = take(file)?;
+    if &riff[..4] != b"RIFF" || &riff[8..] != b"WAVE" {
+        return Err(no("it does not begin as one does"));
+    }
+    let mut format = None;
+    loop {
+        let [id @ .., a, b, c, d] = take::<8>(file)?;
+        let length = u32::from_le_bytes([a, b, c, d]);
+        match &id {
+            b"data" => {
+                let data: Data = format.ok_or_else(|| no("its format follows its samples"))?;
+                if u64::from(length) % u64::from(data.container * data.channels) != 0 {
+                    return Err(no("its samples do not fill whole frames"));
+                }
+                return Ok(Data { length: u64::from(length), ..data });
+            }
+            b"fmt " if length >= 16 => {
+                let mut body = [0; 40];
+                let kept = (length as usize).min(body.len());
+                file.read_exact(&mut body[..kept])?;
+                format = Some(parse(&body[..kept])?);
+                skip(file, u64::from(length) - kept as u64 + u64::from(length % 2))?;
+            }
+            // An odd-sized chunk is followed by a byte of padding.
+            _ => skip(file, u64::from(length) + u64::from(length % 2))?,
+        }
+    }
+}
+
+fn take<const N: usize>(file: &mut BufReader<File>) -> io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    file.read_exact(&mut bytes).map(|()| bytes)
+}
+
+fn skip(file: &mut BufReader<File>, bytes: u64) -> io::Result<()> {
+    file.seek(SeekFrom::Current(bytes as i64)).map(drop)
+}
+
+/// What a `fmt ` chunk of 16 bytes or more says.
+fn parse(body: &[u8]) -> Result<Data, Problem> {
+    let word = |at: usize| u16::from_le_bytes([body[at], body[at + 1]]);
+    let (mut format, channels, frame, bits) = (word(0), word(2), word(12), word(14));
+    let extensible = format == EXTENSIBLE;
+    if extensible {
+        if body.len() < 40 {
+            return Err(no("its format is cut short"));
+        }
+        format = word(24);
+    }
+    if channels == 0 || !frame.is_multiple_of(channels) {
+        return Err(no("its frames do not divide into channels"));
+    }
+    let container = frame / channels;
+    let fits = match format {
+        PCM => (1..=4).contains(&container) && (1..=container * 8).contains(&bits),
+        FLOAT => (container, bits) == (4, 32),
+        _ => return Err(Problem::Format(format!("format {format} is not PCM"))),
+    };
+    if !fits {
+        return Err(Problem::Format(format!("{bits} bits in {container} bytes")));
+    }
+    // Some programs put them into the lower bits then, some into the upper.
+    if !extensible && bits != container * 8 {
+        return Err(Problem::Format(format!(
+            "{bits} bits in {container} bytes, and nothing says where in them; convert it, for \
+             example with `sox IN.wav -b 24 OUT.wav`"
+        )));
+    }
+    let rate_hz = u32::from_le_bytes([body[4], body[5], body[6], body[7]]);
+    Ok(Data { format, channels, rate_hz, container, length: 0 })
 }
 
 fn truncated(path: &Path, sizes: Option<(u64, u64)>) -> LibraryError {
@@ -107,4 +262,87 @@ fn truncated(path: &Path, sizes: Option<(u64, u64)>) -> LibraryError {
              where it came, record again, or remove it"
         ),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chunk(id: &[u8; 4], body: &[u8]) -> Vec<u8> {
+        let padding = vec![0; body.len() % 2];
+        [&id[..], &(body.len() as u32).to_le_bytes(), body, &padding].concat()
+    }
+
+    /// A file of one channel at 1000 Hz.
+    fn file(
+        format: u16,
+        container: u16,
+        bits: u16,
+        valid: Option<u16>,
+        chunks: &[Vec<u8>],
+    ) -> Vec<u8> {
+        let rate = 1000u32.to_le_bytes();
+        let mut body = [format, 1].map(u16::to_le_bytes).concat();
+        body.extend([rate, rate].concat());
+        body.extend([container, bits].map(u16::to_le_bytes).concat());
+        if let Some(valid) = valid {
+            body.extend([22, valid, 0, 0, PCM].map(u16::to_le_bytes).concat());
+            body.extend([0; 14]);
+        }
+        [b"RIFF\0\0\0\0WAVE", &chunk(b"fmt ", &body)[..], &chunks.concat()].concat()
+    }
+
+    fn read_bytes(bytes: &[u8]) -> Result<Vec<f32>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.wav");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path).map(|series| series.samples().to_vec()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn samples_of_24_bits_in_32_are_the_upper_ones() {
+        // A quarter and minus a half, in the upper 24 of 32 bits.
+        let data = chunk(b"data", &[0, 0, 0, 0x20, 0, 0, 0, 0xC0]);
+        assert_eq!(
+            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), &[data.clone()])).unwrap(),
+            [0.25, -0.5]
+        );
+        let error = read_bytes(&file(PCM, 4, 24, None, &[data])).unwrap_err();
+        assert!(error.contains("24 bits in 4 bytes") && error.contains("sox"), "{error}");
+    }
+
+    #[test]
+    fn an_odd_sized_chunk_is_followed_by_padding() {
+        let chunks = [chunk(b"LIST", b"abc"), chunk(b"data", &[0, 0x40, 0, 0xC0])];
+        assert_eq!(read_bytes(&file(PCM, 2, 16, None, &chunks)).unwrap(), [0.5, -0.5]);
+        let of_bytes = [chunk(b"junk", b"x"), chunk(b"data", &[0x80, 0xC0, 0x40])];
+        assert_eq!(read_bytes(&file(PCM, 1, 8, None, &of_bytes)).unwrap(), [0.0, 0.5, -0.5]);
+    }
+
+    #[test]
+    fn an_hour_of_sound_is_refused_before_it_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.wav");
+        let mut bytes = file(PCM, 2, 16, None, &[]);
+        bytes.extend(b"data");
+        let length = 2 * (Series::MOST_SAMPLES as u32 + 1);
+        bytes.extend(length.to_le_bytes());
+        std::fs::write(&path, &bytes).unwrap();
+        // A sparse file: it takes no room.
+        let file = File::options().write(true).open(&path).unwrap();
+        file.set_len(bytes.len() as u64 + u64::from(length)).unwrap();
+        let error = probe(&path).unwrap_err().to_string();
+        assert!(error.contains("minutes are too long for a trial"), "{error}");
+    }
+
+    #[test]
+    fn chunks_without_end_and_formats_that_cannot_be_are_refused() {
+        let huge = [b"LIST".to_vec(), u32::MAX.to_le_bytes().to_vec()].concat();
+        assert!(read_bytes(&file(PCM, 2, 16, None, &[huge])).unwrap_err().contains("truncated"));
+        for (format, container, bits) in [(PCM, 0, 0), (PCM, 8, 64), (FLOAT, 2, 16), (2, 2, 16)] {
+            let data = chunk(b"data", &[0; 8]);
+            let error = read_bytes(&file(format, container, bits, None, &[data])).unwrap_err();
+            assert!(error.contains("not a WAV file that can be read"), "{error}");
+        }
+    }
 }

@@ -6,8 +6,6 @@ use hound::{SampleFormat, WavSpec, WavWriter};
 
 use crate::trial::Series;
 
-/// hound's lengths wrap above this.
-const MOST_SAMPLES: usize = 1 << 29;
 const MOST_CHANNELS: usize = 1024;
 
 /// A WAV file: 16-bit where that holds every sample exactly, f32 elsewhere.
@@ -21,11 +19,12 @@ pub(super) fn encode(series: &Series) -> Result<Vec<u8>, String> {
         return Err(format!("WAV files hold whole rates, not {rate_hz} Hz; resample it"));
     }
     let (samples, channels) = (series.samples(), series.channels());
-    if samples.len() > MOST_SAMPLES || channels > MOST_CHANNELS {
+    if samples.len() > Series::MOST_SAMPLES || channels > MOST_CHANNELS {
         return Err(format!(
             "{} samples in {channels} channels are too many for a WAV file; expected at most \
-             {MOST_SAMPLES} and {MOST_CHANNELS}",
+             {} and {MOST_CHANNELS}",
             samples.len(),
+            Series::MOST_SAMPLES
         ));
     }
     let short: Option<Vec<i16>> = samples.iter().map(|&x| as_i16(x)).collect();

@@ -4,44 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Colour, Domain, Phase, Scene, SourceId, SourceSpec};
-
-/// Why a description of sources cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum SceneError {
-    /// not TOML, an unknown key, a missing one, a wrong type
-    #[error("{0}")]
-    Toml(#[from] toml::de::Error),
-    /// a format of the future
-    #[error("line {line}: format = {found}, but this program reads format 1; update surfaced")]
-    Format {
-        /// line, counted from 1
-        line: usize,
-        /// what the file says
-        found: u32,
-    },
-    /// a source that cannot be
-    #[error("line {line}: source `{source_name}`: {problem}")]
-    Source {
-        /// line of the source's table, counted from 1
-        line: usize,
-        /// its name
-        source_name: String,
-        /// what is wrong, and what was expected
-        problem: String,
-    },
-    /// a name that cannot name a file
-    #[error("`{0}` cannot name a source; use letters, digits, `_` and `-`")]
-    SourceName(String),
-    /// a source that the scene does not have
-    #[error("no source is called `{name}`; there are: {known}")]
-    UnknownSource {
-        /// what was asked for
-        name: String,
-        /// what there is
-        known: String,
-    },
-}
+use super::{Colour, Domain, Phase, Scene, SceneError, SourceId, SourceSpec};
 
 /// What a file said.
 #[derive(Serialize, Deserialize)]
@@ -50,7 +13,7 @@ struct SceneFile {
     format: toml::Spanned<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     name: Option<String>,
-    /// Text for whoever opens the file; carries no meaning for the program.
+    /// Text for people; carries no meaning for the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     notes: Option<String>,
     /// A library that was made by a generator says so.
@@ -105,16 +68,57 @@ fn one_channel() -> usize {
     1
 }
 
-pub(super) fn parse(text: &str) -> Result<Scene, SceneError> {
+impl Scene {
+    /// The eight sources of LMT108.
+    pub fn lmt108() -> Self {
+        // A test parses the embedded file.
+        parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
+    }
+
+    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
+    ///
+    /// # Errors
+    /// With line and column, if the text is not TOML, has an unknown key, or describes an
+    /// impossible source.
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        parse(text)
+    }
+
+    /// The same for the `library.toml` of a library, which may carry `synthetic = true`: the
+    /// scene, and whether it does.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`].
+    pub fn from_library_toml(text: &str) -> Result<(Self, bool), SceneError> {
+        parse_library(text)
+    }
+
+    /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
+    pub fn to_toml(&self) -> String {
+        write(self, false)
+    }
+
+    /// The scene as the `library.toml` of a library, in the form that
+    /// [`Scene::from_library_toml`] reads.
+    pub fn to_library_toml(&self, synthetic: bool) -> String {
+        write(self, synthetic)
+    }
+}
+
+/// The line of a TOML text that the byte `at` lies in, counted from 1.
+pub(crate) fn line_of(text: &str, at: usize) -> usize {
+    1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
+}
+
+fn parse(text: &str) -> Result<Scene, SceneError> {
     parse_library(text).map(|(scene, _)| scene)
 }
 
 /// The scene, and whether the file carries the mark `synthetic`.
-pub(super) fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
+fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
     let file: SceneFile = toml::from_str(text)?;
-    let line_of = |at: usize| text[..at].lines().count().max(1);
     if *file.format.get_ref() != 1 {
-        let line = line_of(file.format.span().end);
+        let line = line_of(text, file.format.span().start);
         return Err(SceneError::Format { line, found: *file.format.get_ref() });
     }
     let scene = scene(file.name.unwrap_or_default(), file.sources, text)?;
@@ -127,12 +131,10 @@ pub(crate) fn scene(
     blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
     text: &str,
 ) -> Result<Scene, SceneError> {
-    let line_of = |at: usize| text[..at].lines().count().max(1);
     let mut sources = BTreeMap::new();
     for (name, block) in blocks {
-        let line = line_of(block.span().end.min(text.len()));
         let fail = |problem: String| SceneError::Source {
-            line: line_of(block.span().start + 1).min(line),
+            line: line_of(text, block.span().start),
             source_name: name.clone(),
             problem,
         };
@@ -143,25 +145,40 @@ pub(crate) fn scene(
     Ok(Scene { name, sources })
 }
 
+/// Most channels of a source, as of a WAV file.
+const MOST_CHANNELS: usize = 1024;
+/// Least and greatest rate of a source; what lies outside is a slip, and could not be worked with.
+const RATES_HZ: (f64, f64) = (1e-3, 1e7);
+const WEIGHTS: (f64, f64) = (1e-6, 1e3);
+const SIGMAS: (f64, f64) = (1e-12, 1e12);
+const OFFSETS: (f64, f64) = (0.0, 1e12);
+
+/// A number, if it lies between two others, both included.
+fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Option<f64>, String> {
+    match value {
+        Some(x) if !(low..=high).contains(&x) => {
+            Err(format!("{key} = {x}; expected a number from {low} to {high}"))
+        }
+        value => Ok(value),
+    }
+}
+
 impl SourceBlock {
     fn resolve(&self, id: SourceId) -> Result<SourceSpec, String> {
-        let positive = |what: &str, value: Option<f64>| match value {
-            Some(x) if !(x.is_finite() && x > 0.0) => {
-                Err(format!("{what} = {x}; expected a positive number"))
-            }
-            other => Ok(other),
-        };
-        if self.channels == 0 {
-            return Err("channels = 0; expected at least 1".into());
+        if !(1..=MOST_CHANNELS).contains(&self.channels) {
+            return Err(format!("channels = {}; expected 1 to {MOST_CHANNELS}", self.channels));
         }
         let domain = match (self.domain, self.band_hz) {
             (DomainName::Spectrum, Some([low, high]))
-                if 0.0 <= low && low < high && high.is_finite() =>
+                if 0.0 <= low && low < high && high <= RATES_HZ.1 =>
             {
                 Domain::Spectrum { band_hz: (low, high) }
             }
             (DomainName::Spectrum, Some([low, high])) => {
-                return Err(format!("band_hz = [{low}, {high}]; expected 0 ≤ low < high, in Hz"));
+                return Err(format!(
+                    "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
+                    RATES_HZ.1
+                ));
             }
             (DomainName::Spectrum, None) => {
                 return Err("a spectrum needs band_hz = [low, high], in Hz".into());
@@ -177,7 +194,7 @@ impl SourceBlock {
         if !image && !is_default_colour(&self.colour) {
             return Err("colour goes with domain = \"image\" alone".into());
         }
-        Ok(SourceSpec {
+        let spec = SourceSpec {
             what: self.what.clone().unwrap_or_else(|| id.to_string()),
             sensor: self.sensor.clone().unwrap_or_else(|| id.to_string()),
             phase: self.phase.unwrap_or(if image { Phase::Still } else { Phase::Drag }),
@@ -185,15 +202,14 @@ impl SourceBlock {
             domain,
             colour: self.colour,
             channels: self.channels,
-            rate_hz: positive("rate_hz", self.rate_hz)?,
+            rate_hz: within("rate_hz", self.rate_hz, RATES_HZ)?,
             align_mean: self.align_mean,
-            weight: positive("weight", self.weight)?.unwrap_or(1.0),
-            sigma: positive("sigma", self.sigma)?,
-            score_offset: match self.score_offset.unwrap_or(0.0) {
-                x if x.is_finite() && x >= 0.0 => x,
-                x => return Err(format!("score_offset = {x}; expected 0 or more")),
-            },
-        })
+            weight: within("weight", self.weight, WEIGHTS)?.unwrap_or(1.0),
+            sigma: within("sigma", self.sigma, SIGMAS)?,
+            score_offset: within("score_offset", self.score_offset, OFFSETS)?.unwrap_or(0.0),
+        };
+        spec.rate_hz.map_or(Ok(()), |rate_hz| spec.check_rate(rate_hz))?;
+        Ok(spec)
     }
 
     fn from_spec(spec: &SourceSpec) -> Self {
@@ -220,7 +236,7 @@ impl SourceBlock {
     }
 }
 
-pub(super) fn write(scene: &Scene, synthetic: bool) -> String {
+fn write(scene: &Scene, synthetic: bool) -> String {
     let spanned = |block| toml::Spanned::new(0..0, block);
     let file = SceneFile {
         format: toml::Spanned::new(0..0, 1),
@@ -266,5 +282,35 @@ mod tests {
         let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [9, 1]\n";
         let error = Scene::from_toml(text).unwrap_err().to_string();
         assert!(error.contains("line 2") && error.contains("low < high"), "{error}");
+    }
+
+    #[test]
+    fn numbers_that_nothing_could_work_with_are_refused() {
+        for (line, part) in [
+            ("rate_hz = 1e300", "rate_hz"),
+            ("rate_hz = 0", "rate_hz"),
+            ("rate_hz = nan", "rate_hz"),
+            ("channels = 0", "channels"),
+            ("channels = 1000000000000", "channels"),
+            ("weight = 1e300", "weight"),
+            ("weight = -1", "weight"),
+            ("sigma = 1e-300", "sigma"),
+            ("score_offset = inf", "score_offset"),
+        ] {
+            let text = format!("format = 1\n\n[sources.pac]\ndomain = \"time\"\n{line}\n");
+            let error = Scene::from_toml(&text).unwrap_err().to_string();
+            assert!(error.contains("line 3") && error.contains(part), "{line}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_band_above_half_the_rate_is_refused() {
+        let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [1500, 3000]\n";
+        let scene = Scene::from_toml(text).unwrap();
+        let spec = scene.get("pac").unwrap();
+        assert!(spec.check_rate(6000.0).is_ok());
+        assert!(spec.check_rate(2000.0).unwrap_err().contains("lower its upper end to 1000"));
+        let error = Scene::from_toml(&format!("{text}rate_hz = 2000\n")).unwrap_err().to_string();
+        assert!(error.contains("above half"), "{error}");
     }
 }

@@ -4,8 +4,9 @@
 //! works with.
 
 pub(crate) mod config;
+mod error;
 
-pub use config::SceneError;
+pub use error::SceneError;
 
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
@@ -144,6 +145,25 @@ pub struct SourceSpec {
     pub score_offset: f64,
 }
 
+impl SourceSpec {
+    /// Checks that a spectrum reaches no higher than half the sample rate of its recording.
+    ///
+    /// # Errors
+    /// With what is wrong, and what to do.
+    pub fn check_rate(&self, rate_hz: f64) -> Result<(), String> {
+        match self.domain {
+            Domain::Spectrum { band_hz: (low, high) } if high > rate_hz / 2.0 => Err(format!(
+                "source `{}` has {rate_hz} Hz, but band_hz = [{low}, {high}] reaches above half of \
+                 that; lower its upper end to {} in library.toml, or record with {} Hz or more",
+                self.id,
+                rate_hz / 2.0,
+                2.0 * high,
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The sources of a station, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -153,30 +173,6 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The eight sources of LMT108.
-    pub fn lmt108() -> Self {
-        // A test parses the embedded file.
-        config::parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
-    }
-
-    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
-    ///
-    /// # Errors
-    /// With line and column, if the text is not TOML, has an unknown key, or describes an
-    /// impossible source.
-    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        config::parse(text)
-    }
-
-    /// The same for the `library.toml` of a library, which may carry `synthetic = true`: the
-    /// scene, and whether it does.
-    ///
-    /// # Errors
-    /// As [`Scene::from_toml`].
-    pub fn from_library_toml(text: &str) -> Result<(Self, bool), SceneError> {
-        config::parse_library(text)
-    }
-
     /// This scene with the sources of another added; the other's win where both name one.
     pub fn with(mut self, other: Scene) -> Self {
         self.sources.extend(other.sources);
@@ -213,16 +209,5 @@ impl Scene {
     /// All sources, sorted by name.
     pub fn sources(&self) -> impl ExactSizeIterator<Item = &SourceSpec> {
         self.sources.values()
-    }
-
-    /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
-    pub fn to_toml(&self) -> String {
-        config::write(self, false)
-    }
-
-    /// The scene as the `library.toml` of a library, in the form that
-    /// [`Scene::from_library_toml`] reads.
-    pub fn to_library_toml(&self, synthetic: bool) -> String {
-        config::write(self, synthetic)
     }
 }

@@ -1,8 +1,10 @@
 //! Connections: how many, how long, how large.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::convert::Infallible;
-use std::net::{SocketAddr, TcpListener};
-use std::sync::Arc;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
@@ -12,55 +14,21 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::net::TcpStream;
-use tokio::sync::{Semaphore, watch};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
 use tokio_io_timeout::TimeoutStream;
 
+use super::api;
+use super::client::{Peer, neighbourhood};
 use super::hub::Hub;
-use super::{Settings, api};
+use super::settings::{Limits, Settings};
 
-/// What clients may take.
-#[derive(Clone, Debug)]
-pub struct Limits {
-    /// Connections at once; one more is closed unheard.
-    pub connections: usize,
-    /// Readers of the stream of events at once.
-    pub readers: usize,
-    /// How long a request may take to arrive, and its answer to be made.
-    pub request: Duration,
-    /// How long a client may leave unread what was sent to it.
-    pub unread: Duration,
-    /// Requests a second that one address may make in the long run.
-    pub requests_a_second: f64,
-    /// How many of them at once.
-    pub burst: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            connections: 256,
-            readers: 128,
-            request: Duration::from_secs(10),
-            unread: Duration::from_secs(20),
-            requests_a_second: 50.0,
-            burst: 200.0,
-        }
-    }
-}
-
-/// The largest body of a request, in bytes.
-pub const LARGEST_BODY: usize = 64 << 10;
 /// The largest head of a request, in bytes.
 const LARGEST_HEAD: usize = 16 << 10;
 /// The most header fields of a request.
 const MOST_HEADERS: usize = 64;
 /// How long to wait where the system gives no connection, as when files have run out.
 const NO_CONNECTION: Duration = Duration::from_millis(100);
-
-/// Who asks.
-#[derive(Clone, Copy, Debug)]
-pub struct Peer(pub SocketAddr);
 
 /// Serves until `stop`.
 pub async fn serve(
@@ -69,12 +37,8 @@ pub async fn serve(
     settings: &Settings,
     mut stop: watch::Receiver<bool>,
 ) {
-    let listener = match tokio::net::TcpListener::from_std(listener) {
-        Ok(listener) => listener,
-        Err(error) => return eprintln!("warning: cannot serve: {error}"),
-    };
     let router = api::router(hub.clone(), settings);
-    let seats = Arc::new(Semaphore::new(settings.limits.connections));
+    let places = Arc::new(Places::new(settings));
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
@@ -85,15 +49,68 @@ pub async fn serve(
             continue;
         };
         // Dropping the stream closes it.
-        let Ok(seat) = seats.clone().try_acquire_owned() else {
+        let Some(place) = Places::take(&places, peer.ip()) else {
             hub.lock().metrics.refused += 1;
             continue;
         };
         let connection = connection(stream, Peer(peer), router.clone(), settings.limits.clone());
         tokio::spawn(async move {
             connection.await;
-            drop(seat);
+            drop(place);
         });
+    }
+}
+
+/// Places for connections: some for each address, and for all together.
+struct Places {
+    all: usize,
+    an_address: usize,
+    proxies: Vec<IpAddr>,
+    taken: Mutex<HashMap<IpAddr, usize>>,
+}
+
+/// A place that is taken, until it is dropped.
+struct Place {
+    of: Arc<Places>,
+    address: IpAddr,
+}
+
+impl Places {
+    fn new(settings: &Settings) -> Self {
+        let Settings { proxies, limits, .. } = settings.clone();
+        let Limits { connections: all, connections_an_address: an_address, .. } = limits;
+        Self { all, an_address, proxies, taken: Mutex::default() }
+    }
+
+    /// One place more, if the address may have one. Proxies speak for many, so only the limit for
+    /// all holds for them.
+    fn take(places: &Arc<Self>, address: IpAddr) -> Option<Place> {
+        let taken = &mut *places.taken();
+        let proxy = places.proxies.contains(&address.to_canonical());
+        let most = if proxy { places.all } else { places.an_address };
+        let address = neighbourhood(address);
+        let of_address = taken.get(&address).copied().unwrap_or(0);
+        if of_address >= most || taken.values().sum::<usize>() >= places.all {
+            return None;
+        }
+        taken.insert(address, of_address + 1);
+        Some(Place { of: places.clone(), address })
+    }
+
+    fn taken(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        // Plain counts, whole whatever happened.
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if let Entry::Occupied(mut taken) = self.of.taken().entry(self.address) {
+            *taken.get_mut() -= 1;
+            if *taken.get() == 0 {
+                taken.remove();
+            }
+        }
     }
 }
 
@@ -120,4 +137,24 @@ async fn answer(router: Router, request: Request) -> Result<axum::response::Resp
     use tower_service::Service;
     let mut router = router;
     router.call(request).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_address_takes_all_places_and_a_place_is_free_again() {
+        let mut settings = Settings::default();
+        settings.limits = Limits { connections: 5, connections_an_address: 2, ..Limits::default() };
+        settings.proxies = vec!["10.0.0.9".parse().unwrap()];
+        let places = Arc::new(Places::new(&settings));
+        let take = |address: &str| Places::take(&places, address.parse().unwrap());
+        let mut first: Vec<Place> = (0..2).filter_map(|_| take("10.0.0.1")).collect();
+        assert!(first.len() == 2 && take("10.0.0.1").is_none());
+        let _behind_proxy: Vec<Place> = (0..3).filter_map(|_| take("10.0.0.9")).collect();
+        assert!(take("10.0.0.2").is_none(), "all five are taken");
+        first.pop();
+        assert!(take("10.0.0.2").is_some() && places.taken().len() == 2);
+    }
 }

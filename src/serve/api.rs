@@ -1,4 +1,4 @@
-//! The interface for programs: what is at which path, and how problems are told.
+//! The interface for programs: what is at which path.
 
 use std::sync::Arc;
 
@@ -12,77 +12,14 @@ use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::accept::LARGEST_BODY;
 use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
-use super::readers::Wants;
-use super::state::Told;
-use super::{Settings, metrics, order, page};
+use super::problem::Problem;
+use super::settings::{LARGEST_BODY, Settings};
+use super::state::NamedScan;
+use super::subscribers::EventFilter;
+use super::{metrics, order, page};
 use crate::station::Command;
-
-/// Why a request is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum Problem {
-    #[error("there is nothing here; see /api/v1/state")]
-    NotFound,
-    #[error("this path does not take that method")]
-    Method,
-    #[error("{0}")]
-    Bad(String),
-    #[error("the body is larger than {LARGEST_BODY} bytes")]
-    Large,
-    #[error("the request took too long")]
-    Slow,
-    #[error("too many requests; slow down")]
-    TooOften,
-    #[error("there are too many readers already")]
-    Readers,
-    #[error("the name {0:?} does not stand for this machine; use 127.0.0.1 or localhost")]
-    Host(String),
-    #[error("orders are taken from this page alone, not from {0:?}")]
-    Origin(String),
-    #[error("a token is needed: open /?token=…, or send `Authorization: Bearer …`")]
-    Token,
-    #[error("the station is busy with the orders before this one")]
-    Busy,
-    #[error("the station has ended")]
-    Ended,
-    #[error("this station keeps no scans; start it with --library LIB, a library to keep them in")]
-    NoLibrary,
-}
-
-#[derive(Serialize)]
-struct ProblemView {
-    error: &'static str,
-    message: String,
-}
-
-impl Problem {
-    fn kind(&self) -> (StatusCode, &'static str) {
-        match self {
-            Self::NotFound => (StatusCode::NOT_FOUND, "not_found"),
-            Self::Method => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
-            Self::Bad(_) => (StatusCode::BAD_REQUEST, "bad_request"),
-            Self::Large => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),
-            Self::Slow => (StatusCode::REQUEST_TIMEOUT, "too_slow"),
-            Self::TooOften => (StatusCode::TOO_MANY_REQUESTS, "too_often"),
-            Self::Readers => (StatusCode::SERVICE_UNAVAILABLE, "too_many_readers"),
-            Self::Host(_) => (StatusCode::MISDIRECTED_REQUEST, "wrong_host"),
-            Self::Origin(_) => (StatusCode::FORBIDDEN, "wrong_origin"),
-            Self::Token => (StatusCode::UNAUTHORIZED, "token_needed"),
-            Self::Busy => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
-            Self::Ended => (StatusCode::CONFLICT, "ended"),
-            Self::NoLibrary => (StatusCode::CONFLICT, "no_library"),
-        }
-    }
-}
-
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
-        let (status, error) = self.kind();
-        (status, Json(ProblemView { error, message: self.to_string() })).into_response()
-    }
-}
 
 impl From<Undelivered> for Problem {
     fn from(undelivered: Undelivered) -> Self {
@@ -90,15 +27,6 @@ impl From<Undelivered> for Problem {
             Undelivered::Busy => Self::Busy,
             Undelivered::Ended => Self::Ended,
             Undelivered::NoLibrary => Self::NoLibrary,
-        }
-    }
-}
-
-impl From<BytesRejection> for Problem {
-    fn from(rejection: BytesRejection) -> Self {
-        match rejection.status() {
-            StatusCode::PAYLOAD_TOO_LARGE => Self::Large,
-            _ => Self::Bad(rejection.body_text()),
         }
     }
 }
@@ -114,17 +42,17 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/events", get(events))
         .route(
             "/start",
-            post(|State(hub): Shared| async move { tell(&hub, "start", Command::Start) }),
+            post(|State(hub): Shared| async move { send(&hub, "start", Command::Start) }),
         )
-        .route("/stop", post(|State(hub): Shared| async move { tell(&hub, "stop", Command::Stop) }))
+        .route("/stop", post(|State(hub): Shared| async move { send(&hub, "stop", Command::Stop) }))
         .route(
             "/reload",
-            post(|State(hub): Shared| async move { tell(&hub, "reload", Command::Reload) }),
+            post(|State(hub): Shared| async move { send(&hub, "reload", Command::Reload) }),
         )
         .route("/enroll", post(enroll))
         .route(
             "/enroll/end",
-            post(|State(hub): Shared| async move { tell(&hub, "enroll/end", Command::EndEnroll) }),
+            post(|State(hub): Shared| async move { send(&hub, "enroll/end", Command::EndEnroll) }),
         );
     let mut router = Router::new()
         .nest("/api/v1", api)
@@ -162,7 +90,7 @@ struct Page {
 
 #[derive(Serialize)]
 struct Scans {
-    scans: Vec<Arc<Told>>,
+    scans: Vec<Arc<NamedScan>>,
 }
 
 async fn scans(
@@ -172,7 +100,7 @@ async fn scans(
     let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
     let inner = hub.lock();
     let scans = (inner.state.history.iter())
-        .filter(|told| page.before.is_none_or(|before| told.answer.scan < before))
+        .filter(|named| page.before.is_none_or(|before| named.answer.scan < before))
         .take(page.limit.unwrap_or(100))
         .cloned();
     Ok(Json(Scans { scans: scans.collect() }))
@@ -181,11 +109,11 @@ async fn scans(
 async fn scan(
     State(hub): Shared,
     number: Result<Path<u32>, PathRejection>,
-) -> Result<Json<Arc<Told>>, Problem> {
+) -> Result<Json<Arc<NamedScan>>, Problem> {
     let Path(number) = number.map_err(|_| Problem::Bad("a scan is named by its number".into()))?;
     let inner = hub.lock();
-    let told = inner.state.history.iter().find(|told| told.answer.scan == number);
-    told.cloned().map(Json).ok_or(Problem::NotFound)
+    let named = inner.state.history.iter().find(|named| named.answer.scan == number);
+    named.cloned().map(Json).ok_or(Problem::NotFound)
 }
 
 #[derive(Deserialize)]
@@ -199,17 +127,17 @@ async fn events(
     types: Result<Query<Types>, QueryRejection>,
 ) -> Result<Response, Problem> {
     let Query(Types { types }) = types.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
-    let wants = types.as_deref().map_or(Ok(Wants::ALL), Wants::parse).map_err(Problem::Bad)?;
-    let reading = hub.join(wants).ok_or(Problem::Readers)?;
+    let filter = types.as_deref().map_or(Ok(EventFilter::ALL), EventFilter::parse);
+    let stream = hub.subscribe(filter.map_err(Problem::Bad)?).ok_or(Problem::Readers)?;
     let headers = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
-    Ok((headers, Body::from_stream(reading)).into_response())
+    Ok((headers, Body::from_stream(stream)).into_response())
 }
 
 async fn enroll(
     State(hub): Shared,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    tell(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
+    send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
 }
 
 #[derive(Serialize)]
@@ -217,7 +145,7 @@ struct Accepted {
     accepted: &'static str,
 }
 
-fn tell(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
+fn send(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
     hub.order(order)?;
     Ok((StatusCode::ACCEPTED, Json(Accepted { accepted })).into_response())
 }

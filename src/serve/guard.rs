@@ -1,8 +1,8 @@
-//! Who may ask: rate, host, token, origin; and what every answer carries.
+//! Which requests pass: rate, token, host, origin; and what every answer carries.
 
-use std::collections::HashMap;
-use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::VecDeque;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use axum::extract::{Request, State};
@@ -13,17 +13,24 @@ use axum::http::header::{
 };
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
+use axum::response::{AppendHeaders, IntoResponse, Response};
 
-use super::accept::{Limits, Peer};
-use super::api::Problem;
+use rand::TryRng;
+use rand::rngs::SysRng;
+
+use super::client::{Client, neighbourhood};
 use super::hub::Hub;
-use super::{Settings, Token};
+use super::problem::Problem;
+use super::rates::Rates;
+use super::settings::{Limits, Settings};
+use super::token::Token;
 
 /// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "surfaced_token";
-/// Addresses whose rate is remembered.
-const ADDRESSES: usize = 4096;
+/// The cookie that shows that a browser knew the token before.
+const SESSION_COOKIE: &str = "surfaced_session";
+/// Sessions that are remembered.
+const MOST_SESSIONS: usize = 1024;
 /// Refusals a minute that are logged one by one.
 const LOGGED: u32 = 10;
 
@@ -41,92 +48,175 @@ const HEADERS: [(HeaderName, &str); 6] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// What is asked of every request.
+/// What every request must pass.
 #[derive(Debug)]
 pub struct Guard {
     hub: Arc<Hub>,
-    token: Option<Token>,
-    address: SocketAddr,
-    limits: Limits,
-    rates: Mutex<Rates>,
+    settings: Settings,
+    budgets: Mutex<Budgets>,
+}
+
+/// How often who may do what.
+#[derive(Debug)]
+struct Budgets {
+    /// Requests of those who need no token, or have none, by address.
+    strangers: Rates<IpAddr>,
+    /// Requests of those who know the token, by address: strangers cannot use theirs up.
+    known: Rates<IpAddr>,
+    /// Wrong tokens, by address, or by the session of a browser that knew the token before.
+    guesses: Rates<IpAddr>,
+    session_guesses: Rates<u128>,
+    /// Sessions that were given to browsers that knew the token, the newest last.
+    sessions: VecDeque<u128>,
+    logged: Option<(Instant, u32)>,
+}
+
+impl Budgets {
+    fn new(limits: &Limits) -> Self {
+        let requests = || Rates::new(limits.requests_a_second, limits.burst);
+        Self {
+            strangers: requests(),
+            known: requests(),
+            guesses: Rates::new(limits.guesses_a_second, limits.guess_burst),
+            session_guesses: Rates::new(limits.guesses_a_second, limits.guess_burst),
+            sessions: VecDeque::new(),
+            logged: None,
+        }
+    }
+
+    /// Whether a token may be compared: each comparison is paid for before it is made, and paid
+    /// back if the token was right.
+    fn try_token(
+        &mut self,
+        (token, given): (&Token, &str),
+        (address, session): (IpAddr, Option<u128>),
+    ) -> Result<(), Problem> {
+        let now = Instant::now();
+        let session = session.filter(|session| self.sessions.contains(session));
+        let admitted = match session {
+            Some(session) => self.session_guesses.admit(session, now),
+            None => self.guesses.admit(address, now),
+        };
+        if !admitted {
+            return Err(Problem::TooOften);
+        }
+        if !token.matches(given) {
+            return Err(Problem::Token);
+        }
+        match session {
+            Some(session) => self.session_guesses.give_back(session),
+            None => self.guesses.give_back(address),
+        }
+        self.known.admit(address, now).then_some(()).ok_or(Problem::TooOften)
+    }
+
+    /// A new session, if the system has a random number for it; the oldest of too many ends.
+    fn begin_session(&mut self) -> Option<u128> {
+        let half = || SysRng.try_next_u64().ok().map(u128::from);
+        let session = half()? << 64 | half()?;
+        self.sessions.push_back(session);
+        if self.sessions.len() > MOST_SESSIONS {
+            self.sessions.pop_front();
+        }
+        Some(session)
+    }
+
+    /// Whether a refusal is to be logged.
+    fn logs(&mut self, now: Instant) -> bool {
+        let fresh =
+            self.logged.filter(|(since, _)| now.saturating_duration_since(*since).as_secs() < 60);
+        let (since, count) = fresh.unwrap_or((now, 0));
+        self.logged = Some((since, count.saturating_add(1)));
+        count < LOGGED
+    }
 }
 
 impl Guard {
     /// A guard that remembers nothing yet.
     pub fn new(hub: Arc<Hub>, settings: &Settings) -> Self {
-        let Settings { address, token, limits, .. } = settings.clone();
-        Self { hub, token, address, limits, rates: Mutex::default() }
+        let budgets = Mutex::new(Budgets::new(&settings.limits));
+        Self { hub, settings: settings.clone(), budgets }
     }
 
-    fn check(&self, request: &Request, peer: Peer) -> Result<(), Problem> {
-        let rates = &mut *self.rates.lock().unwrap_or_else(PoisonError::into_inner);
-        if !rates.admit(peer.0.ip(), &self.limits, Instant::now()) {
-            return Err(Problem::TooOften);
-        }
-        let headers = request.headers();
+    fn budgets(&self) -> MutexGuard<'_, Budgets> {
+        // Plain figures, whole whatever happened.
+        self.budgets.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets a request pass, or answers it: `/?token=…`, which a person opens once, with the cookies
+    /// and the page without the token.
+    fn check(&self, request: &Request, client: Client) -> Result<Option<Response>, Problem> {
+        let (headers, address) = (request.headers(), neighbourhood(client.address));
         let host = text(headers, &HOST).unwrap_or_default();
-        // A name that a stranger's DNS points at this machine is no name of ours. With a token,
-        // any name may stand for this machine, and the stranger does not know the token.
-        if self.token.is_none() && !is_loopback(host) {
-            return Err(Problem::Host(host.into()));
-        }
-        if let Some(token) = &self.token {
-            let said = bearer(headers).or_else(|| cookie(headers));
-            if !said.is_some_and(|said| token.matches(said)) {
-                return Err(Problem::Token);
+        let in_address = in_address(request);
+        let given = bearer(headers).or_else(|| cookie(headers, TOKEN_COOKIE)).or(in_address);
+        match (&self.settings.token, given) {
+            (Some(token), Some(given)) => {
+                let given = in_address.unwrap_or(given);
+                let session = cookie(headers, SESSION_COOKIE);
+                let session = session.and_then(|text| u128::from_str_radix(text, 16).ok());
+                self.budgets().try_token((token, given), (address, session))?;
+                if in_address.is_some() {
+                    return Ok(Some(self.enter(token, client)));
+                }
+            }
+            (token, _) => {
+                if !self.budgets().strangers.admit(address, Instant::now()) {
+                    return Err(Problem::TooOften);
+                }
+                if token.is_some() {
+                    return Err(Problem::Token);
+                }
+                // A name that a stranger's DNS points at this machine is no name of ours. With a
+                // token, any name may stand for this machine, and the stranger does not know the
+                // token.
+                if !is_loopback(host) {
+                    return Err(Problem::Host(host.into()));
+                }
             }
         }
         if request.method() != Method::GET && request.method() != Method::HEAD {
             check_origin(headers, host)?;
         }
-        Ok(())
+        Ok(None)
     }
 
-    /// Whether a refusal is to be logged.
-    fn logs(&self) -> bool {
-        let rates = &mut *self.rates.lock().unwrap_or_else(PoisonError::into_inner);
-        rates.logs(Instant::now())
-    }
-
-    /// `/?token=…`, which a person opens once: the cookie, and the page without the token.
-    fn enter(&self, request: &Request) -> Option<Response> {
-        let token = self.token.as_ref()?;
-        if request.uri().path() != "/" {
-            return None;
-        }
-        let said = request.uri().query()?.split('&').find_map(|p| p.strip_prefix("token="))?;
-        if !token.matches(said) {
-            return None;
-        }
-        let (name, value) = (TOKEN_COOKIE, token.reveal());
-        let cookie = format!("{name}={value}; HttpOnly; SameSite=Strict; Path=/; Max-Age=31536000");
-        let headers = [(SET_COOKIE, cookie.as_str()), (LOCATION, "/"), (CACHE_CONTROL, "no-store")];
-        Some((StatusCode::SEE_OTHER, headers).into_response())
+    /// The cookies, and the page without the token in its address.
+    fn enter(&self, token: &Token, client: Client) -> Response {
+        let secure = if client.tls { "; Secure" } else { "" };
+        let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
+        let cookie = |name: &str, value: &str| {
+            let life = "HttpOnly; SameSite=Strict; Path=/; Max-Age=31536000";
+            (SET_COOKIE, format!("{name}={value}; {life}{secure}"))
+        };
+        let cookies = std::iter::once(cookie(TOKEN_COOKIE, token.reveal()))
+            .chain(session.map(|session| cookie(SESSION_COOKIE, &session)));
+        let cookies: Vec<_> = cookies.collect();
+        let headers = [(LOCATION, "/"), (CACHE_CONTROL, "no-store")];
+        (StatusCode::SEE_OTHER, headers, AppendHeaders(cookies)).into_response()
     }
 }
 
 /// Lets a request through to its handler, or refuses it.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
-    let unknown = Peer(SocketAddr::new(guard.address.ip(), 0));
-    let peer = request.extensions().get::<Peer>().copied().unwrap_or(unknown);
+    let settings = &guard.settings;
+    let client = Client::of(&request, &settings.proxies, settings.address.ip());
     let (method, path) = (request.method().clone(), request.uri().path().to_string());
     guard.hub.lock().metrics.requests += 1;
-    let mut response = match guard.enter(&request) {
-        Some(entered) => entered,
-        None => match guard.check(&request, peer) {
-            Ok(()) => tokio::time::timeout(guard.limits.request, next.run(request))
-                .await
-                .unwrap_or_else(|_| Problem::Slow.into_response()),
-            Err(problem) => problem.into_response(),
-        },
+    let mut response = match guard.check(&request, client) {
+        Ok(Some(answer)) => answer,
+        Ok(None) => tokio::time::timeout(settings.limits.request, next.run(request))
+            .await
+            .unwrap_or_else(|_| Problem::Slow.into_response()),
+        Err(problem) => problem.into_response(),
     };
     let status = response.status();
     if status.is_client_error() {
         guard.hub.lock().metrics.refused += 1;
-        if guard.logs() {
-            // Whatever a stranger put into the path, the log stays one plain line.
+        if guard.budgets().logs(Instant::now()) {
+            // The path is a stranger's; the log stays one plain line.
             let path: String = path.chars().take(100).collect();
-            eprintln!("warning: refused {method} {path:?} from {}: {status}", peer.0.ip());
+            tracing::warn!("refused {method} {path:?} from {}: {status}", client.address);
         }
     }
     let headers = response.headers_mut();
@@ -145,16 +235,19 @@ fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {
-    let (scheme, said) = text(headers, &AUTHORIZATION)?.split_once(' ')?;
-    scheme.eq_ignore_ascii_case("bearer").then(|| said.trim())
+    let (scheme, token) = text(headers, &AUTHORIZATION)?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-fn cookie(headers: &HeaderMap) -> Option<&str> {
+/// The token in the address of the page.
+fn in_address(request: &Request) -> Option<&str> {
+    let query = request.uri().query().filter(|_| request.uri().path() == "/")?;
+    query.split('&').find_map(|part| part.strip_prefix("token="))
+}
+
+fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     let pairs = text(headers, &COOKIE)?.split(';');
-    pairs
-        .filter_map(|pair| pair.trim().split_once('='))
-        .find(|(n, _)| *n == TOKEN_COOKIE)
-        .map(|p| p.1)
+    pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
 /// Whether a `Host` names this machine by itself: `localhost`, 127.x.x.x or [::1], any port, since
@@ -184,71 +277,9 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     }
 }
 
-/// A bucket of requests for each address, filled at a steady rate.
-#[derive(Debug, Default)]
-struct Rates {
-    buckets: HashMap<IpAddr, (f64, Instant)>,
-    logged: Option<(Instant, u32)>,
-}
-
-impl Rates {
-    fn admit(&mut self, address: IpAddr, limits: &Limits, now: Instant) -> bool {
-        let filled = |(left, since): (f64, Instant)| {
-            let more =
-                now.saturating_duration_since(since).as_secs_f64() * limits.requests_a_second;
-            (left + more).min(limits.burst)
-        };
-        if self.buckets.len() >= ADDRESSES && !self.buckets.contains_key(&address) {
-            // A full bucket is as good as none.
-            self.buckets.retain(|_, bucket| filled(*bucket) < limits.burst);
-            if self.buckets.len() >= ADDRESSES {
-                return false;
-            }
-        }
-        let bucket = self.buckets.entry(address).or_insert((limits.burst, now));
-        let left = filled(*bucket);
-        let admitted = left >= 1.0;
-        *bucket = (if admitted { left - 1.0 } else { left }, now);
-        admitted
-    }
-
-    fn logs(&mut self, now: Instant) -> bool {
-        let fresh =
-            self.logged.filter(|(since, _)| now.saturating_duration_since(*since).as_secs() < 60);
-        let (since, count) = fresh.unwrap_or((now, 0));
-        self.logged = Some((since, count.saturating_add(1)));
-        count < LOGGED
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
-
-    #[test]
-    fn an_address_has_its_burst_and_then_its_rate_and_others_are_not_held_up() {
-        let limits = Limits { burst: 3.0, requests_a_second: 1.0, ..Limits::default() };
-        let (mut rates, now) = (Rates::default(), Instant::now());
-        let [a, b] = ["10.0.0.1", "10.0.0.2"].map(|text| text.parse().unwrap());
-        assert_eq!((0..5).filter(|_| rates.admit(a, &limits, now)).count(), 3);
-        assert!(rates.admit(b, &limits, now));
-        let later = now + Duration::from_millis(1100);
-        assert!(rates.admit(a, &limits, later) && !rates.admit(a, &limits, later));
-    }
-
-    #[test]
-    fn addresses_without_end_take_no_memory_without_end() {
-        let limits = Limits::default();
-        let (mut rates, now) = (Rates::default(), Instant::now());
-        for n in 0..3 * ADDRESSES as u32 {
-            rates.admit(IpAddr::V4(n.into()), &limits, now);
-        }
-        assert_eq!(rates.buckets.len(), ADDRESSES);
-        let later = now + Duration::from_secs(60);
-        assert!(rates.admit(IpAddr::V4(u32::MAX.into()), &limits, later));
-    }
 
     #[test]
     fn only_names_of_this_machine_pass_without_a_token() {
@@ -264,16 +295,18 @@ mod tests {
 
     #[test]
     fn a_page_of_another_site_cannot_order() {
-        let said = |name: &'static str, value: &'static str| {
+        let passes = |name: &'static str, value: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(name, HeaderValue::from_static(value));
             check_origin(&headers, "localhost:8080").is_ok()
         };
         assert!(check_origin(&HeaderMap::new(), "localhost:8080").is_ok(), "programs send none");
-        assert!(said("origin", "http://localhost:8080") && said("sec-fetch-site", "same-origin"));
+        assert!(
+            passes("origin", "http://localhost:8080") && passes("sec-fetch-site", "same-origin")
+        );
         for origin in ["null", "", "http://localhost:9", "http://evil.example", "localhost:8080"] {
-            assert!(!said("origin", origin), "{origin}");
+            assert!(!passes("origin", origin), "{origin}");
         }
-        assert!(!said("sec-fetch-site", "cross-site") && !said("sec-fetch-site", "same-site"));
+        assert!(!passes("sec-fetch-site", "cross-site") && !passes("sec-fetch-site", "same-site"));
     }
 }

@@ -1,4 +1,4 @@
-//! The server's own thread's work: takes in what the station tells, and passes it on.
+//! The work of the server's thread: takes in the station's notices, and publishes events.
 //!
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
@@ -12,20 +12,20 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
-use super::Settings;
 use super::metrics::{Around, Metrics};
-use super::readers::{Kind, Readers, Reading, Wants, encode};
+use super::settings::Settings;
 use super::spectrum;
 use super::state::{Enrolling, State};
+use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
 
-/// How often figures of the streams are told.
+/// How often figures of the streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// How often spectra are told.
+/// How often spectra are published.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 /// How often something is sent on a line that is silent.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
@@ -36,7 +36,7 @@ pub struct Hub {
     inner: Mutex<Inner>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
-    most_readers: usize,
+    most_subscribers: usize,
 }
 
 /// What is behind the lock.
@@ -44,7 +44,7 @@ pub struct Hub {
 pub struct Inner {
     pub state: State,
     pub metrics: Metrics,
-    readers: Readers,
+    subscribers: Subscribers,
     tracer: Tracer,
     meters: Vec<StreamMeter>,
     enrolls: bool,
@@ -70,7 +70,7 @@ struct PhaseEvent {
     phase: Option<Phase>,
 }
 
-/// The whole state, as it is asked for and as a stream of events begins.
+/// The whole state, as a request gets it and as a stream of events begins.
 #[derive(Serialize)]
 pub struct Whole<'a> {
     #[serde(flatten)]
@@ -100,37 +100,37 @@ impl Inner {
         self.metrics.text(&Around {
             state: &self.state,
             meters: &self.meters,
-            readers: self.readers.count(),
-            dropped_events: self.readers.dropped,
+            subscribers: self.subscribers.count(),
+            dropped_events: self.subscribers.dropped,
             missed_notices,
         })
     }
 
-    fn tell(&mut self, kind: Kind, data: &impl Serialize) {
-        if self.readers.want(kind) {
+    fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
+        if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, readers, .. } = self;
+            let Self { state, meters, enrolls, subscribers, .. } = self;
             let whole = || Whole { state, enrolls: *enrolls, streams: views(meters) };
-            readers.tell(kind, &event, &mut || encode(Kind::State, &whole()));
+            subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
 
-    fn tell_streams(&mut self) {
+    fn publish_streams(&mut self) {
         let streams = views(&self.meters);
-        self.tell(Kind::Streams, &StreamsEvent { streams });
+        self.publish(EventKind::Streams, &StreamsEvent { streams });
     }
 
-    /// Changes the state, and tells what follows from it.
+    /// Changes the state, and publishes what follows from it.
     fn change(&mut self, change: impl FnOnce(&mut Self)) {
         let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
         change(self);
         if self.state.enrolling != enrolling {
             let enrolling = self.state.enrolling.clone();
-            self.tell(Kind::Enrolling, &enrolling);
+            self.publish(EventKind::Enrolling, &enrolling);
         }
         if self.state.advice != advice {
             let advice = self.state.advice.clone();
-            self.tell(Kind::Advice, &advice);
+            self.publish(EventKind::Advice, &advice);
         }
     }
 
@@ -139,41 +139,41 @@ impl Inner {
         match notice {
             StationEvent::Streams(meters) => {
                 self.meters.clone_from(meters);
-                self.tell_streams();
+                self.publish_streams();
             }
             StationEvent::Device { device, .. } => {
                 let view = self.state.devices.iter().find(|view| view.device == *device).cloned();
-                self.tell(Kind::Device, &view);
+                self.publish(EventKind::Device, &view);
             }
             StationEvent::Trace(trace) => {
                 let event = self.tracer.add(trace);
                 if !event.streams.is_empty() {
-                    self.tell(Kind::Trace, &event);
+                    self.publish(EventKind::Trace, &event);
                 }
             }
             StationEvent::Phase { scan, phase } => {
-                self.tell(Kind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
+                self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            StationEvent::Guess(guess) => self.tell(Kind::Guess, guess),
+            StationEvent::Guess(guess) => self.publish(EventKind::Guess, guess),
             StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
-                let told = self.state.answer.clone();
-                self.tell(Kind::Answer, &told);
+                let answer = self.state.answer.clone();
+                self.publish(EventKind::Answer, &answer);
             }
-            StationEvent::Enrolled(enrolled) => self.tell(Kind::Enrolled, enrolled),
+            StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
             StationEvent::Alive => {}
-            StationEvent::Reading => self.tell(Kind::Reading, &true),
+            StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(_) => {
                 let library = self.state.library.clone();
-                self.tell(Kind::Library, &library);
+                self.publish(EventKind::Library, &library);
             }
             StationEvent::Warning(_) => {
                 let warning = self.state.warnings.front().cloned();
-                self.tell(Kind::Warning, &warning);
+                self.publish(EventKind::Warning, &warning);
             }
             StationEvent::Finished(_) => {
                 let counts = self.state.counts;
-                self.tell(Kind::Finished, &counts);
+                self.publish(EventKind::Finished, &counts);
             }
         }
     }
@@ -196,17 +196,17 @@ impl Hub {
         let inner = Inner {
             state: State::new(),
             metrics: Metrics::default(),
-            readers: Readers::default(),
+            subscribers: Subscribers::default(),
             tracer: Tracer::default(),
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };
-        Self { inner: Mutex::new(inner), orders, missed, most_readers: settings.limits.readers }
+        Self { inner: Mutex::new(inner), orders, missed, most_subscribers: settings.limits.readers }
     }
 
     /// What is behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, Inner> {
-        // Whoever panicked while holding it left plain figures, usable by themselves.
+        // A panic while it was held left plain figures, usable by themselves.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -215,7 +215,7 @@ impl Hub {
         self.lock().metrics(self.missed.load(Ordering::Relaxed))
     }
 
-    /// Takes in what the station tells. A surface that was enrolled is to be used at once.
+    /// Takes in a notice. A surface that was enrolled is to be used at once.
     fn take(&self, notice: &StationEvent) {
         let inner = &mut *self.lock();
         inner.change(|inner| inner.take(notice));
@@ -228,14 +228,14 @@ impl Hub {
         }
     }
 
-    /// One reader more, unless there are too many.
-    pub fn join(&self, wants: Wants) -> Option<Reading> {
+    /// One subscriber more, unless there are too many.
+    pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
-        if inner.readers.count() >= self.most_readers {
+        if inner.subscribers.count() >= self.most_subscribers {
             return None;
         }
-        let first = encode(Kind::State, &inner.whole());
-        Some(inner.readers.join(wants, first))
+        let first = encode(EventKind::State, &inner.whole());
+        Some(inner.subscribers.subscribe(filter, first))
     }
 
     /// Sends an order, never waiting for the station.
@@ -269,7 +269,7 @@ impl Hub {
     }
 }
 
-/// Takes in notices and tells what is due, until the station and the server have ended.
+/// Takes in notices and publishes what is due, until the station and the server have ended.
 pub async fn run(
     hub: Arc<Hub>,
     mut notices: mpsc::Receiver<StationEvent>,
@@ -285,22 +285,22 @@ pub async fn run(
                 Some(notice) => hub.take(&notice),
                 None => listening = false,
             },
-            _ = streams.tick() => hub.lock().tell_streams(),
+            _ = streams.tick() => hub.lock().publish_streams(),
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
-                if inner.readers.want(Kind::Spectrum) {
+                if inner.subscribers.wanted(EventKind::Spectrum) {
                     let event = spectrum::spectra(&inner.tracer);
-                    inner.tell(Kind::Spectrum, &event);
+                    inner.publish(EventKind::Spectrum, &event);
                 }
             }
-            _ = keep_alive.tick() => hub.lock().readers.keep_alive(),
+            _ = keep_alive.tick() => hub.lock().subscribers.keep_alive(),
             _ = stop.wait_for(|stop| *stop) => break,
         }
     }
     while let Ok(notice) = notices.try_recv() {
         hub.take(&notice);
     }
-    hub.lock().readers.close();
+    hub.lock().subscribers.close();
 }
 
 fn every(period: Duration) -> Interval {

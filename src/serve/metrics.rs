@@ -60,7 +60,7 @@ impl Default for Metrics {
 pub struct Around<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
-    pub readers: usize,
+    pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
 }
@@ -93,7 +93,7 @@ impl Metrics {
             ("surfaced_http_refused_total", "Requests and connections refused.", self.refused),
             (
                 "surfaced_events_dropped_total",
-                "Events that a slow reader missed.",
+                "Events that a slow subscriber missed.",
                 around.dropped_events,
             ),
             (
@@ -105,8 +105,8 @@ impl Metrics {
             page.head(name, "counter", help);
             page.line(name, &[], value);
         }
-        page.head("surfaced_readers", "gauge", "Readers of the stream of events.");
-        page.line("surfaced_readers", &[], around.readers);
+        page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
+        page.line("surfaced_readers", &[], around.subscribers);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
         let help = "From the end of a scan to its name.";
         page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
@@ -198,8 +198,13 @@ mod tests {
         for latency_s in [0.0005, 0.001, 0.003, 99.0] {
             metrics.scan(1.0, latency_s);
         }
-        let around =
-            Around { state: &state, meters: &[], readers: 3, dropped_events: 4, missed_notices: 5 };
+        let around = Around {
+            state: &state,
+            meters: &[],
+            subscribers: 3,
+            dropped_events: 4,
+            missed_notices: 5,
+        };
         let text = metrics.text(&around);
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\"} 1",

@@ -7,7 +7,7 @@ use super::label;
 use crate::station::Command;
 use crate::trial::EXPERT;
 
-/// Most trials that may be asked for at once.
+/// Most trials of one order.
 const MOST_TRIALS: u32 = 1000;
 
 /// The body of a request to enrol.

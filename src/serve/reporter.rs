@@ -12,14 +12,14 @@ const QUEUE: usize = 1024;
 /// Traces leave this much room for what matters more.
 const KEPT_FREE: usize = 768;
 
-/// Tells the server what the station tells.
+/// Passes the notices of the station on to the server.
 #[derive(Debug)]
 pub struct Reporter {
     queue: Sender<StationEvent>,
     missed: Arc<AtomicU64>,
 }
 
-/// A reporter, and what it tells.
+/// A reporter, and the notices that it passes on.
 pub(super) fn pair() -> (Reporter, Receiver<StationEvent>) {
     let (queue, notices) = channel(QUEUE);
     (Reporter { queue, missed: Arc::default() }, notices)

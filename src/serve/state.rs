@@ -14,7 +14,7 @@ use crate::station::{Answer, Enrolled, Guess, LibraryState, StationEvent};
 const HISTORY: usize = 1000;
 /// Warnings that are kept.
 const WARNINGS: usize = 50;
-/// Devices that are told apart; names come from the hardware, and could be many.
+/// Devices that are listed; names come from the hardware, and could be many.
 const DEVICES: usize = 64;
 
 /// Milliseconds since 1970, as programs and browsers like it.
@@ -106,7 +106,7 @@ impl From<&LibraryState> for LibraryView {
 pub struct Enrolling {
     /// As which surface.
     pub surface: String,
-    /// Who drags; `None` where it was not asked for through this server.
+    /// Who drags; `None` where it was not ordered through this server.
     pub user: Option<String>,
     /// How many are still wanted.
     pub wanted: u32,
@@ -114,7 +114,7 @@ pub struct Enrolling {
 
 /// A scan of the history.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Told {
+pub struct NamedScan {
     /// When it was named.
     pub unix_ms: u64,
     /// The answer.
@@ -166,7 +166,7 @@ pub struct State {
     /// How the scan that goes on looks so far.
     pub guess: Option<Guess>,
     /// The last scan that was named.
-    pub answer: Option<Arc<Told>>,
+    pub answer: Option<Arc<NamedScan>>,
     /// All devices, by name.
     pub devices: Vec<DeviceView>,
     /// The library, as soon as there is one.
@@ -181,9 +181,9 @@ pub struct State {
     pub warnings: VecDeque<WarningView>,
     /// Whether the station has ended.
     pub finished: bool,
-    /// The last scans, the newest first; asked for apart.
+    /// The last scans, the newest first; a request of its own gets them.
     #[serde(skip)]
-    pub history: VecDeque<Arc<Told>>,
+    pub history: VecDeque<Arc<NamedScan>>,
     /// How often each device came back.
     #[serde(skip)]
     pub reconnects: BTreeMap<String, u64>,
@@ -216,7 +216,7 @@ impl State {
         state
     }
 
-    /// Takes in what the station tells. Traces and figures are none of its
+    /// Takes in a notice of the station. Traces and figures are none of its
     /// business.
     pub fn take(&mut self, notice: &StationEvent) {
         match notice {
@@ -263,10 +263,10 @@ impl State {
         self.counts.unknown += u64::from(answer.surface.is_none());
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
         self.counts.lost_samples += answer.lost_samples;
-        let told = Arc::new(Told { unix_ms: unix_ms(), answer: answer.clone() });
-        self.history.push_front(told.clone());
+        let named = Arc::new(NamedScan { unix_ms: unix_ms(), answer: answer.clone() });
+        self.history.push_front(named.clone());
         self.history.truncate(HISTORY);
-        self.answer = Some(told);
+        self.answer = Some(named);
         self.guess = None;
     }
 
@@ -323,7 +323,7 @@ impl State {
             // An answer that will not change any more needs no more.
             _ if settled => Advice { what: What::Lift, more_s: None, text: "lift".into() },
             Some(more_s) if more_s > 0.0 => {
-                // In tenths, rounded up: what is asked for is enough. But 1.2 s are not 1.3 s for
+                // In tenths, rounded up: what is advised is enough. But 1.2 s are not 1.3 s for
                 // the last bit of a difference.
                 let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
                 let text = format!("{more_s:.1} s more");

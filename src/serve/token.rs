@@ -4,7 +4,7 @@ use std::fmt;
 
 use subtle::ConstantTimeEq;
 
-use super::ServeError;
+use super::error::ServeError;
 
 /// What a client must know. Compared in constant time, and never printed.
 #[derive(Clone)]
@@ -24,9 +24,9 @@ impl Token {
         Ok(Self(text.into()))
     }
 
-    /// Whether a client knows it. How long this takes tells nothing but the length.
-    pub fn matches(&self, said: &str) -> bool {
-        self.0.as_bytes().ct_eq(said.as_bytes()).into()
+    /// Whether a client knows it. The time that this takes depends on the length alone.
+    pub fn matches(&self, given: &str) -> bool {
+        self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
 
     /// The text, for the cookie.

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_newest_bins_of_a_long_stretch_are_told_and_memory_is_bounded() {
+    fn only_the_newest_bins_of_a_long_stretch_are_sent_and_memory_is_bounded() {
         let mut tracer = Tracer::default();
         let samples = (0..1_000_000).map(|i| i as f32).collect();
         let event = tracer.add(&fresh(0, samples));

@@ -91,7 +91,7 @@ fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
         Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
         // It never changes, which no longer drag would mend.
-        _ if is_constant(series) => return None,
+        _ if series.is_constant() => return None,
         _ => f64::INFINITY,
     };
     if held_s >= needed_s {
@@ -102,9 +102,4 @@ fn too_short(id: &SourceId, series: &Series) -> Option<String> {
         false => "no two samples in it are known to be independent".into(),
     };
     Some(format!("{id}: {held_s:.1} s is too short: {take}; drag longer, or move faster"))
-}
-
-fn is_constant(series: &Series) -> bool {
-    let samples = series.samples();
-    samples.chunks(series.channels()).all(|frame| *frame == samples[..series.channels()])
 }

@@ -45,6 +45,8 @@ pub(super) struct Run<'a> {
     load: Option<Load>,
     naming: Naming,
     loading: Option<Receiver<Loaded>>,
+    /// The library is to be read once more: it may have changed since the reading began.
+    load_again: bool,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
     enrolment: Option<EnrolmentProgress>,
@@ -67,6 +69,7 @@ impl<'a> Run<'a> {
             load,
             naming: Naming::None("no library was given".into()),
             loading: None,
+            load_again: false,
             pending: VecDeque::new(),
             enrolment: None,
             enrolments: 0,
@@ -119,6 +122,9 @@ impl<'a> Run<'a> {
                     self.loading = None;
                     let gone = |_| Err("the thread that reads the library panicked".to_string());
                     self.loaded(loaded.unwrap_or_else(gone));
+                    if std::mem::take(&mut self.load_again) {
+                        self.reload();
+                    }
                 }
                 recv(commands) -> command => if let Ok(command) = command { self.obey(command) },
             }
@@ -244,6 +250,11 @@ impl<'a> Run<'a> {
         let Some(load) = self.load.clone() else {
             return self.warn("there is no library to read again");
         };
+        // One at a time: each takes a thread and the memory of a library.
+        if self.loading.is_some() {
+            self.load_again = true;
+            return;
+        }
         if !matches!(self.naming, Naming::Ready(_)) {
             self.naming = Naming::Loading;
         }
@@ -252,7 +263,6 @@ impl<'a> Run<'a> {
         let work = move || {
             let _ = send.send(load());
         };
-        // A load under way is left to end by itself: the library has changed since.
         match std::thread::Builder::new().name("load-library".into()).spawn(work) {
             Ok(_) => self.loading = Some(loaded),
             Err(error) => self.loaded(Err(format!("no thread to read the library: {error}"))),

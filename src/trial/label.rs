@@ -8,7 +8,7 @@ pub const EXPERT: &str = "expert";
 /// Ordered by surface, then user, then number, which is also the order in which ties are broken.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
 pub struct TrialKey {
-    /// The label: what a recogniser is asked for.
+    /// The label: what a recogniser answers with.
     pub surface: String,
     /// Who moved the stylus; [`EXPERT`] unless the recording says otherwise.
     pub user: String,

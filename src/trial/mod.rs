@@ -24,7 +24,7 @@ pub struct Trial {
 impl Trial {
     /// This trial with each of its series that follows a drag cut to the first `seconds`.
     ///
-    /// Taps are transients and images have no duration; `is_drag` tells which sources to cut.
+    /// Taps are transients and images have no duration; `is_drag` chooses the sources to cut.
     pub fn first_seconds(mut self, seconds: f64, is_drag: impl Fn(&SourceId) -> bool) -> Self {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {

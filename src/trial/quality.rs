@@ -1,4 +1,4 @@
-//! Flaws that a person with the cable in hand would want to hear of: a channel that is stuck, or
+//! Flaws that a person with the cable in hand would want to know: a channel that is stuck, or
 //! one that runs into its limits.
 
 use super::{Image, Series};
@@ -55,7 +55,7 @@ impl std::fmt::Display for Flaw {
 
 /// Fewer values than this are a switch or a coarse converter, whose limits are no flaw.
 const FEWEST_VALUES: usize = 16;
-/// So many samples in a row at a limit are no chance.
+/// This many samples in a row at a limit are no coincidence.
 const RUN: usize = 3;
 /// A channel that rests for so large a share at the end of a scan is stuck.
 const STUCK: f64 = 0.5;
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stuck_channel_is_told_from_its_neighbour() {
+    fn a_stuck_channel_is_found_and_its_neighbour_is_not() {
         let samples = (0..100).flat_map(|i| [i as f32, 4.0]).collect();
         let found = flaws(&Series::new(100.0, 2, samples).unwrap());
         assert_eq!(found, [Flaw::Constant { channel: 2, value: 4.0 }]);

@@ -86,6 +86,10 @@ pub struct Series {
 }
 
 impl Series {
+    /// Most samples of a source of a trial that are read or written, all channels together: six
+    /// minutes of sound. Comparing takes about 100 bytes for each.
+    pub const MOST_SAMPLES: usize = 1 << 24;
+
     /// A series from interleaved samples.
     ///
     /// # Errors
@@ -126,6 +130,11 @@ impl Series {
     /// Duration in seconds.
     pub fn duration_s(&self) -> f64 {
         self.frames() as f64 / self.rate_hz
+    }
+
+    /// Whether every frame is like the first.
+    pub fn is_constant(&self) -> bool {
+        self.samples.chunks(self.channels).all(|frame| *frame == self.samples[..self.channels])
     }
 
     /// Interleaved samples.

@@ -4,8 +4,12 @@
 //! the zero itself is not written. A piece of 254 bytes is closed early with the length byte 255,
 //! which stands for no zero. (S. Cheshire and M. Baker, *Consistent Overhead Byte Stuffing*,
 //! IEEE/ACM Transactions on Networking 7, 1999.)
+//!
+//! Not the crate `cobs` (0.5, no_std): its in-place decoder takes frames that no encoder wrote, its
+//! encoder panics where there is no room at all, and it decodes a quiet signal four times slower
+//! (273 against 1122 MB/s in `examples/throughput`).
 
-/// Longest run without a zero that one length byte can tell.
+/// Longest run without a zero that one length byte can describe.
 const MAX_RUN: usize = 254;
 
 /// The length byte of such a run, after which no zero is implied.

@@ -41,10 +41,10 @@ impl LoadTrial for MatTrial {
         let mut signals = BTreeMap::new();
         while let Some(element) = walk.next()? {
             let name = &element.variable.name;
-            let asked = self.sources.iter().find(|(id, stored)| {
+            let found = self.sources.iter().find(|(id, stored)| {
                 stored.variable() == name && wanted.contains(id) && !signals.contains_key(*id)
             });
-            if let Some((id, stored)) = asked {
+            if let Some((id, stored)) = found {
                 let array = walk.array(&element)?;
                 signals.insert(id.clone(), signal(&self.path, stored, array)?);
             }
@@ -143,8 +143,7 @@ struct Walk<'a> {
 impl<'a> Walk<'a> {
     fn open(path: &'a Path) -> Result<Self, LibraryError> {
         let fail = |error| LibraryError::io(path, error);
-        let mut file = File::open(path).map_err(fail)?;
-        let size = file.metadata().map_err(fail)?.len();
+        let (mut file, size) = files::open(path).map_err(fail)?;
         let mut head = Vec::new();
         (&mut file).take(level5::HEADER as u64).read_to_end(&mut head).map_err(fail)?;
         let order = level5::header(&head).map_err(|error| damaged(path, &error))?;

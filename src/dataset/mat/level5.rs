@@ -6,152 +6,24 @@
 //! bounded, so that a hostile file costs bounded memory and time.
 
 mod data;
+mod format;
 
 use std::io::Read;
 
 use flate2::read::ZlibDecoder;
 
 use self::data::{letters, numbers, rows};
+pub use self::format::{Array, Class, MatError, Order, Values, Variable};
+use self::format::{MAX_BYTES, MAX_CELLS, MAX_DEPTH, MAX_DIMS, MAX_NAME, MAX_NUMBERS};
 
 /// Length of the header in bytes.
 pub const HEADER: usize = 128;
 /// Length of the tag before each top-level element in bytes.
 pub const TAG: usize = 8;
-/// So many bytes of an element always hold the name and shape of its variable.
+/// The first bytes of an element that always hold the name and shape of its variable.
 pub const PREFIX: usize = 1024;
 
-/// No variable of a trial is larger: ten minutes of sound in doubles take 212 MB.
-const MAX_BYTES: usize = 1 << 28;
-/// As many doubles.
-const MAX_NUMBERS: usize = MAX_BYTES / 8;
-/// Cells within cells within cells.
-const MAX_DEPTH: usize = 8;
-/// Longest name of a variable, and most dimensions.
-const MAX_NAME: usize = 256;
-const MAX_DIMS: usize = 16;
-
-/// Why bytes are not a level 5 file, or not one that can be read.
-#[derive(Debug, PartialEq, thiserror::Error)]
-pub enum MatError {
-    /// the bytes end too early
-    #[error(
-        "the MATLAB file is cut short; copy it again from where it came, or save it again with \
-         save(…, '-v7')"
-    )]
-    CutShort,
-    /// level 7.3, which is HDF5
-    #[error(
-        "a MATLAB file of version 7.3 (HDF5), which is not read; open it in MATLAB and save it \
-         again with save('NAME.mat', '-v7')"
-    )]
-    Version73,
-    /// no such file
-    #[error(
-        "not a MATLAB file of level 5; save it with save('NAME.mat', '-v7') in MATLAB, or with \
-         scipy.io.savemat in Python"
-    )]
-    NotMatlab,
-    /// what a level 5 file cannot hold
-    #[error("damaged MATLAB file ({0}); copy it again from where it came, or save it again")]
-    Damaged(&'static str),
-    /// larger than any trial
-    #[error("a variable of the MATLAB file claims more than 256 MiB; it is no trial of LMT108")]
-    TooLarge,
-}
-
-/// Order of bytes in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Least significant first.
-    Little,
-    /// Most significant first.
-    Big,
-}
-
-impl Order {
-    fn u16(self, bytes: [u8; 2]) -> u16 {
-        match self {
-            Self::Little => u16::from_le_bytes(bytes),
-            Self::Big => u16::from_be_bytes(bytes),
-        }
-    }
-
-    fn u32(self, bytes: [u8; 4]) -> u32 {
-        match self {
-            Self::Little => u32::from_le_bytes(bytes),
-            Self::Big => u32::from_be_bytes(bytes),
-        }
-    }
-
-    fn u64(self, bytes: [u8; 8]) -> u64 {
-        match self {
-            Self::Little => u64::from_le_bytes(bytes),
-            Self::Big => u64::from_be_bytes(bytes),
-        }
-    }
-}
-
-/// What an array is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Class {
-    /// Real numbers; `byte` where they are stored as uint8.
-    Numbers {
-        /// whether the class is uint8
-        byte: bool,
-    },
-    /// Text.
-    Char,
-    /// Arrays of any class.
-    Cell,
-    /// Something that is not read, by name.
-    Other(&'static str),
-}
-
-/// Name and shape of a variable.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Variable {
-    /// Its name.
-    pub name: String,
-    /// Its class.
-    pub class: Class,
-    /// Its dimensions, rows first.
-    pub dims: Vec<usize>,
-}
-
-/// Contents of an array.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Values {
-    /// Column after column.
-    Numbers(Vec<f64>),
-    /// One text a row, without spaces at the end.
-    Text(Vec<String>),
-    /// Column after column.
-    Cells(Vec<Array>),
-    /// Not read.
-    Unread,
-}
-
-/// A variable and its contents.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Array {
-    /// Name and shape.
-    pub variable: Variable,
-    /// Contents.
-    pub values: Values,
-}
-
-impl Array {
-    /// All texts in it, cell after cell, row after row.
-    pub fn texts(&self) -> Vec<&str> {
-        match &self.values {
-            Values::Text(rows) => rows.iter().map(String::as_str).collect(),
-            Values::Cells(cells) => cells.iter().flat_map(Array::texts).collect(),
-            Values::Numbers(_) | Values::Unread => Vec::new(),
-        }
-    }
-}
-
-/// Checks a header and tells the order of bytes.
+/// Checks a header and gives the order of bytes.
 ///
 /// # Errors
 /// If it is not that of a level 5 file.
@@ -225,20 +97,17 @@ pub fn peek(order: Order, kind: ElementKind, prefix: &[u8]) -> Result<Variable, 
 /// If the bytes are not an array.
 pub fn array(order: Order, kind: ElementKind, body: &[u8]) -> Result<Array, MatError> {
     match kind {
-        ElementKind::Plain => matrix(order, body, 0),
+        ElementKind::Plain => matrix(order, body, 0, &mut MAX_CELLS.clone()),
         ElementKind::Compressed => {
             let mut opened = inflate(body, TAG)?;
             let (length, _) = inner(order, &opened)?;
             opened = inflate(body, TAG.saturating_add(length))?;
             let body = opened.get(TAG..TAG + length).ok_or(MatError::CutShort)?;
-            matrix(order, body, 0)
+            matrix(order, body, 0, &mut MAX_CELLS.clone())
         }
     }
 }
 
-const UTF8: u32 = 16;
-const UTF16: u32 = 17;
-const UTF32: u32 = 18;
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
 const COMPLEX: u32 = 0x0800;
@@ -301,6 +170,9 @@ impl<'a> Cursor<'a> {
         };
         let flags = self.order.u32(*flags);
         let (kind, dims) = self.element()?;
+        if dims.len() > MAX_DIMS * 8 {
+            return Err(MatError::Damaged("impossible dimensions"));
+        }
         let dims = numbers(self.order, kind, dims)?;
         if dims.len() > MAX_DIMS || dims.iter().any(|&d| !(0.0..=MAX_BYTES as f64).contains(&d)) {
             return Err(MatError::Damaged("impossible dimensions"));
@@ -329,7 +201,13 @@ fn class(number: u32) -> Class {
     }
 }
 
-fn matrix(order: Order, body: &[u8], depth: usize) -> Result<Array, MatError> {
+/// The array of an element; `cells_left` is how many more may be read.
+fn matrix(
+    order: Order,
+    body: &[u8],
+    depth: usize,
+    cells_left: &mut usize,
+) -> Result<Array, MatError> {
     if depth > MAX_DEPTH {
         return Err(MatError::Damaged("cells within cells without end"));
     }
@@ -347,6 +225,8 @@ fn matrix(order: Order, body: &[u8], depth: usize) -> Result<Array, MatError> {
             variable.class = Class::Other("complex");
             Values::Unread
         }
+        // Lists hold names; numbers in them are of no use, and eight times their size on disk.
+        Class::Numbers { .. } if depth > 0 => Values::Unread,
         Class::Numbers { .. } => {
             let (kind, data) = cursor.element()?;
             let values = numbers(order, kind, data)?;
@@ -364,10 +244,11 @@ fn matrix(order: Order, body: &[u8], depth: usize) -> Result<Array, MatError> {
             Values::Text(rows(&letters, variable.dims.first().copied().unwrap_or(0)))
         }
         Class::Cell => {
+            *cells_left = cells_left.checked_sub(count).ok_or(MatError::TooLarge)?;
             let mut cells = Vec::new();
             for _ in 0..count {
                 match cursor.element()? {
-                    (MATRIX, body) => cells.push(matrix(order, body, depth + 1)?),
+                    (MATRIX, body) => cells.push(matrix(order, body, depth + 1, cells_left)?),
                     _ => return Err(MatError::Damaged("a cell is no array")),
                 }
             }

@@ -1,5 +1,6 @@
 use proptest::prelude::*;
 
+use super::format::UTF8;
 use super::*;
 
 /// All variables of a file that is in memory.
@@ -16,7 +17,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Array>, MatError> {
     if rest.is_empty() { Ok(arrays) } else { Err(MatError::CutShort) }
 }
 
-/// Files as SciPy and MATLAB would write them, in the byte order asked for.
+/// Files as SciPy and MATLAB would write them, in a given byte order.
 struct Writer(Order);
 
 impl Writer {
@@ -137,6 +138,21 @@ fn a_claim_of_more_than_the_limit_is_refused_before_memory_is_taken() {
     let mut file = w.file(&[]);
     file.extend([w.number(MATRIX), w.number(u32::MAX)].concat());
     assert_eq!(read(&file), Err(MatError::TooLarge));
+}
+
+#[test]
+fn a_few_bytes_that_stand_for_millions_of_cells_are_refused_before_memory_is_taken() {
+    let w = Writer(Order::Little);
+    let count = MAX_CELLS as u32 + 1;
+    let empty = w.element(MATRIX, &[]);
+    let list = w.array(1, &[count, 1], "list", &empty.repeat(count as usize));
+    let file = w.file(&[w.compressed(&list)]);
+    assert!(file.len() < 8192, "{} bytes", file.len());
+    assert_eq!(read(&file), Err(MatError::TooLarge));
+    // The limit is one for all cells, however deep.
+    let inner = w.array(1, &[1000, 1], "", &empty.repeat(1000));
+    let nested = w.array(1, &[66, 1], "list", &inner.repeat(66));
+    assert_eq!(read(&w.file(&[w.compressed(&nested)])), Err(MatError::TooLarge));
 }
 
 proptest! {

@@ -35,7 +35,7 @@ fn key(surface: &str, number: u32, is_expert: bool) -> TrialKey {
     TrialKey::new(surface, user, number)
 }
 
-/// The trials that file names (without `.mat`) tell.
+/// The trials by the names of their files (without `.mat`).
 pub(super) fn by_file(stems: &[&str], is_expert: bool) -> Listing {
     let one = |stem: &&str| match split(stem) {
         (surface, Some(number)) if !surface.is_empty() => Ok(key(surface, number, is_expert)),
@@ -48,7 +48,7 @@ pub(super) fn by_file(stems: &[&str], is_expert: bool) -> Listing {
 ///
 /// A number in a listed name is the trial's; where the names carry none, a trial's place in the list
 /// among those of its surface is its number. A list that names no file at all, while the files'
-/// names tell no surfaces apart, is taken to name the files in their order.
+/// names do not distinguish surfaces, is taken to name the files in their order.
 pub(super) fn by_list(stems: &[&str], named: &[String], list: &str, is_expert: bool) -> Listing {
     // Folders and the extension are no part of a listed name.
     let named: Vec<&str> = (named.iter())
@@ -89,7 +89,8 @@ pub(super) fn by_list(stems: &[&str], named: &[String], list: &str, is_expert: b
     }
     let unlisted = found.iter().filter(|key| key.is_none()).count();
     if unlisted > 0 {
-        remarks.push(format!("{list}: {unlisted} file(s) are not in it; their own names are used"));
+        let files = if unlisted == 1 { "1 file is" } else { &format!("{unlisted} files are") };
+        remarks.push(format!("{list}: {files} not in it; the files' own names are used"));
     }
     let absent = keys.iter().filter(|key| !found.iter().flatten().any(|f| f == *key)).count();
     if absent > 0 {
@@ -128,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_tells_surface_and_number() {
+    fn a_name_holds_surface_and_number() {
         assert_eq!(split("G1PlasticMeshVersion1_train10"), ("G1PlasticMeshVersion1", Some(10)));
         assert_eq!(split("G1Mesh_3"), ("G1Mesh", Some(3)));
         assert_eq!(split("G1Meshtest3"), ("G1Mesh", Some(3)));

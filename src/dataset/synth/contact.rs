@@ -2,10 +2,11 @@
 //!
 //! Each is a marginal distribution with a correlation time, which a faster hand shortens.
 
-use super::effect::{Draws, logistic, uniform};
+use super::effect::{Draws, logistic};
 use super::hand::Hand;
 use super::noise::{correlated, quantised};
 use super::parameters::Difficulty;
+use crate::seed::uniform;
 
 /// Forces on the two resistors, interleaved, as fractions of full scale.
 pub(super) fn friction(

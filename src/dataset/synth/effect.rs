@@ -4,10 +4,9 @@
 //! the whole scene is calibrated by changing numbers in `Difficulty`, and what separates surfaces
 //! stands beside what confuses them.
 
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::seed;
+use crate::seed::{self, normal, uniform};
 use crate::trial::{EXPERT, TrialKey};
 
 /// One quantity: its centre, and the standard deviations of what moves it, all in its own unit.
@@ -75,18 +74,6 @@ impl Draws<'_> {
     }
 }
 
-/// A number from the standard normal distribution (Box and Muller 1958).
-pub(super) fn normal(rng: &mut impl Rng) -> f64 {
-    // 1 − u lies in (0, 1], so the logarithm is finite.
-    let radius = (-2.0 * (1.0 - uniform(rng)).ln()).sqrt();
-    radius * (std::f64::consts::TAU * uniform(rng)).cos()
-}
-
-/// A number from the uniform distribution on [0, 1).
-pub(super) fn uniform(rng: &mut impl Rng) -> f64 {
-    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-}
-
 /// A number between 0 and 1 from one on the whole line.
 pub(super) fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
@@ -115,14 +102,5 @@ mod tests {
         let first = value(TrialKey::new("A", EXPERT, 1), surfaces);
         assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
         assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
-    }
-
-    #[test]
-    fn normal_numbers_have_mean_0_and_variance_1() {
-        let mut rng = seed::rng(1, &[b"test"]);
-        let xs: Vec<f64> = (0..20_000).map(|_| normal(&mut rng)).collect();
-        let mean = xs.iter().sum::<f64>() / xs.len() as f64;
-        let variance = xs.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / xs.len() as f64;
-        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
     }
 }

@@ -1,7 +1,8 @@
 //! The hand that moves the stylus: one force and one speed for all sources of a trial.
 
-use super::effect::{Draws, normal};
+use super::effect::Draws;
 use super::parameters::Difficulty;
+use crate::seed::normal;
 
 /// Number of points of the slow change of force within a drag.
 const DRIFT_KNOTS: usize = 12;

@@ -6,8 +6,9 @@ use std::f64::consts::TAU;
 
 use rand::Rng;
 
-use super::effect::{Draws, logistic, uniform};
+use super::effect::{Draws, logistic};
 use super::parameters::Difficulty;
+use crate::seed::uniform;
 use crate::trial::Image;
 
 /// Number of waves in a texture.

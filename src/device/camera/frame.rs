@@ -6,6 +6,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use image::{ImageFormat, ImageReader, Limits};
 
+use crate::jpeg;
+
 /// A camera's frame has no longer side than this.
 const MAX_SIDE: u32 = 1 << 13;
 const MAX_BYTES: u64 = 1 << 28;
@@ -117,7 +119,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<Rgb, FrameError> {
     if !bytes.starts_with(&[0xFF, 0xD8]) {
         return Err(damaged("it does not begin as a JPEG does"));
     }
-    if !bytes.windows(2).any(|two| two == [0xFF, 0xD9]) {
+    if jpeg::is_cut_short(bytes) {
         return Err(damaged("its end is missing"));
     }
     let whole = with_tables(bytes);

@@ -21,7 +21,7 @@ use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
 use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::{CutFrom, Detection};
-use crate::scene::config::scene;
+use crate::scene::config::{line_of, scene};
 use crate::scene::{Phase, Scene, SourceId};
 
 /// Name of the microphone's stream, from which several sources are cut.
@@ -43,7 +43,7 @@ pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigEr
     let described = scene(String::new(), std::mem::take(&mut file.sources), text)
         .map_err(|error| ConfigError::Scene { path: path.to_path_buf(), error: Box::new(error) })?;
     station(file, Scene::lmt108().with(described), path).map_err(|Mistake { at, problem }| {
-        let line = text[..at.start.min(text.len())].lines().count().max(1);
+        let line = line_of(text, at.start);
         ConfigError::Value { path: path.to_path_buf(), line, problem }
     })
 }

@@ -10,4 +10,4 @@
 
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(|bytes: &[u8]| surfaced::serve::asked::ask(bytes));
+fuzz_target!(|bytes: &[u8]| surfaced::serve::fuzz::send(bytes));

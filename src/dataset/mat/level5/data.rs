@@ -1,6 +1,6 @@
 //! What a data element holds: numbers of any width, or letters.
 
-use super::{MAX_NUMBERS, MatError, Order, UTF8, UTF16, UTF32};
+use super::format::{MAX_LETTERS, MAX_NUMBERS, MatError, Order, UTF8, UTF16, UTF32};
 
 /// Numbers of any of the storage types.
 pub(super) fn numbers(order: Order, kind: u32, data: &[u8]) -> Result<Vec<f64>, MatError> {
@@ -32,8 +32,11 @@ pub(super) fn numbers(order: Order, kind: u32, data: &[u8]) -> Result<Vec<f64>, 
     }
 }
 
-/// The letters of a text, by whatever code.
+/// The letters of a text in any of the codes.
 pub(super) fn letters(order: Order, kind: u32, data: &[u8]) -> Result<Vec<char>, MatError> {
+    if data.len() > MAX_LETTERS {
+        return Err(MatError::TooLarge);
+    }
     match kind {
         1 | 2 | UTF8 => Ok(String::from_utf8_lossy(data).chars().collect()),
         4 | UTF16 => {

@@ -1,7 +1,7 @@
 //! Drags that are not steady.
 
-use super::noise::uniform;
 use super::{Setting, drag, each_series, to_sample};
+use crate::seed::uniform;
 use crate::trial::Trial;
 
 /// Slips a second.

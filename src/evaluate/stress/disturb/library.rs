@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha8Rng;
 
-use super::noise::uniform;
 use super::timing::stretch;
 use crate::library::Entry;
+use crate::seed::uniform;
 use crate::trial::{Signal, Trial};
 
 /// A library, changed; the generator belongs to the disturbance and level.

@@ -6,6 +6,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{Setting, Spread, analog, each_series, sound, to_sample};
+use crate::seed::uniform;
 use crate::trial::{Series, Trial};
 
 /// Corner of red noise in Hz: above, its amplitude falls as 1/f.
@@ -76,11 +77,6 @@ fn add(
             *x = to_sample(f64::from(*x) + scale * noise);
         }
     }
-}
-
-/// A number from the uniform distribution on [0, 1).
-pub(super) fn uniform(rng: &mut impl Rng) -> f64 {
-    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
 /// A nearly normal number: the sum of twelve uniform ones, less six.

@@ -1,8 +1,8 @@
 //! Sensors that are dead, stuck or wired the wrong way.
 
-use super::noise::uniform;
 use super::{Setting, analog, each_series, many_channels, sensed};
 use crate::scene::SourceSpec;
+use crate::seed::uniform;
 use crate::trial::{Image, Signal, Trial};
 
 /// So many sensors give nothing: series of zeros, black pictures.

@@ -1,7 +1,7 @@
 //! Time that is lost, stretched or cut short.
 
-use super::noise::uniform;
 use super::{Setting, analog, drag, each_series, replace, slow as in_time};
+use crate::seed::uniform;
 use crate::trial::{Series, Trial};
 
 /// Length of a gap in the line, in s.

@@ -1,7 +1,7 @@
-//! Who reads the stream of events: a bounded queue each, and nobody waits for anybody.
+//! Subscribers to the stream of events: a bounded queue each, and none waits for another.
 //!
 //! An event is encoded once and shared. Where a queue is full, traces and figures are skipped,
-//! since the next ones make up for them; of other events, the reader is told how many it missed,
+//! since the next ones make up for them; of other events, the subscriber learns how many it missed,
 //! and gets the whole state again.
 
 use std::pin::Pin;
@@ -12,14 +12,14 @@ use futures_core::Stream;
 use serde::Serialize;
 use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
 
-/// Events that wait for one reader.
+/// Events that wait for one subscriber.
 const QUEUE: usize = 256;
 /// Figures and traces leave this much room for what matters more.
 const KEPT_FREE: usize = 128;
 
 /// The types of event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum EventKind {
     State,
     Advice,
     Device,
@@ -38,7 +38,7 @@ pub enum Kind {
     Finished,
 }
 
-impl Kind {
+impl EventKind {
     const ALL: [Self; 16] = [
         Self::State,
         Self::Advice,
@@ -85,37 +85,38 @@ impl Kind {
     }
 }
 
-/// The types that one reader asked for.
+/// The types that one subscriber wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wants(u32);
+pub struct EventFilter(u32);
 
-impl Wants {
+impl EventFilter {
     /// All types.
     pub const ALL: Self = Self(u32::MAX);
 
-    /// From names with commas between them. How many were missed is always told.
+    /// From names with commas between them. How many were missed is always sent.
     ///
     /// # Errors
     /// For people: a name that is none.
     pub fn parse(names: &str) -> Result<Self, String> {
-        let mut wants = 1 << Kind::Missed as u32;
+        let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
-            let kind = Kind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
-                let known = Kind::ALL.map(Kind::name).join(", ");
-                format!("there is no type of event {name:?}; there are {known}")
-            })?;
-            wants |= 1 << kind as u32;
+            let kind =
+                EventKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
+                    let known = EventKind::ALL.map(EventKind::name).join(", ");
+                    format!("there is no type of event {name:?}; there are {known}")
+                })?;
+            filter |= 1 << kind as u32;
         }
-        Ok(Self(wants))
+        Ok(Self(filter))
     }
 
-    fn holds(self, kind: Kind) -> bool {
+    fn holds(self, kind: EventKind) -> bool {
         self.0 & (1 << kind as u32) != 0
     }
 }
 
 /// One event as it goes over the line.
-pub fn encode(kind: Kind, data: &impl Serialize) -> Bytes {
+pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     // Plain structs, finite numbers and text: nothing here that JSON cannot express.
     let json = serde_json::to_string(data).unwrap_or_default();
     Bytes::from(format!("event: {}\ndata: {json}\n\n", kind.name()))
@@ -130,69 +131,69 @@ struct Missed {
 }
 
 #[derive(Debug)]
-struct Seat {
+struct Subscriber {
     queue: Sender<Bytes>,
-    wants: Wants,
+    filter: EventFilter,
     missed: u64,
 }
 
-/// All readers.
+/// All subscribers.
 #[derive(Debug, Default)]
-pub struct Readers {
-    seats: Vec<Seat>,
-    /// Events that some reader had no room for, skipped traces included.
+pub struct Subscribers {
+    subscribers: Vec<Subscriber>,
+    /// Events that some subscriber had no room for, skipped traces included.
     pub dropped: u64,
 }
 
-impl Readers {
-    /// One reader more; it begins with `first`.
-    pub fn join(&mut self, wants: Wants, first: Bytes) -> Reading {
+impl Subscribers {
+    /// One subscriber more; its stream begins with `first`.
+    pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
-        let mut seat = Seat { queue, wants, missed: 0 };
-        seat.send(Kind::State, &first);
-        self.seats.push(seat);
-        Reading(events)
+        let mut subscriber = Subscriber { queue, filter, missed: 0 };
+        subscriber.send(EventKind::State, &first);
+        self.subscribers.push(subscriber);
+        EventStream(events)
     }
 
     /// How many there are.
     pub fn count(&self) -> usize {
-        self.seats.iter().filter(|seat| !seat.queue.is_closed()).count()
+        self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
 
-    /// Whether anybody wants events of this type.
-    pub fn want(&self, kind: Kind) -> bool {
-        self.seats.iter().any(|seat| seat.wants.holds(kind))
+    /// Whether any subscriber wants events of this type.
+    pub fn wanted(&self, kind: EventKind) -> bool {
+        self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
-    /// Tells all who want it. `state` is asked for the whole state where somebody has caught up.
-    pub fn tell(&mut self, kind: Kind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
+    /// Sends an event to all who want it. `state` gives the whole state to one that has caught up.
+    pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
         let dropped = &mut self.dropped;
-        self.seats.retain_mut(|seat| {
-            seat.catch_up(state);
-            *dropped += u64::from(seat.wants.holds(kind) && !seat.send(kind, event));
-            !seat.queue.is_closed()
+        self.subscribers.retain_mut(|subscriber| {
+            subscriber.catch_up(state);
+            *dropped += u64::from(subscriber.filter.holds(kind) && !subscriber.send(kind, event));
+            !subscriber.queue.is_closed()
         });
     }
 
     /// Keeps lines open.
     pub fn keep_alive(&mut self) {
-        // A reader whose queue is full has enough to read.
-        self.seats.retain(|seat| {
-            let sent = seat.queue.try_send(Bytes::from_static(KEEP_ALIVE));
+        // A subscriber whose queue is full has enough to read.
+        self.subscribers.retain(|subscriber| {
+            let sent = subscriber.queue.try_send(Bytes::from_static(KEEP_ALIVE));
             !matches!(sent, Err(TrySendError::Closed(_)))
         });
     }
 
-    /// Lets all readers go, after what is in their queues.
+    /// Lets all subscribers go, after what is in their queues.
     pub fn close(&mut self) {
-        self.seats.clear();
+        self.subscribers.clear();
     }
 }
 
-impl Seat {
+impl Subscriber {
     /// Whether it was sent.
-    fn send(&mut self, kind: Kind, event: &Bytes) -> bool {
-        if !self.wants.holds(kind) {
+    fn send(&mut self, kind: EventKind, event: &Bytes) -> bool {
+        if !self.filter.holds(kind) {
             return true;
         }
         let behind = kind.passes() && (self.missed > 0 || self.queue.capacity() <= KEPT_FREE);
@@ -206,18 +207,19 @@ impl Seat {
         if self.missed == 0 || self.queue.capacity() <= KEPT_FREE {
             return;
         }
-        let missed = encode(Kind::Missed, &Missed { events: std::mem::take(&mut self.missed) });
+        let missed =
+            encode(EventKind::Missed, &Missed { events: std::mem::take(&mut self.missed) });
         // There is room for both, and this thread alone fills the queue.
-        self.send(Kind::Missed, &missed);
-        self.send(Kind::State, &state());
+        self.send(EventKind::Missed, &missed);
+        self.send(EventKind::State, &state());
     }
 }
 
-/// A reader's end: the body of its answer.
+/// A subscriber's end: the body of its answer.
 #[derive(Debug)]
-pub struct Reading(Receiver<Bytes>);
+pub struct EventStream(Receiver<Bytes>);
 
-impl Stream for Reading {
+impl Stream for EventStream {
     type Item = Result<Bytes, std::convert::Infallible>;
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
@@ -229,7 +231,7 @@ impl Stream for Reading {
 mod tests {
     use super::*;
 
-    fn text(reading: &mut Reading) -> Vec<String> {
+    fn text(reading: &mut EventStream) -> Vec<String> {
         let mut all = Vec::new();
         while let Ok(event) = reading.0.try_recv() {
             all.push(String::from_utf8(event.to_vec()).unwrap());
@@ -238,29 +240,31 @@ mod tests {
     }
 
     fn state() -> Bytes {
-        encode(Kind::State, &"whole")
+        encode(EventKind::State, &"whole")
     }
 
     #[test]
-    fn a_stalled_reader_is_bounded_and_holds_up_no_other() {
-        let mut readers = Readers::default();
-        let (mut stalled, mut quick) =
-            (readers.join(Wants::ALL, state()), readers.join(Wants::ALL, state()));
+    fn a_stalled_subscriber_is_bounded_and_holds_up_no_other() {
+        let mut subscribers = Subscribers::default();
+        let (mut stalled, mut quick) = (
+            subscribers.subscribe(EventFilter::ALL, state()),
+            subscribers.subscribe(EventFilter::ALL, state()),
+        );
         let mut read = 0;
         for n in 0..10_000 {
-            let kind = if n % 2 == 0 { Kind::Trace } else { Kind::Answer };
-            readers.tell(kind, &encode(kind, &n), &mut state);
+            let kind = if n % 2 == 0 { EventKind::Trace } else { EventKind::Answer };
+            subscribers.publish(kind, &encode(kind, &n), &mut state);
             read += text(&mut quick).len();
         }
         assert_eq!(read, 10_001, "the quick one got all, and the state before");
         assert_eq!(stalled.0.len(), QUEUE);
-        assert_eq!(readers.dropped, 10_001 - QUEUE as u64);
+        assert_eq!(subscribers.dropped, 10_001 - QUEUE as u64);
         let late = text(&mut stalled);
         assert!(late[0].starts_with("event: state\n"));
         let traces = late.iter().filter(|event| event.starts_with("event: trace")).count();
         assert!(traces < QUEUE - KEPT_FREE, "traces leave room");
 
-        readers.tell(Kind::Answer, &encode(Kind::Answer, &"next"), &mut state);
+        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &"next"), &mut state);
         let caught_up = text(&mut stalled);
         let answers = late.iter().filter(|event| event.starts_with("event: answer")).count();
         let missed = format!("event: missed\ndata: {{\"events\":{}}}\n\n", 5000 - answers);
@@ -269,18 +273,18 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_gets_what_it_asked_for_and_one_that_is_gone_is_forgotten() {
-        let mut readers = Readers::default();
-        let wants = Wants::parse("answer, phase").unwrap();
-        let mut reading = readers.join(wants, state());
-        assert!(readers.want(Kind::Answer) && !readers.want(Kind::Trace));
-        readers.tell(Kind::Trace, &encode(Kind::Trace, &0), &mut state);
-        readers.tell(Kind::Answer, &encode(Kind::Answer, &1), &mut state);
+    fn a_subscriber_gets_what_it_wants_and_one_that_is_gone_is_forgotten() {
+        let mut subscribers = Subscribers::default();
+        let filter = EventFilter::parse("answer, phase").unwrap();
+        let mut reading = subscribers.subscribe(filter, state());
+        assert!(subscribers.wanted(EventKind::Answer) && !subscribers.wanted(EventKind::Trace));
+        subscribers.publish(EventKind::Trace, &encode(EventKind::Trace, &0), &mut state);
+        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &1), &mut state);
         assert_eq!(text(&mut reading), ["event: answer\ndata: 1\n\n"]);
         drop(reading);
-        assert_eq!(readers.count(), 0);
-        readers.keep_alive();
-        assert!(readers.seats.is_empty());
-        assert!(Wants::parse("answer,everything").unwrap_err().contains("\"everything\""));
+        assert_eq!(subscribers.count(), 0);
+        subscribers.keep_alive();
+        assert!(subscribers.subscribers.is_empty());
+        assert!(EventFilter::parse("answer,everything").unwrap_err().contains("\"everything\""));
     }
 }

@@ -1,5 +1,5 @@
 //! One request of any bytes, through all that is ours: guard, paths, queries, bodies. For the fuzz
-//! target and the property test, which ask the same of every answer.
+//! target and the property test, which check the same of every answer.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -14,26 +14,31 @@ use crossbeam_channel::Receiver;
 use tokio::runtime::Runtime;
 use tower_service::Service;
 
-use super::accept::{LARGEST_BODY, Limits};
 use super::hub::Hub;
-use super::{Settings, Token, api, label};
+use super::settings::{LARGEST_BODY, Limits, Settings};
+use super::token::Token;
+use super::{api, label};
 use crate::station::Command;
 
-/// What the server of the token wants to hear.
+/// The token of the server that has one.
 const SECRET: &str = "0123456789abcdef";
 
 /// A server without a network, and what it orders.
-struct Asked {
+struct OfflineServer {
     router: Router,
     orders: Receiver<Command>,
     runtime: Runtime,
 }
 
-impl Asked {
+impl OfflineServer {
     fn new(token: Option<Token>) -> Self {
-        // It is asked as often as can be.
-        let often = f64::MAX;
-        let limits = Limits { requests_a_second: often, burst: often, ..Limits::default() };
+        let limits = Limits {
+            requests_a_second: f64::MAX,
+            burst: f64::MAX,
+            guesses_a_second: f64::MAX,
+            guess_burst: f64::MAX,
+            ..Limits::default()
+        };
         let settings = Settings { token, limits, ..Settings::default() };
         let (send, orders) = crossbeam_channel::bounded(1);
         let hub = Arc::new(Hub::new(&settings, send, Arc::new(AtomicU64::new(0))));
@@ -42,8 +47,8 @@ impl Asked {
         Self { router: api::router(hub, &settings), orders, runtime }
     }
 
-    /// Asks, and looks at the answer. True if this server can be asked again.
-    fn ask(&mut self, request: Request) -> bool {
+    /// Sends a request, and checks the answer. True if this server takes another one.
+    fn send(&mut self, request: Request) -> bool {
         let (method, path) = (request.method().clone(), request.uri().path().to_string());
         let Self { router, orders, runtime } = self;
         let (status, headers, body) = runtime.block_on(async {
@@ -92,21 +97,21 @@ fn request(bytes: &[u8]) -> Option<Request> {
 }
 
 thread_local! {
-    static ASKED: RefCell<[Option<Asked>; 2]> = const { RefCell::new([None, None]) };
+    static SERVERS: RefCell<[Option<OfflineServer>; 2]> = const { RefCell::new([None, None]) };
 }
 
-/// Asks two servers, one of which wants a token.
+/// Sends a request to two servers, one of which wants a token.
 ///
 /// # Panics
 /// If an answer is not as it must be: an error of the server's own, an order that was not allowed or
 /// whose labels could mean a path, JSON that is none.
-pub fn ask(bytes: &[u8]) {
-    ASKED.with_borrow_mut(|servers| {
+pub fn send(bytes: &[u8]) {
+    SERVERS.with_borrow_mut(|servers| {
         for (server, secret) in servers.iter_mut().zip([None, Some(SECRET)]) {
             let Some(request) = request(bytes) else { return };
             let token = || secret.map(|text| Token::new(text).expect("it is long enough"));
-            let known = server.get_or_insert_with(|| Asked::new(token()));
-            if !known.ask(request) {
+            let known = server.get_or_insert_with(|| OfflineServer::new(token()));
+            if !known.send(request) {
                 *server = None;
             }
         }
@@ -126,7 +131,7 @@ mod tests {
         for seed in std::fs::read_dir(folder).unwrap() {
             let bytes = std::fs::read(seed.unwrap().path()).unwrap();
             assert!(request(&bytes).is_some(), "{}", String::from_utf8_lossy(&bytes));
-            ask(&bytes);
+            send(&bytes);
             count += 1;
         }
         assert!(count > 0);
@@ -149,7 +154,7 @@ mod tests {
         fn no_bytes_are_a_request_that_breaks_anything(
             bytes in proptest::collection::vec(any::<u8>(), 0..200),
         ) {
-            ask(&bytes);
+            send(&bytes);
         }
 
         #[test]
@@ -159,7 +164,7 @@ mod tests {
             headers in HEADERS,
             body in BODIES,
         ) {
-            ask(format!("{method} {path}\n{headers}\n{body}").as_bytes());
+            send(format!("{method} {path}\n{headers}\n{body}").as_bytes());
         }
     }
 }

@@ -1,0 +1,78 @@
+//! Recordings that cannot be read: all named at once, and left out where `--skip-bad` says so.
+
+use std::path::Path;
+
+use super::{Done, Failure, show};
+use crate::dataset;
+use crate::library::audit::{self, Unreadable};
+use crate::library::{Entry, Library, LibraryError, Opened};
+use crate::scene::Scene;
+
+/// What is done about recordings that cannot be read.
+#[derive(Debug, clap::Args)]
+pub(super) struct BadFileArgs {
+    /// Go on without recordings that cannot be read; they are listed, and the exit code is 3
+    #[arg(long)]
+    skip_bad: bool,
+}
+
+/// How many recordings were left out.
+pub(super) struct Skipped(usize);
+
+impl BadFileArgs {
+    /// Opens recordings, and says on stderr what was found. `narrow` chooses the sources in use.
+    ///
+    /// # Errors
+    /// If nothing can be used; without `--skip-bad`, if anything cannot be, naming all of it.
+    pub fn open(
+        &self,
+        path: &Path,
+        narrow: impl FnOnce(Scene) -> Result<Scene, Failure>,
+    ) -> Result<(Library, Skipped), Failure> {
+        let Opened { mut library, bad } = dataset::open_usable(path, &Scene::lmt108())?;
+        if !self.skip_bad && bad.is_empty() {
+            show::library(&library);
+            return Ok((library, Skipped(0)));
+        }
+        let scene = narrow(library.scene.clone())?;
+        library.entries = library.entries.into_iter().map(|entry| entry.within(&scene)).collect();
+        let unreadable = audit::unreadable(&library.entries);
+        library.entries = audit::without(library.entries, &unreadable);
+        let bad: Vec<LibraryError> = bad.into_iter().chain(errors(unreadable)).collect();
+        if !self.skip_bad {
+            return Err(failure(bad));
+        }
+        show::library(&library);
+        bad.iter().for_each(|error| eprintln!("warning: not used: {error}"));
+        Ok((library, Skipped(bad.len())))
+    }
+}
+
+impl Skipped {
+    /// How the command ends.
+    pub fn verdict(&self) -> Done {
+        match self.0 {
+            0 => Ok(()),
+            1 => Err(Failure::Damaged("done without 1 recording that cannot be read".into())),
+            n => Err(Failure::Damaged(format!("done without {n} recordings that cannot be read"))),
+        }
+    }
+}
+
+/// What to say when working with `entries` failed: all recordings that cannot be read, where that
+/// is the reason.
+pub(super) fn explain(entries: &[Entry], error: impl Into<Failure>) -> Failure {
+    match audit::unreadable(entries) {
+        unreadable if unreadable.is_empty() => error.into(),
+        unreadable => failure(errors(unreadable).collect()),
+    }
+}
+
+fn errors(unreadable: Vec<Unreadable>) -> impl Iterator<Item = LibraryError> {
+    unreadable.into_iter().map(|unreadable| unreadable.error)
+}
+
+fn failure(bad: Vec<LibraryError>) -> Failure {
+    let all = LibraryError::of_all(bad).map_or_else(String::new, |error| error.to_string());
+    Failure::Failed(format!("{all}\nmend or remove them, or go on without them by --skip-bad"))
+}

@@ -1,0 +1,42 @@
+//! Where a JPEG file ends.
+
+/// Whether these are the bytes of a JPEG file that lacks its end, whose missing part a decoder
+/// would fill with grey; false for what is no JPEG file.
+pub(crate) fn is_cut_short(bytes: &[u8]) -> bool {
+    const START: [u8; 2] = [0xFF, 0xD8];
+    let Some(mut rest) = bytes.strip_prefix(&START) else { return false };
+    // Walk from marker to marker: a thumbnail's end inside a segment is not the picture's.
+    loop {
+        let next = rest.windows(2).position(|two| {
+            // 0xFF before 0 is a pixel, before D0 to D7 a restart, before itself a filler.
+            two[0] == 0xFF && !matches!(two[1], 0 | 0xFF | 0xD0..=0xD7)
+        });
+        let Some(at) = next else { return true };
+        if rest[at + 1] == 0xD9 {
+            return false;
+        }
+        let &[_, _, high, low, ..] = &rest[at..] else { return true };
+        let length = usize::from(u16::from_be_bytes([high, low]));
+        match rest.get(at + 2 + length..) {
+            Some(after) => rest = after,
+            None => return true,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_end_of_the_picture_itself_counts() {
+        let start = [0xFF, 0xD8];
+        // A segment of application data that holds a thumbnail with an end of its own.
+        let segment = [0xFF, 0xE1, 0, 6, 0xFF, 0xD8, 0xFF, 0xD9];
+        let pixels = [0xFF, 0xDA, 0, 2, 1, 2, 0xFF, 0, 3];
+        let cut = [&start[..], &segment, &pixels].concat();
+        assert!(is_cut_short(&cut) && is_cut_short(&start));
+        assert!(!is_cut_short(&[&cut[..], &[0xFF, 0xD9]].concat()));
+        assert!(!is_cut_short(b"PNG"));
+    }
+}

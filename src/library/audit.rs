@@ -1,0 +1,39 @@
+//! Which recordings of a library cannot be read, found by reading all of them.
+
+use rayon::prelude::*;
+
+use super::{Entry, LibraryError};
+use crate::scene::SourceId;
+
+/// A source of a trial that cannot be read.
+#[derive(Debug)]
+pub struct Unreadable {
+    /// Index of the trial among the entries.
+    pub entry: usize,
+    /// The source.
+    pub source: SourceId,
+    /// Why.
+    pub error: LibraryError,
+}
+
+/// Reads every source of every trial, and gives those that cannot be read, in order.
+pub fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
+    let of_entry = |(at, entry): (usize, &Entry)| {
+        let read = |source: &SourceId| {
+            let one = Entry { sources: vec![source.clone()], ..entry.clone() };
+            let error = one.load().err()?;
+            Some(Unreadable { entry: at, source: source.clone(), error })
+        };
+        entry.sources.iter().filter_map(read).collect::<Vec<_>>()
+    };
+    entries.par_iter().enumerate().flat_map_iter(of_entry).collect()
+}
+
+/// The trials without those sources; a trial of which nothing is left goes.
+pub fn without(mut entries: Vec<Entry>, unreadable: &[Unreadable]) -> Vec<Entry> {
+    for Unreadable { entry, source, .. } in unreadable {
+        entries[*entry].sources.retain(|id| id != source);
+    }
+    entries.retain(|entry| !entry.sources.is_empty());
+    entries
+}

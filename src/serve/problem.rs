@@ -1,0 +1,81 @@
+//! Why a request is refused: statuses, and the JSON that says so.
+
+use axum::extract::rejection::BytesRejection;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Json, Response};
+use serde::Serialize;
+
+use super::settings::LARGEST_BODY;
+
+/// Why a request is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum Problem {
+    #[error("there is nothing here; see /api/v1/state")]
+    NotFound,
+    #[error("this path does not take that method")]
+    Method,
+    #[error("{0}")]
+    Bad(String),
+    #[error("the body is larger than {LARGEST_BODY} bytes")]
+    Large,
+    #[error("the request took too long")]
+    Slow,
+    #[error("too many requests; slow down")]
+    TooOften,
+    #[error("there are too many subscribers already")]
+    Readers,
+    #[error("the name {0:?} does not stand for this machine; use 127.0.0.1 or localhost")]
+    Host(String),
+    #[error("orders are taken from this page alone, not from {0:?}")]
+    Origin(String),
+    #[error("a token is needed: open /?token=…, or send `Authorization: Bearer …`")]
+    Token,
+    #[error("the station is busy with the orders before this one")]
+    Busy,
+    #[error("the station has ended")]
+    Ended,
+    #[error("this station keeps no scans; start it with --library LIB, a library to keep them in")]
+    NoLibrary,
+}
+
+#[derive(Serialize)]
+struct ProblemView {
+    error: &'static str,
+    message: String,
+}
+
+impl Problem {
+    fn kind(&self) -> (StatusCode, &'static str) {
+        match self {
+            Self::NotFound => (StatusCode::NOT_FOUND, "not_found"),
+            Self::Method => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
+            Self::Bad(_) => (StatusCode::BAD_REQUEST, "bad_request"),
+            Self::Large => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),
+            Self::Slow => (StatusCode::REQUEST_TIMEOUT, "too_slow"),
+            Self::TooOften => (StatusCode::TOO_MANY_REQUESTS, "too_often"),
+            Self::Readers => (StatusCode::SERVICE_UNAVAILABLE, "too_many_readers"),
+            Self::Host(_) => (StatusCode::MISDIRECTED_REQUEST, "wrong_host"),
+            Self::Origin(_) => (StatusCode::FORBIDDEN, "wrong_origin"),
+            Self::Token => (StatusCode::UNAUTHORIZED, "token_needed"),
+            Self::Busy => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
+            Self::Ended => (StatusCode::CONFLICT, "ended"),
+            Self::NoLibrary => (StatusCode::CONFLICT, "no_library"),
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let (status, error) = self.kind();
+        (status, Json(ProblemView { error, message: self.to_string() })).into_response()
+    }
+}
+
+impl From<BytesRejection> for Problem {
+    fn from(rejection: BytesRejection) -> Self {
+        match rejection.status() {
+            StatusCode::PAYLOAD_TOO_LARGE => Self::Large,
+            _ => Self::Bad(rejection.body_text()),
+        }
+    }
+}
