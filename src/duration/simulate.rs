@@ -49,7 +49,7 @@ pub fn telegraph(frames: usize, tau: f64, rng: &mut impl Rng) -> Vec<f32> {
 /// correlation time τ. Uncorrelated, and far from independent.
 pub fn volatility(frames: usize, tau: f64, rng: &mut impl Rng) -> Vec<f32> {
     let mut x = ar1(frames, tau, rng);
-    x.iter_mut().for_each(|x| *x = x.exp() * normal(rng) as f32);
+    x.iter_mut().for_each(|x| *x = (0.5 * *x).exp() * normal(rng) as f32);
     x
 }
 

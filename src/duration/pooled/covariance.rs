@@ -5,8 +5,9 @@ use multiversion::multiversion;
 use super::features::Features;
 use super::lags::Lag;
 
-/// Sums in flight: one AVX-512 register of f32.
+/// One AVX-512 register of f32.
 const LANES: usize = 16;
+type Lane = [f32; LANES];
 /// Frames that are gone through at once, all features of which stay in the first cache.
 const TILE: usize = 512;
 /// Fewest blocks that the trials are cut into together.
@@ -89,53 +90,40 @@ fn add_products(columns: &[&[f32]], from: usize, to: usize, lag: usize, out: &mu
         for (i, a) in columns.iter().enumerate() {
             let a = &a[start..end];
             let row = &mut out[i * count..(i + 1) * count];
-            let (fours, rest) = columns.split_at(count - count % 4);
-            for (j, four) in fours.chunks_exact(4).enumerate() {
-                let four: [&[f32]; 4] = std::array::from_fn(|k| &four[k][start + lag..end + lag]);
-                let sums = dot_of_four(a, four);
-                (0..4).for_each(|k| row[4 * j + k] += f64::from(sums[k]));
-            }
-            for (j, b) in rest.iter().enumerate() {
-                row[fours.len() + j] += f64::from(dot(a, &b[start + lag..end + lag]));
+            for (sum, b) in row.iter_mut().zip(columns) {
+                *sum += f64::from(dot(a, &b[start + lag..end + lag]));
             }
         }
     }
 }
 
-/// Σ a·b, in sixteen sums that are added at the end.
+/// Σ a·b, in four registers of sums, as an addition takes four cycles.
 #[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0f32; LANES];
-    let (a, a_rest) = a.as_chunks::<LANES>();
-    let (b, b_rest) = b.as_chunks::<LANES>();
+    let [mut first, mut second, mut third, mut fourth] = [[0.0f32; LANES]; 4];
+    let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
+    let (b, b_rest) = b.as_chunks::<{ 4 * LANES }>();
     for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            sums[lane] += a[lane] * b[lane];
-        }
+        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
+        first = plus_product(first, &a[0], &b[0]);
+        second = plus_product(second, &a[1], &b[1]);
+        third = plus_product(third, &a[2], &b[2]);
+        fourth = plus_product(fourth, &a[3], &b[3]);
     }
-    let rest: f32 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
-    sums.iter().sum::<f32>() + rest
+    let mut sum = 0.0;
+    for lane in 0..LANES {
+        sum += (first[lane] + second[lane]) + (third[lane] + fourth[lane]);
+    }
+    sum + a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum::<f32>()
 }
 
-/// [`dot`] with four others, each frame of `a` read once.
+/// Not fused, so that every machine gives the same bits.
 #[inline(always)]
-fn dot_of_four(a: &[f32], b: [&[f32]; 4]) -> [f32; 4] {
-    let mut sums = [[0.0f32; LANES]; 4];
-    let (tiles, rest) = a.as_chunks::<LANES>();
-    let others = b.map(|b| &b.as_chunks::<LANES>().0[..tiles.len()]);
-    for (t, a) in tiles.iter().enumerate() {
-        for k in 0..4 {
-            let b = &others[k][t];
-            for lane in 0..LANES {
-                sums[k][lane] += a[lane] * b[lane];
-            }
-        }
+fn plus_product(mut sum: Lane, a: &Lane, b: &Lane) -> Lane {
+    for lane in 0..LANES {
+        sum[lane] += a[lane] * b[lane];
     }
-    let done = a.len() - rest.len();
-    std::array::from_fn(|k| {
-        let rest: f32 = rest.iter().zip(&b[k][done..]).map(|(x, y)| x * y).sum();
-        sums[k].iter().sum::<f32>() + rest
-    })
+    sum
 }
 
 /// Covariance at lag 0, over all trials.
