@@ -1,6 +1,6 @@
 //! What T* asks of a scan: how much longer to drag.
 
-use crate::duration::{DurationReport, Question, Settings, report};
+use crate::duration::{DurationReport, Estimator, Question, Settings, report};
 use crate::kernel::Threshold;
 use crate::library::{Entry, Library};
 use crate::recognise::Ranking;
@@ -32,7 +32,8 @@ impl Needs {
         }
         let settings =
             Settings { draws: DRAWS, threshold: Threshold::Gamma, ..Settings::default() };
-        let question = Question { sources, settings, ..Question::default() };
+        let estimator = Estimator::Algorithm1(settings);
+        let question = Question { sources, estimator, ..Question::default() };
         Self { scene, report: report(&library, &question, |_, _| {}).ok() }
     }
 

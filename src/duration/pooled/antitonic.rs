@@ -29,7 +29,9 @@ mod tests {
         (0..values.len())
             .map(|i| {
                 (0..=i)
-                    .map(|a| (i..values.len()).map(|b| mean(a, b)).fold(f64::NEG_INFINITY, f64::max))
+                    .map(|a| {
+                        (i..values.len()).map(|b| mean(a, b)).fold(f64::NEG_INFINITY, f64::max)
+                    })
                     .fold(f64::INFINITY, f64::min)
             })
             .collect()

@@ -151,9 +151,8 @@ mod tests {
         let at = |f: usize, s: usize| f64::from(features.columns[f][trial * features.frames + s]);
         let starts = (features.frames.div_ceil(lag.stride)) - lag.frames / lag.stride;
         let (from, to) = (part * starts / parts, (part + 1) * starts / parts);
-        let sum: f64 = (from..to)
-            .map(|s| at(i, s * lag.stride) * at(j, s * lag.stride + lag.frames))
-            .sum();
+        let sum: f64 =
+            (from..to).map(|s| at(i, s * lag.stride) * at(j, s * lag.stride + lag.frames)).sum();
         sum / (to - from) as f64
     }
 

@@ -50,6 +50,16 @@ impl Curve {
         self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
     }
 
+    /// How many times the data must be for the upper bound of no dependence at the longer half of
+    /// the lags to be half of the threshold.
+    pub fn lacking(&self, threshold: f64) -> f64 {
+        let bins = self.lags.len() / 2..self.lags.len();
+        let mut errors: Vec<f64> = bins.map(|bin| self.root_error(bin, threshold)).collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        let median = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
+        (2.0 * UPPER * median / threshold.sqrt()).powi(2)
+    }
+
     /// Where the fit and its upper bound cross a threshold of the size.
     pub fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();
@@ -62,9 +72,8 @@ impl Curve {
         };
         let mut estimate = self.between(below, root, &fit);
         let mut from = below;
-        let surely_above = |bin: &usize| {
-            self.sizes[*bin].value - SURE * self.sizes[*bin].error >= threshold
-        };
+        let surely_above =
+            |bin: &usize| self.sizes[*bin].value - SURE * self.sizes[*bin].error >= threshold;
         if let Some(last) = (below..self.lags.len()).rev().find(surely_above) {
             match self.lags.get(last + 1) {
                 Some(&lag) => (estimate, from) = (lag, last + 1),
@@ -101,10 +110,8 @@ mod tests {
 
     fn curve(error: f64, size: impl Fn(f64) -> f64) -> Curve {
         let lags: Vec<f64> = (0..60).map(|k| 1.15f64.powi(k)).collect();
-        let sizes = lags
-            .iter()
-            .map(|&t| Size { value: size(t), error, entry_error: 0.0 })
-            .collect();
+        let sizes =
+            lags.iter().map(|&t| Size { value: size(t), error, entry_error: 0.0 }).collect();
         Curve::new(lags, sizes)
     }
 

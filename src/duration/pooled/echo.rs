@@ -108,10 +108,16 @@ mod tests {
         let at = |f: usize, q: usize, s: usize| f64::from(features.columns[f][q * 700 + s]);
         for (pair, i, j) in [(0, 0, 0), (2, 1, 0), (3, 0, 1), (10, 2, 2)] {
             for t in [0, 1, 99, 170] {
-                let sum: f64 =
-                    (0..3).flat_map(|q| (0..700 - t).map(move |s| (q, s))).map(|(q, s)| at(i, q, s) * at(j, q, s + t)).sum();
+                let sum: f64 = (0..3)
+                    .flat_map(|q| (0..700 - t).map(move |s| (q, s)))
+                    .map(|(q, s)| at(i, q, s) * at(j, q, s + t))
+                    .sum();
                 let want = sum / (3 * (700 - t)) as f64;
-                assert!((f64::from(got[pair][t]) - want).abs() < 1e-5, "{pair} {t}: {} {want}", got[pair][t]);
+                assert!(
+                    (f64::from(got[pair][t]) - want).abs() < 1e-5,
+                    "{pair} {t}: {} {want}",
+                    got[pair][t]
+                );
             }
         }
     }

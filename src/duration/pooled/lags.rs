@@ -89,10 +89,8 @@ impl Lags {
         let first = self.all.len();
         self.all.extend(bin.iter().map(|&(frames, stride)| Lag { frames, stride, weight: 0.0 }));
         let logs: f64 = bin.iter().map(|&(t, _)| (t as f64).ln()).sum();
-        self.bins.push(Bin {
-            lags: first..self.all.len(),
-            centre: (logs / bin.len() as f64).exp(),
-        });
+        self.bins
+            .push(Bin { lags: first..self.all.len(), centre: (logs / bin.len() as f64).exp() });
     }
 }
 

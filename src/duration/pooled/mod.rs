@@ -9,7 +9,8 @@
 //! them, [`covariance`] their covariance at two moments for each of the [`lags`], [`correction`]
 //! undoes what centring each trial did, [`size`] measures it without bias, and [`crossing`] says
 //! where it falls below the threshold for good ([`antitonic`]). [`echo`] looks at single lags,
-//! [`effective`] at what a scan is worth.
+//! [`effective`] at what a scan is worth, and [`estimate`] chooses the rate that a source is looked
+//! at and speaks of its samples and seconds.
 
 mod antitonic;
 mod correction;
@@ -17,6 +18,7 @@ mod covariance;
 mod crossing;
 mod echo;
 mod effective;
+mod estimate;
 mod features;
 mod lags;
 mod normal_scores;
@@ -25,6 +27,7 @@ mod size;
 
 use covariance::{Covariances, covariance_at_once, covariances};
 use crossing::Curve;
+pub use estimate::{CORRELATION, Dependence, PooledEstimate, VALUES, at_needed_rate};
 use features::{Features, features};
 use lags::{Lags, lags};
 pub use samples::Samples;
@@ -34,10 +37,10 @@ const BEYOND: f64 = 1.5;
 /// How often the correction for the trials' means is made: it needs T*, and T* needs it.
 const CORRECTIONS: usize = 3;
 
-/// What came of it.
+/// What came of it, in frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Answer {
-    /// T* and its upper bound, in frames.
+    /// T* and its upper bound.
     Found {
         /// the estimate
         t_star: f64,
@@ -50,7 +53,10 @@ pub enum Answer {
     /// It falls below it too late for the trials to show that it stays there.
     NotWithinRange,
     /// The trials hold too little to say.
-    TooLittleData,
+    TooLittleData {
+        /// about how many more trials like these would do
+        more_trials: usize,
+    },
 }
 
 /// Dependence at one lag.
@@ -113,7 +119,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
         found.estimate = Some(after);
         found.upper = found.upper.map(|upper| upper.max(after));
     }
-    let answer = found.answer(threshold, range, longest as f64);
+    let answer = found.answer(threshold, range, longest as f64, samples.trials);
     let inflation = match (&answer, &found.corrected) {
         (Answer::Found { .. }, Some(corrected)) => {
             Some(effective::inflation(corrected, &features, &lags.all, found.reach(longest)))
@@ -167,14 +173,20 @@ impl Found {
         self.estimate.map_or(longest as f64, |t| (2.0 * t).min(longest as f64))
     }
 
-    fn answer(&self, threshold: f64, range: f64, longest: f64) -> Answer {
+    fn answer(&self, threshold: f64, range: f64, longest: f64, trials: usize) -> Answer {
         let stays = |lag: f64| self.curves.iter().any(|curve| curve.stays_above(threshold, lag));
         match (self.estimate, self.upper) {
             (Some(t_star), Some(upper)) if upper <= range => Answer::Found { t_star, upper },
             _ if stays(longest) => Answer::Never,
             _ if stays(range) => Answer::NotWithinRange,
-            _ => Answer::TooLittleData,
+            _ => Answer::TooLittleData { more_trials: self.more_trials(threshold, trials) },
         }
+    }
+
+    /// Trials that are lacking for an error that leaves the dependence half of the threshold's room.
+    fn more_trials(&self, threshold: f64, trials: usize) -> usize {
+        let needed = self.curves.iter().map(|curve| curve.lacking(threshold)).fold(1.0, f64::max);
+        ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
     }
 
     fn points(&self, threshold: f64) -> Vec<Point> {

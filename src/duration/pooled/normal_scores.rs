@@ -67,8 +67,9 @@ mod tests {
 
     #[test]
     fn scores_are_those_of_ranks_by_counting_ties_and_signs_included() {
-        let values: Vec<f32> =
-            (0..500u32).map(|i| ((i * 7919 % 101) as f32 - 50.0) / 8.0 * ((i % 3) as f32)).collect();
+        let values: Vec<f32> = (0..500u32)
+            .map(|i| ((i * 7919 % 101) as f32 - 50.0) / 8.0 * ((i % 3) as f32))
+            .collect();
         let got = normal_scores(&values).unwrap();
         for (g, w) in got.iter().zip(by_counting(&values)) {
             assert!((f64::from(*g) - w).abs() < 1e-5, "{g} {w}");

@@ -1,5 +1,7 @@
 //! What `pooled` looks at: trials of equal length, channel by channel, at a rate that it needs.
 
+use std::ops::Range;
+
 use crate::trial::Series;
 
 /// Q trials of L frames of each channel.
@@ -14,24 +16,27 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// The first `frames` frames of each trial, of which every `step`-th is kept.
+    /// Frames `range` of each trial, of which every `step`-th is kept.
     ///
     /// Frames are left out, not averaged: the dependence of two samples at a lag that is kept is
     /// then what it was, only lags in between are no longer seen.
     ///
     /// # Panics
-    /// If a trial is shorter than `frames`, or has fewer channels than the first.
-    pub fn every(step: usize, frames: usize, series: &[Series]) -> Self {
+    /// If a trial is shorter than `range`, or has fewer channels than the first.
+    pub fn every(step: usize, range: Range<usize>, series: &[Series]) -> Self {
         let channels = series.first().map_or(0, Series::channels);
         let channel = |c: usize| -> Vec<f32> {
             (series.iter())
-                .flat_map(|s| s.samples()[..frames * channels].iter().skip(c).step_by(channels * step))
+                .flat_map(|s| {
+                    let frames = &s.samples()[range.start * channels..range.end * channels];
+                    frames.iter().skip(c).step_by(channels * step)
+                })
                 .copied()
                 .collect()
         };
         Self {
             trials: series.len(),
-            frames: frames.div_ceil(step),
+            frames: range.len().div_ceil(step),
             channels: (0..channels).map(channel).collect(),
         }
     }
