@@ -8,8 +8,6 @@ use crate::duration::report::{ByRule, PooledRow, SourceDuration};
 use crate::scene::SourceId;
 
 const GREY: RGBColor = RGBColor(150, 150, 150);
-/// Least dependence that is drawn: below, it is noise.
-const FLOOR: f64 = 0.0;
 const FONT: &str = "sans-serif";
 
 /// The rows of a source that have a curve, the one with the longest T* last; without T* counts as
@@ -47,7 +45,7 @@ pub(super) fn panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         .margin(14)
         .x_label_area_size(46)
         .y_label_area_size(62)
-        .build_cartesian_2d((first..last).log_scale(), FLOOR..1.0)
+        .build_cartesian_2d((first..last).log_scale(), 0.0..1.0)
         .map_err(drawing)?;
     chart
         .configure_mesh()
@@ -126,7 +124,7 @@ fn mark(
         let Some(x) = seconds.map(|s| 1e3 * s) else { continue };
         let style = BLACK.stroke_width(width);
         chart
-            .draw_series([PathElement::new([(x, FLOOR), (x, threshold)], style)])
+            .draw_series([PathElement::new([(x, 0.0), (x, threshold)], style)])
             .map_err(drawing)?;
     }
     Ok(())
