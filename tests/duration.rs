@@ -78,7 +78,8 @@ fn pooled_gives_t_star_its_bound_and_what_a_trial_is_worth_and_draws_the_curve()
     }
     assert_eq!(answer["scan_s"], row(&answer, "foam", "ir")["scan_s"]);
     let metal = row(&answer, "foam", "me");
-    for key in ["t_star_samples", "t_star_upper_samples", "t_star_s", "scan_s", "effective_samples"] {
+    for key in ["t_star_samples", "t_star_upper_samples", "t_star_s", "scan_s", "effective_samples"]
+    {
         assert!(metal[key].is_null(), "{key}: {metal}");
     }
     assert!(metal["reason"].as_str().unwrap().contains("constant"));
@@ -159,8 +160,7 @@ fn an_unknown_surface_and_an_unknown_source_are_named() {
     assert!(code == 1 && stderr.contains("`oak`") && stderr.contains("foam, mesh"), "{stderr}");
     let (code, _, stderr) = surfaced(&["duration", path, "--source", "ca1"]);
     assert!(code == 1 && stderr.contains("image"), "{stderr}");
-    let (code, _, stderr) =
-        surfaced(&["duration", path, "--rule", "mean-ci", "--source", "mi2"]);
+    let (code, _, stderr) = surfaced(&["duration", path, "--rule", "mean-ci", "--source", "mi2"]);
     assert!(code == 1 && stderr.contains("not of domain `time`"), "{stderr}");
     assert!(stderr.contains("--as-time"), "{stderr}");
 }

@@ -136,7 +136,7 @@ fn cases() -> Vec<Case> {
 
 impl Case {
     fn estimate(&self, repetition: u64, (trials, frames): (usize, usize)) -> PooledEstimate {
-        let key = [b"study", self.name.as_bytes(), &self.tau.to_le_bytes()];
+        let key: [&[u8]; 3] = [b"study", self.name.as_bytes(), &self.tau.to_le_bytes()];
         let mut rng = seed::rng(repetition, &key);
         let series: Vec<Series> = (0..trials)
             .map(|_| Series::new(1e4, self.channels, (self.make)(frames, self.tau, &mut rng)))
@@ -275,7 +275,7 @@ fn algorithm1_on_processes() -> Result<(), Failure> {
     println!("\nThe published rules, R = 200, κ by moments, {REPETITIONS} runs, in units of τ:\n");
     println!("| process | Q × L | rule | T* median (5–95 %) | below truth | no T* |");
     println!("|---|---|---|---|---|---|");
-    for (tau, q) in [(0.0, 10), (0.0, 30), (20.0, 10), (20.0, 30), (100.0, 10), (100.0, 30)] {
+    for (tau, q) in [(0.0, 10usize), (0.0, 30), (20.0, 10), (20.0, 30), (100.0, 10), (100.0, 30)] {
         let searches = (0..REPETITIONS).into_par_iter().map(|run| {
             let mut rng = seed::rng(run, &[b"study", b"ar1", &q.to_le_bytes()[..]]);
             let make = || simulate::ar1(22_000, tau, &mut rng);

@@ -60,6 +60,12 @@ impl Curve {
         (2.0 * UPPER * median / threshold.sqrt()).powi(2)
     }
 
+    /// Half the width of the 90 % interval of √size, where it is.
+    pub fn half_width(&self, bin: usize, threshold: f64) -> f64 {
+        let slope = 2.0 * self.fitted[bin].max(threshold).sqrt();
+        UPPER * (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
+    }
+
     /// Where the fit and its upper bound cross a threshold of the size.
     pub fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();

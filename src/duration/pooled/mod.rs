@@ -195,13 +195,13 @@ impl Found {
         (0..curve.lags.len())
             .map(|bin| {
                 let root = curve.fitted[bin].max(0.0).sqrt();
-                let high = curve.upper(bin, threshold);
+                let half_width = curve.half_width(bin, threshold);
                 Point {
                     lag: curve.lags[bin],
                     dependence: size::as_correlation(curve.sizes[bin].value),
                     fitted: correlation(root),
-                    low: correlation(2.0 * root - high),
-                    high: correlation(high),
+                    low: correlation(root - half_width),
+                    high: correlation(root + half_width),
                 }
             })
             .collect()

@@ -98,10 +98,12 @@ impl DurationReport {
         }
         let more = rows().filter_map(|(_, row)| row.more_trials).max();
         if without > 0 {
-            let _ = write!(text, "; {without} of {} surfaces have no T*", rows().count());
+            let all = rows().count();
+            let have = if without == 1 { "has" } else { "have" };
+            let _ = write!(text, "; {without} of {all} surfaces {have} no T*");
         }
         if let Some(more) = more {
-            let _ = write!(text, " (about {more} more trials of each would show the lacking ones)");
+            let _ = write!(text, " (to show it takes about {more} more trials)");
         }
         text
     }
