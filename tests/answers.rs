@@ -14,7 +14,7 @@ use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
-    GuessSoFar, LOOK_S, Model, Reference, ReferenceOptions, RejectionError, without_flawed,
+    GuessSoFar, LOOK_S, LibraryShape, Model, Reference, ReferenceOptions, RejectionError, without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::trial::{Image, Signal, Trial};
@@ -23,12 +23,8 @@ fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
 }
 
-fn prepared(method: &Embedding, trial: &Trial) -> FrameFeatures {
-    method.frames(&Entry::in_memory(trial.clone()), trial).unwrap()
-}
-
 /// A small synthetic library, its model, and a scan by somebody else.
-fn made() -> (Scene, Embedding, Arc<EmbeddingModel>, Trial) {
+fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     let size = synth::Parameters { surfaces: 4, trials: 4, users: 1, ..Default::default() };
     let library = synth::library(&synth::Parameters { drag_seconds: 1.73, ..size });
     let scene = library.scene.only(&["ca1", "fr", "me", "mi1", "mi2"].map(id)).unwrap();
@@ -36,10 +32,14 @@ fn made() -> (Scene, Embedding, Arc<EmbeddingModel>, Trial) {
         library.entries.iter().map(|e| e.clone().within(&scene).load().unwrap()).collect();
     let (experts, users): (Vec<Trial>, Vec<Trial>) =
         trials.into_iter().partition(|trial| trial.key.user == "expert");
-    let method = embedding(&scene);
-    let library = experts.iter().map(|trial| Arc::new(prepared(&method, trial))).collect();
-    let model = Arc::new(method.train(library).unwrap());
-    (scene, method, model, users[1].clone())
+    let entries: Vec<Entry> = experts.into_iter().map(Entry::in_memory).collect();
+    let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
+    let frames = |entry: &Entry| {
+        let trial = entry.load().unwrap();
+        Arc::new(FrameFeatures::new(&entry.key, &trial, &scene, &shape).unwrap())
+    };
+    let model = embedding(&scene).train(entries.iter().map(frames).collect(), &shape).unwrap();
+    (scene, Arc::new(model), users[1].clone())
 }
 
 /// What is said at the looks at a scan whose frames come in pieces of so many seconds.
@@ -78,7 +78,7 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
 
 #[test]
 fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_scan_says() {
-    let (scene, method, model, scan) = made();
+    let (scene, model, scan) = made();
     let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
     let fine = said(&mut *follower, &scene, &scan, 0.01);
     assert_eq!(fine.len(), 17, "one look each {LOOK_S} s");
@@ -92,17 +92,18 @@ fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_s
         let until = scan.clone().first_seconds(guess.scan_s, |source| {
             scene.get(source.as_str()).unwrap().phase == Phase::Drag
         });
-        let posterior = model.posterior(&prepared(&method, &until)).unwrap().unwrap();
-        assert_eq!(guess.named[0].0, posterior.surfaces[posterior.best()]);
-        let probability = posterior.log_posterior[posterior.best()].exp();
-        assert!((guess.named[0].1 - probability).abs() < 1e-9, "at {} s", guess.scan_s);
+        let query = model.prepare(&Entry::in_memory(until.clone()), &until).unwrap();
+        let ranking = model.rank(&query).unwrap();
+        assert_eq!(guess.named[0].0, ranking.surface());
+        let probability = ranking.confidence.unwrap();
+        assert!((guess.named[0].1 - probability).abs() < 1e-4, "at {} s", guess.scan_s);
         assert_eq!(guess.settled.is_some(), guess.scan_s >= settled.1);
     }
 }
 
 #[test]
 fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
-    let (scene, _, model, scan) = made();
+    let (scene, model, scan) = made();
     let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.remove(&id("fr"));
@@ -130,7 +131,7 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 
 #[test]
 fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end() {
-    let (scene, _, model, scan) = made();
+    let (scene, model, scan) = made();
     let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.retain(|source, _| *source != id("fr") && *source != id("ca1"));
@@ -188,7 +189,7 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let quiet = &|_: &'static str, _: usize, _: usize| ();
     let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap();
     let how = (5, 0.01);
-    let plain = |entry: &Entry| entry.clone();
+    let plain = |_: &Arc<dyn Model>, entry: &Entry| entry.clone();
     let outcome =
         evaluate::run_unknown(&method, &entries, &folds, &library, plain, how, quiet).unwrap();
     assert_eq!((outcome.unknown_queries, outcome.known_queries), (40, 160));
@@ -199,7 +200,7 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
 
 #[test]
 fn a_method_or_a_library_that_cannot_tell_says_so() {
-    let (scene, _, model, _) = made();
+    let (scene, model, _) = made();
     let error = model.rejection(0.01).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });
     assert!(model.rejection(0.1).is_ok(), "16 trials are enough for 10 %");

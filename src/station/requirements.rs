@@ -1,7 +1,7 @@
 //! What T* requires of a scan: how much longer to drag.
 
 use super::event::{Remark, RemarkKind};
-use crate::duration::{DurationReport, Question, Settings, report};
+use crate::duration::{DurationReport, Estimator, Question, Settings, report};
 use crate::kernel::Threshold;
 use crate::library::{Entry, Library};
 use crate::recognise::Ranking;
@@ -33,7 +33,8 @@ impl DurationRequirements {
         }
         let settings =
             Settings { draws: DRAWS, threshold: Threshold::Gamma, ..Settings::default() };
-        let question = Question { sources, settings, ..Question::default() };
+        let estimator = Estimator::Algorithm1(settings);
+        let question = Question { sources, estimator, ..Question::default() };
         Self { scene, report: report(&library, &question, |_, _| {}).ok() }
     }
 

@@ -14,12 +14,9 @@ use multiversion::multiversion;
 use rand::Rng;
 use rand::seq::SliceRandom;
 
-use super::lanes::{LANES, Lane, exp_of_nonpositive, map2, sort_lanes, sorting_network};
+use super::distances::{distances, medians, network_for};
+use super::lanes::{LANES, Lane, exp_of_nonpositive, map2};
 use crate::kernel::{CentredMoments, Pearson3, Threshold, permutation_moments, quantile_index};
-
-/// Largest number of distances that a sorting network is built for; more are gone through lane by
-/// lane.
-const LARGEST_NETWORK: usize = 1300;
 
 /// Eight tests of independence of the same size, with room for all that lies between.
 #[derive(Clone, Debug)]
@@ -70,7 +67,7 @@ impl Batch {
             threshold,
             rank_from_above,
             quantiles: Pearson3::new(alpha),
-            network: if pairs <= LARGEST_NETWORK { sorting_network(pairs) } else { Vec::new() },
+            network: network_for(pairs),
             samples: [vec![zero; n * channels], vec![zero; n * channels]],
             kernels: [vec![zero; n * n], vec![zero; n * n]],
             distances: vec![zero; pairs],
@@ -181,63 +178,6 @@ fn gamma_threshold(batch: &mut Batch) -> Lane {
         let moments = permutation_moments(n, &first[lane], &second[lane]);
         batch.quantiles.quantile(&moments)
     })
-}
-
-#[inline(always)]
-fn distances(samples: &[Lane], n: usize, channels: usize, out: &mut [Lane]) {
-    let mut pair = 0;
-    for i in 0..n {
-        for j in 0..i {
-            let mut sum = [0.0; LANES];
-            for c in 0..channels {
-                let (a, b) = (&samples[i * channels + c], &samples[j * channels + c]);
-                for lane in 0..LANES {
-                    let d = a[lane] - b[lane];
-                    sum[lane] += d * d;
-                }
-            }
-            out[pair] = sum;
-            pair += 1;
-        }
-    }
-}
-
-/// Median of the distances that are not zero, for each lane; infinite where none is left.
-#[inline(always)]
-fn medians(distances: &[Lane], network: &[(u32, u32)], sorted: &mut [Lane]) -> Lane {
-    let mut counts = [0usize; LANES];
-    for (slot, d) in sorted.iter_mut().zip(distances) {
-        for lane in 0..LANES {
-            slot[lane] = if d[lane] > 0.0 { d[lane] } else { f64::INFINITY };
-            counts[lane] += usize::from(d[lane] > 0.0);
-        }
-    }
-    if network.is_empty() && distances.len() > 1 {
-        return std::array::from_fn(|lane| median_by_selection(sorted, lane, counts[lane]));
-    }
-    sort_lanes(sorted, network);
-    std::array::from_fn(|lane| {
-        let count = counts[lane];
-        let upper = sorted[count / 2][lane];
-        match count {
-            0 => f64::INFINITY,
-            count if count % 2 == 1 => upper,
-            count => 0.5 * (sorted[count / 2 - 1][lane] + upper),
-        }
-    })
-}
-
-/// Median of the `count` finite values of one lane.
-fn median_by_selection(values: &[Lane], lane: usize, count: usize) -> f64 {
-    if count == 0 {
-        return f64::INFINITY;
-    }
-    let mut one: Vec<f64> = values.iter().map(|v| v[lane]).collect();
-    let (below, &mut upper, _) = one.select_nth_unstable_by(count / 2, f64::total_cmp);
-    match below.iter().copied().max_by(f64::total_cmp) {
-        Some(lower) if count.is_multiple_of(2) => 0.5 * (lower + upper),
-        _ => upper,
-    }
 }
 
 #[inline(always)]

@@ -1,4 +1,4 @@
-//! What Algorithm 1 is asked and what it answers: settings, the curve, T*.
+//! Settings of Algorithm 1, its curve, and its answer.
 
 use crate::kernel::{PERMUTATIONS, Threshold};
 
@@ -22,8 +22,7 @@ impl std::fmt::Display for Rule {
     }
 }
 
-/// Parameters of Algorithm 1. The defaults are the paper's, with the rule that the study of
-/// [`crate::duration`] speaks for.
+/// Parameters of Algorithm 1. The defaults are the paper's, with the authors' program's rule.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Settings {
     /// What CB+ is.

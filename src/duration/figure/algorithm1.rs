@@ -2,37 +2,18 @@
 
 use plotters::prelude::*;
 
-use super::estimate::CurvePoint;
-use super::report::SourceDuration;
-use crate::draw::{Area, Drawn, FigureError, drawing, svg};
+use crate::draw::{Area, Drawn, drawing};
+use crate::duration::algorithm1::CurvePoint;
+use crate::duration::report::SourceDuration;
 
-const PANEL: (u32, u32) = (640, 380);
 const HSIC: RGBColor = RGBColor(0, 90, 160);
 const KAPPA: RGBColor = RGBColor(200, 70, 0);
 const MARK: RGBColor = RGBColor(30, 30, 30);
 
-/// An SVG with a panel for each surface and source that has a curve, two in a row.
-///
-/// # Errors
-/// If there is no curve.
-pub fn figure(durations: &[SourceDuration]) -> Result<String, FigureError> {
-    let shown: Vec<_> = durations.iter().filter(|d| d.curve.len() > 1).collect();
-    if shown.is_empty() {
-        return Err(FigureError("no surface and source has a curve".into()));
-    }
-    let columns = shown.len().min(2);
-    let rows = shown.len().div_ceil(columns);
-    let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
-    svg(size, |root| {
-        let areas = root.split_evenly((rows, columns));
-        areas.iter().zip(shown).try_for_each(|(area, row)| panel(area, row))
-    })
-}
-
-fn panel(area: &Area<'_>, row: &SourceDuration) -> Drawn {
+/// A panel for one surface and source.
+pub(super) fn panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
     let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
-    let curve = &row.curve;
     // The curve far beyond T* is flat: four times T* shows what matters.
     let last = curve.last().map_or(1, |p| p.lag);
     let end = row.t_star_samples.map_or(last, |t| last.min((4 * t).max(20)));
@@ -109,38 +90,4 @@ fn panel(area: &Area<'_>, row: &SourceDuration) -> Drawn {
         .label_font(("sans-serif", 13))
         .draw()
         .map_err(drawing)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::{Rule, Settings, Trials, simulate, t_star};
-    use super::*;
-    use crate::kernel::Threshold;
-    use crate::scene::SourceId;
-
-    #[test]
-    fn a_figure_marks_t_star() {
-        let mut rng = crate::seed::rng(1, &[b"figure"]);
-        let make = || simulate::ar1(6000, 20.0, &mut rng);
-        let trials = Trials::new(simulate::trials(10, 1e4, make).unwrap()).unwrap();
-        let settings = Settings { draws: 50, threshold: Threshold::Gamma, ..Settings::default() };
-        let estimate = t_star(&trials, settings).unwrap();
-        let row = SourceDuration {
-            surface: "G1 <mesh>".into(),
-            source: SourceId::new("ir").unwrap(),
-            trials: 10,
-            t_star_samples: estimate.t_star(),
-            t_star_s: estimate.t_star_s(),
-            scan_s: None,
-            reason: None,
-            remarks: Vec::new(),
-            rule: Rule::MeanCi,
-            latest_start: Some(1),
-            rate_hz: Some(1e4),
-            curve: estimate.curve,
-        };
-        let svg = figure(std::slice::from_ref(&row)).unwrap();
-        assert!(svg.contains("T* =") && svg.contains("&lt;mesh&gt;"), "{svg}");
-        assert!(figure(&[SourceDuration { curve: Vec::new(), ..row }]).is_err());
-    }
 }

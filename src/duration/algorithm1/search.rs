@@ -6,7 +6,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::batch::Batch;
 use super::estimate::{CurvePoint, Estimate, Outcome, Rule, Settings};
-use super::trials::{DurationError, Trials};
+use crate::duration::trials::{DurationError, Trials};
 use crate::kernel::{Threshold, quantile_index};
 use crate::seed;
 
@@ -187,8 +187,8 @@ pub fn t_star(trials: &Trials, settings: Settings) -> Result<Estimate, DurationE
 
 #[cfg(test)]
 mod tests {
-    use super::super::simulate;
     use super::*;
+    use crate::duration::simulate;
 
     fn trials(
         count: usize,
