@@ -14,7 +14,8 @@ use surfaced::evaluate;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
-    GuessSoFar, LOOK_S, LibraryShape, Model, Reference, ReferenceOptions, RejectionError, without_flawed,
+    GuessSoFar, LOOK_S, LibraryShape, Model, Reference, ReferenceOptions, RejectionError,
+    without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::trial::{Image, Signal, Trial};

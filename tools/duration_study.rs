@@ -92,9 +92,9 @@ fn cases() -> Vec<Case> {
         case("OU", ou, 100.0, Wanted::InTau(2.1, 2.7)),
         Case { trials: 5, frames: 10_000, ..case("OU", ou, 20.0, Wanted::InTau(2.0, 3.0)) },
         case("OU", ou, 1000.0, Wanted::NearTruthOrLittleData),
-        case("random telegraph", |n, tau, rng| simulate::telegraph(n, tau, rng), tau, truth),
+        case("random telegraph", simulate::telegraph, tau, truth),
         Case { channels: 3, ..case("three channels, 20/50/100", three_channels, tau, truth) },
-        case("AR, t₂ innovations", |n, tau, rng| simulate::heavy_tailed(n, tau, rng), tau, truth),
+        case("AR, t₂ innovations", simulate::heavy_tailed, tau, truth),
         case("OU, 12 bit, σ = 512 steps", |n, tau, rng| quantised(n, tau, rng, 512.0), tau, truth),
         case("OU, 12 bit, σ = 1 step", |n, tau, rng| quantised(n, tau, rng, 1.0), tau, truth),
         case(
@@ -103,7 +103,7 @@ fn cases() -> Vec<Case> {
             tau,
             truth,
         ),
-        case("stochastic volatility", |n, tau, rng| simulate::volatility(n, tau, rng), tau, truth),
+        case("stochastic volatility", simulate::volatility, tau, truth),
         case("noise", |n, _, rng| ou(n, 0.0, rng), 1.0, Wanted::One),
         Case {
             trials: 5,

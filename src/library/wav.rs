@@ -304,7 +304,7 @@ mod tests {
         // A quarter and minus a half, in the upper 24 of 32 bits.
         let data = chunk(b"data", &[0, 0, 0, 0x20, 0, 0, 0, 0xC0]);
         assert_eq!(
-            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), &[data.clone()])).unwrap(),
+            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), std::slice::from_ref(&data))).unwrap(),
             [0.25, -0.5]
         );
         let error = read_bytes(&file(PCM, 4, 24, None, &[data])).unwrap_err();
