@@ -192,7 +192,7 @@ fn silence_and_clipping_are_told_once_a_change_and_within_a_second() {
     let second = |step: u64| Duration::from_millis(10 * step + 1000);
     running.says(&["opening", "streaming", "is silent"]);
     assert!(running.begin.elapsed() < second(60) + Duration::from_millis(100));
-    running.says(&["heard well again", "is clipped"]);
+    running.says(&["level is normal again", "is clipped"]);
     assert!(running.begin.elapsed() < second(400) + Duration::from_millis(100));
     wait(1.0);
     assert!(running.reports.is_empty());

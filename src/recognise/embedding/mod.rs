@@ -26,6 +26,7 @@ mod posterior;
 mod scan;
 mod series;
 mod training;
+mod view_sums;
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use super::fourier::{BAND_FEATURES, BandScale};
 use super::linear::log_symmetric;
+use super::view_sums::{ViewSums, on_surface};
 use crate::recognise::features::block_sums::{MOMENTS, WindowStatistics, WindowSums};
 use crate::recognise::features::frame_features::{SeriesFrames, SourceViews};
 
@@ -82,49 +83,10 @@ pub(super) struct SeriesSums {
     pub blocks: WindowSums,
 }
 
-/// What some frames of one view add up to.
-#[derive(Clone, Debug)]
-struct ViewSums {
-    /// Fourier features.
-    bands: Vec<f64>,
-    /// ln power over the bands of each channel.
-    levels: Vec<f64>,
-    frames: usize,
-}
-
 impl SeriesSums {
     /// Number of frames of a view.
     pub fn frames(&self, view: usize) -> usize {
-        self.views[view].frames
-    }
-}
-
-impl ViewSums {
-    fn new(channels: usize, width: usize) -> Self {
-        Self { bands: vec![0.0; BAND_FEATURES * width], levels: vec![0.0; channels], frames: 0 }
-    }
-
-    fn add(&mut self, scale: &BandScale, values: &[f32], width: usize) {
-        scale.add(values, &mut self.bands);
-        let bands = width / self.levels.len();
-        for row in values.chunks_exact(width) {
-            for (sum, of_channel) in self.levels.iter_mut().zip(row.chunks_exact(bands)) {
-                *sum += f64::from(of_channel.iter().sum::<f32>());
-            }
-        }
-        self.frames += values.len() / width;
-    }
-
-    fn join(&mut self, other: &Self) {
-        let pairs = self.bands.iter_mut().zip(&other.bands);
-        pairs.chain(self.levels.iter_mut().zip(&other.levels)).for_each(|(sum, x)| *sum += x);
-        self.frames += other.frames;
-    }
-
-    /// Mean ln power of a channel.
-    fn level(&self, channel: usize) -> f64 {
-        let bands = self.bands.len() / BAND_FEATURES / self.levels.len();
-        self.levels[channel] / (self.frames.max(1) * bands) as f64
+        self.views[view].frames()
     }
 }
 
@@ -187,7 +149,7 @@ impl SeriesEmbedder {
 
     /// Adds frames of one view, as ln power.
     pub fn add_frames(&self, sums: &mut SeriesSums, view: usize, values: &[f32]) {
-        sums.views[view].add(&self.scales[view], values, self.views.0[view].width());
+        sums.views[view].add(&self.scales[view], values);
     }
 
     /// The vectors of some windows of a trial.
@@ -225,7 +187,7 @@ impl SeriesEmbedder {
             }
             series.frames[view].unpack(width, piece[0]..piece[1], &mut values);
             let mut sums = ViewSums::new(self.channels(), width);
-            sums.add(&self.scales[view], &values, width);
+            sums.add(&self.scales[view], &values);
             let holding = all.iter_mut().zip(&ranges).filter(|(_, range)| holds(range));
             holding.for_each(|(total, _)| total.join(&sums));
         }
@@ -237,6 +199,7 @@ impl SeriesEmbedder {
         let mut vector = Vec::with_capacity(self.dims());
         for (v, of_view) in sums.views.iter().enumerate() {
             let bands = self.views.0[v].bands();
+            let of_view = of_view.on_surface();
             let shift = |channel: usize| match self.level {
                 Level::Shape => of_view.level(channel) - self.levels[v][channel],
                 Level::Mean | Level::Loudness => 0.0,
@@ -318,8 +281,9 @@ fn band_scale(trials: &[&SeriesFrames], view: usize, aligned: bool) -> (BandScal
     let bands = width / channels;
     let of_trial = |trial: &&SeriesFrames| {
         let mut values = Vec::new();
-        let frames = trial.frames[view].frames(width);
-        trial.frames[view].unpack(width, 0..frames, &mut values);
+        trial.frames[view].unpack(width, 0..trial.frames[view].frames(width), &mut values);
+        let values = on_surface(&values, width);
+        let frames = values.len() / width;
         let (mut sums, mut squares) = (vec![0f64; width], vec![0f64; width]);
         for row in values.chunks_exact(width) {
             for ((sum, square), &x) in sums.iter_mut().zip(&mut squares).zip(row) {

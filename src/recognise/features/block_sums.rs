@@ -267,10 +267,13 @@ fn powers(x: &[f32]) -> [f64; 6] {
     [total, cubes.iter().sum(), fourths.iter().sum(), add(magnitude), add(root), crossings as f64]
 }
 
-/// What some blocks add up to.
+/// What some blocks add up to: those that move, if any does. Blocks where every channel rests are
+/// gaps that a line has filled with its last value.
 #[derive(Clone, Debug)]
 pub struct WindowSums {
     channels: usize,
+    /// Whether some block moved.
+    moved: bool,
     sums: Vec<f64>,
 }
 
@@ -282,12 +285,20 @@ impl WindowSums {
             sums[place(Of::Least, c)] = f64::INFINITY;
             sums[place(Of::Greatest, c)] = f64::NEG_INFINITY;
         }
-        Self { channels, sums }
+        Self { channels, moved: false, sums }
     }
 
     /// Adds a block.
     pub fn add(&mut self, of_block: &[f32]) {
         let (least, greatest) = (Of::Least as usize, Of::Greatest as usize);
+        let extreme = |of: Of, c: usize| of_block[place(of, c)];
+        let moves = (0..self.channels).any(|c| extreme(Of::Least, c) != extreme(Of::Greatest, c));
+        if self.moved && !moves {
+            return;
+        }
+        if moves && !self.moved {
+            *self = Self { moved: true, ..Self::new(self.channels) };
+        }
         let powers = 1..products(self.channels, 0);
         for (i, (sum, &x)) in self.sums.iter_mut().zip(of_block).enumerate() {
             let x = f64::from(x);

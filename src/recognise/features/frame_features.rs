@@ -305,7 +305,7 @@ mod tests {
         assert_eq!(points("ac", 100.0, 500), [64, 16]);
         assert_eq!(points("fr", 10.0, 50), [16, 4], "a quarter of the trial");
         assert_eq!(points("fr", 10.0, 3), [4, 4]);
-        assert_eq!(views("fr", 35.0, 415, 35.0)[0].edges.last(), Some(&33), "to half the rate");
+        assert_eq!(views("fr", 35.0, 415, 35.0)[0].edges.last(), Some(&32), "to half the rate");
     }
 
     #[test]

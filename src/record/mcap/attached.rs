@@ -79,7 +79,7 @@ pub fn within(name: &str) -> Option<PathBuf> {
         1 => name == DESCRIPTION || name.ends_with(".mat"),
         parts => (2..=DEEPEST).contains(&parts),
     };
-    let odd = name.contains(['\\', '\0']) || name.contains("//") || name.ends_with('/');
+    let odd = name.contains(['\\', '\0']) || name.split('/').any(|part| matches!(part, "" | "."));
     (fits && !odd && path.components().all(plain)).then(|| path.to_path_buf())
 }
 
