@@ -6,8 +6,8 @@ use super::choose::choose;
 use super::figure::write;
 use super::method::MethodArgs;
 use super::parse::share;
+use super::protocol::ProtocolArg;
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
 use crate::recognise::MethodSpec;
@@ -28,9 +28,9 @@ pub struct Args {
     /// File to write the plan to
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// How queries and library are split (default: users against the expert where there are users)
+    /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
     #[command(flatten)]
     sources: SourceArgs,
     /// Print the plan, and what it was found by, as one JSON document on stdout

@@ -95,7 +95,7 @@ pub struct Report {
     pub sources: Vec<String>,
     /// Number of queries.
     pub queries: usize,
-    /// Number of those that were also asked of a library without their surface.
+    /// Number of those that were also compared with a library without their surface.
     pub unknown_queries: usize,
     /// Whether sources with a dead or stuck sensor were compared all the same.
     pub keep_flawed: bool,
