@@ -10,7 +10,7 @@ use assert_cmd::Command;
 use common::{id, real_sounds};
 use serde_json::Value;
 use surfaced::dataset::synth;
-use surfaced::evaluate::{self, Evaluation, SettledOutcome, UnknownOutcome};
+use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,

@@ -126,8 +126,8 @@ mod tests {
         for (method, _) in settings() {
             let words = options_of(&method);
             let words = std::iter::once("surfaced").chain(words.split(' '));
-            let asked = Options::try_parse_from(words).unwrap();
-            assert_eq!(asked.method.spec().ok(), Some(method));
+            let parsed = Options::try_parse_from(words).unwrap();
+            assert_eq!(parsed.method.spec().ok(), Some(method));
         }
     }
 }

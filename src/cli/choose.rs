@@ -32,11 +32,11 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
         let list = |ids: BTreeSet<&SourceId>| {
             ids.into_iter().map(SourceId::as_str).collect::<Vec<_>>().join(", ")
         };
-        let asked = list(scene.sources().map(|spec| &spec.id).collect());
+        let wanted = list(scene.sources().map(|spec| &spec.id).collect());
         let held = list(library.entries.iter().flat_map(|entry| &entry.sources).collect());
         let held = if held.is_empty() { "none that is known".into() } else { held };
         return Err(Failure::Failed(format!(
-            "{}: no trial holds {asked}; sources that the data hold: {held}",
+            "{}: no trial holds {wanted}; sources that the data hold: {held}",
             library.name
         )));
     }

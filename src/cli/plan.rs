@@ -54,7 +54,7 @@ pub struct ComparingArgs {
 }
 
 impl ComparingArgs {
-    /// What the plan says, if there is one, or else the other arguments; tells people so.
+    /// What the plan says, if there is one, or else the other arguments; says so.
     ///
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
@@ -123,14 +123,14 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&planned);
     }
-    tell(&planned);
+    print(&planned);
     if args.out.is_none() {
         say!("\n{text}");
     }
     verdict(args, &planned)
 }
 
-fn tell(planned: &Planned) {
+fn print(planned: &Planned) {
     say!("\nsource       alone   latency    scan");
     for cost in &planned.sources {
         say!(

@@ -87,7 +87,10 @@ impl EnrolledOutcome {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::{Protocol, folds};
+    use crate::evaluate::{Evaluation, Protocol, Trials, folds};
+    use crate::recognise::features::{FeatureVector, SourceFeatures};
+    use crate::recognise::{MethodName, MethodSpec};
+    use crate::scene::{Scene, SourceId};
     use crate::trial::EXPERT;
 
     fn keys() -> Vec<TrialKey> {
@@ -111,6 +114,36 @@ mod tests {
         assert_eq!(by_expert[0].library, [0, 1, 3, 6, 7, 9], "trial 1 by user1 is enrolled");
         assert_eq!(by_expert[0].queries, [2, 4, 8, 10]);
         assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
+    }
+
+    /// A user whose `a` looks like the expert's `b`: only their own trials help.
+    #[test]
+    fn the_gain_is_measured_on_the_same_queries() {
+        let value = |key: &TrialKey| {
+            let hand = if key.user == EXPERT { 0.0 } else { 10.0 };
+            hand + if key.surface == "a" { 0.0 } else { 10.0 } + 0.01 * f64::from(key.number)
+        };
+        let trial = |key: TrialKey| {
+            let values = vec![value(&key)];
+            let source = SourceId::new("mi2").unwrap();
+            let features = SourceFeatures { values, rate_hz: 0.0 };
+            FeatureVector { key, sources: [(source, features)].into() }
+        };
+        let keys = keys();
+        let trials: Vec<FeatureVector> = keys.iter().cloned().map(trial).collect();
+        let before = folds(Protocol::ExpertVsUsers, &keys).unwrap();
+        let folds = enrol(&before, &keys, 1).unwrap();
+        let scene = Scene::lmt108();
+        let evaluation = Evaluation {
+            trials: Trials::Features(&trials),
+            ..Evaluation::new(&scene, &[], &folds)
+        };
+        let method = MethodSpec::from(MethodName::Knn).build(&scene);
+        let run = evaluation.prepare(&*method).unwrap();
+        let measured = run.measure().unwrap();
+        let outcome = EnrolledOutcome::of(&run, &measured, &before, 1).unwrap();
+        assert_eq!((measured.outcome.queries, outcome.accuracy), (4, 1.0));
+        assert_eq!((outcome.accuracy_without, outcome.gain), (0.5, 0.5));
     }
 
     #[test]

@@ -125,7 +125,7 @@ pub struct Query {
 /// For people: sources that were left out of queries and why, each with these queries.
 pub type LeftOut = BTreeMap<String, BTreeSet<TrialKey>>;
 
-/// What came of naming all queries.
+/// The result of naming all queries.
 #[derive(Clone, Debug)]
 pub struct Measured {
     /// In sum.

@@ -1,4 +1,4 @@
-//! What came of an evaluation: accuracies, precision, confusion, latencies.
+//! The result of an evaluation: accuracies, precision, confusion, latencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 

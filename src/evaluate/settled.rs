@@ -70,7 +70,7 @@ impl SettledOutcome {
             rules.push(follower.settling().clone());
             for &query in &fold.queries {
                 let trial = run.recording(query)?;
-                let truth = trial.key.surface.clone();
+                let truth = run.on().trials.key(query).surface.clone();
                 let scan_s = drag_s(&trial, scene);
                 let start_s = processor_s();
                 let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;

@@ -216,7 +216,7 @@ impl<'a> Search<'a> {
         chosen
     }
 
-    /// Leaves out what is not needed, the dearest first.
+    /// Leaves out sources that are not needed, the most expensive first.
     fn prune(&mut self, mut chosen: Choice, least: Option<usize>) -> Choice {
         for s in self.by_cost.clone().into_iter().rev() {
             let others: Vec<usize> = chosen.sources.iter().copied().filter(|o| *o != s).collect();

@@ -1,4 +1,4 @@
-//! What came of a stress run.
+//! The result of a stress run.
 
 use std::fmt::Write as _;
 
@@ -28,7 +28,7 @@ pub struct Cell {
 pub struct Level {
     /// In the disturbance's unit.
     pub level: f64,
-    /// What came of it.
+    /// What was measured.
     #[serde(flatten)]
     pub cell: Cell,
 }
