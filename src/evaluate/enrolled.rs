@@ -116,11 +116,11 @@ mod tests {
         assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
     }
 
-    /// A user whose `a` looks like the expert's `b`: only their own trials help.
+    /// A user whose `a` is nearer to the expert's `b`: only their own trials help.
     #[test]
     fn the_gain_is_measured_on_the_same_queries() {
         let value = |key: &TrialKey| {
-            let hand = if key.user == EXPERT { 0.0 } else { 10.0 };
+            let hand = if key.user == EXPERT { 0.0 } else { 6.0 };
             hand + if key.surface == "a" { 0.0 } else { 10.0 } + 0.01 * f64::from(key.number)
         };
         let trial = |key: TrialKey| {
