@@ -10,7 +10,7 @@ use assert_cmd::Command;
 use common::{id, real_sounds};
 use serde_json::Value;
 use surfaced::dataset::synth;
-use surfaced::evaluate;
+use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
@@ -165,12 +165,8 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
 fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
-    let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap();
-    let run = || {
-        let how = (0.01, None);
-        evaluate::run_settled(&method, &scene, &entries, &folds, &library, how, quiet).unwrap()
-    };
+    let prepared = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    let run = || SettledOutcome::of(&prepared, 0.01).unwrap();
     let outcome = run();
     assert!(outcome.scan_s_mean <= 0.5 * outcome.whole_s_mean, "{outcome:?}");
     assert!(outcome.accuracy >= outcome.accuracy_whole - 0.05, "{outcome:?}");
@@ -187,12 +183,8 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
 fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
-    let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap();
-    let how = (5, 0.01);
-    let plain = |_: &Arc<dyn Model>, entry: &Entry| entry.clone();
-    let outcome =
-        evaluate::run_unknown(&method, &entries, &folds, &library, plain, how, quiet).unwrap();
+    let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    let outcome = UnknownOutcome::of(&run, 5, 0.01).unwrap();
     assert_eq!((outcome.unknown_queries, outcome.known_queries), (40, 160));
     assert!(outcome.unknown_caught >= 0.6, "{outcome:?}");
     assert!(outcome.false_rejections <= 0.03, "{outcome:?}");

@@ -8,7 +8,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{id, picture, real_sounds, series};
-use surfaced::evaluate::{self, Fold};
+use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FrameFeatures, FreshFrames,
@@ -23,11 +23,10 @@ fn embedding(scene: &Scene) -> Embedding {
 }
 
 fn accuracy(method: &dyn Method, entries: &[Entry], folds: &[Fold], seconds: Option<f64>) -> f64 {
-    let cut = move |entry: &Entry| match seconds {
-        Some(s) => entry.clone().changed(move |trial| trial.first_seconds(s, |_| true)),
-        None => entry.clone(),
-    };
-    evaluate::run(method, entries, folds, cut, &|_, _, _| ()).unwrap().0.accuracy_mean
+    let scene = Scene::lmt108();
+    let evaluation = Evaluation::new(&scene, entries, folds);
+    let run = Evaluation { query_seconds: seconds, ..evaluation }.prepare(method).unwrap();
+    run.measure().unwrap().outcome.accuracy_mean
 }
 
 #[test]

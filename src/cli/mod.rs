@@ -27,6 +27,7 @@ mod method;
 mod paper;
 mod parse;
 mod plan;
+mod protocol;
 mod replay;
 mod run;
 mod samples;

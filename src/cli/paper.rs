@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
 use super::{Done, Failure, show, shown};
-use crate::evaluate::paper::{self, Part, Report, ReportRow, Shard};
+use crate::evaluate::paper::{self, MergeError, Part, Report, ReportRow, Shard};
 use crate::library::Library;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
@@ -41,7 +41,7 @@ pub fn run(
     let out = out.unwrap_or(Path::new("."));
     let path = out.join(shard.file_name());
     let done = if path.exists() { read(&path).ok() } else { None };
-    // The very run is told by its data, settings and trials, which cost nothing to find out.
+    // Data, settings and trials identify a run, and cost nothing to find out.
     let expected = paper::work_head(library, &options, shard);
     if let Some(done) = done {
         if done.shard != shard || !done.is_of_run(&expected) {
@@ -81,7 +81,18 @@ pub fn merge(args: &MergeArgs) -> Done {
         }
     }
     let parts = files.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
-    finish(&paper::merge(parts)?, args.out.as_deref(), args.json)
+    let whole = paper::merge(parts).map_err(mended)?;
+    finish(&whole, args.out.as_deref(), args.json)
+}
+
+/// Why shards cannot be joined, with what to name instead where none were.
+fn mended(error: MergeError) -> Failure {
+    Failure::Failed(match error {
+        MergeError::Nothing => format!(
+            "{error}; name the files that `surfaced eval --paper --shard` wrote, or their folder"
+        ),
+        other => other.to_string(),
+    })
 }
 
 fn failed(path: &Path, error: impl std::fmt::Display) -> Failure {
@@ -123,12 +134,12 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
     if json {
         show::json(&report);
     } else {
-        tell(&report);
+        print(&report);
     }
     Ok(())
 }
 
-fn tell(report: &Report) {
+fn print(report: &Report) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
     say!();
     say!("{}{mark} · reference · {}", report.data, report.settings);
@@ -141,11 +152,11 @@ fn tell(report: &Report) {
             say!("{} · {}", row.place, row.protocol);
             head = of_row;
         }
-        tell_row(row);
+        print_row(row);
     }
 }
 
-fn tell_row(row: &ReportRow) {
+fn print_row(row: &ReportRow) {
     let figure = |mean: f64, std: Option<f64>| match std {
         Some(std) => format!("{mean:.1} ± {std:4.1}"),
         None => format!("{mean:.1}       "),

@@ -6,8 +6,8 @@ use super::choose::choose;
 use super::figure::write;
 use super::method::MethodArgs;
 use super::parse::share;
+use super::protocol::ProtocolArg;
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
 use crate::recognise::MethodSpec;
@@ -28,9 +28,9 @@ pub struct Args {
     /// File to write the plan to
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// How queries and library are split (default: users against the expert where there are users)
+    /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
     #[command(flatten)]
     sources: SourceArgs,
     /// Print the plan, and what it was found by, as one JSON document on stdout
@@ -54,7 +54,7 @@ pub struct ComparingArgs {
 }
 
 impl ComparingArgs {
-    /// What the plan says, if there is one, or else the other arguments; tells people so.
+    /// What the plan says, if there is one, or else the other arguments; says so.
     ///
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
@@ -123,14 +123,14 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&planned);
     }
-    tell(&planned);
+    print(&planned);
     if args.out.is_none() {
         say!("\n{text}");
     }
     verdict(args, &planned)
 }
 
-fn tell(planned: &Planned) {
+fn print(planned: &Planned) {
     say!("\nsource       alone   latency    scan");
     for cost in &planned.sources {
         say!(

@@ -9,12 +9,13 @@ use super::choose::{Choice, choose, within};
 use super::keys::watch_signals;
 use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
+use super::protocol::ProtocolArg;
 use super::serve::ServeArgs;
 use super::tally::Tally;
 use super::{Done, Failure, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol, first_seconds};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
@@ -45,7 +46,7 @@ pub struct Args {
     speed: Speed,
     /// Which trials are named against which, where no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
@@ -78,7 +79,7 @@ pub fn run(args: &Args) -> Done {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(&how, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(&how, scene, Some(ProtocolArg(Protocol::ExpertVsUsers)))?
         }
         (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
@@ -89,11 +90,14 @@ pub fn run(args: &Args) -> Done {
 fn by_protocol(
     how: &Comparing,
     data: Library,
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
 ) -> Result<Stage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
+    let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
-    say!("protocol: {}", protocol.name());
+    if named {
+        say!("protocol: {}", protocol.name());
+    }
     Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 
@@ -200,6 +204,7 @@ impl Stage {
 fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
     let progress = |step, done, of| steps.show(step, done, of);
-    let prepared = evaluate::prepare_folds(method, &stage.entries, &stage.folds, None, &progress)?;
-    stage.folds.iter().map(|fold| prepared.fit(method, &fold.library)).collect()
+    let evaluation = Evaluation::new(&stage.scene, &stage.entries, &stage.folds);
+    let run = Evaluation { progress: &progress, ..evaluation }.prepare(method)?;
+    stage.folds.iter().map(|fold| run.fit(&fold.library)).collect()
 }

@@ -5,6 +5,7 @@ use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::evaluate::LeftOut;
 use crate::library::Library;
 use crate::station::Answer;
 
@@ -36,6 +37,19 @@ pub fn try_json(value: &impl serde::Serialize) -> std::io::Result<()> {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
     let text = serde_json::to_string(value).expect("plain data");
     writeln!(std::io::stdout(), "{text}")
+}
+
+/// Says which sources were left out of queries, and why.
+pub fn left_out(left_out: &LeftOut) {
+    for (remark, trials) in left_out {
+        let more = match trials.len() {
+            0 | 1 => String::new(),
+            several => format!(" and {} more", several - 1),
+        };
+        if let Some(first) = trials.first() {
+            say!("warning: {remark} ({first}{more})");
+        }
+    }
 }
 
 /// A number of things: `1 trial`, `2 trials`.

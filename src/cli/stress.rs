@@ -106,9 +106,9 @@ fn measured(args: &Args) -> Result<Report, Failure> {
         say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
         let method = quick(*method).build(&scene);
         let steps = show::Steps::new();
-        let told = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
+        let measured = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
         drop(steps);
-        report.methods.push(told);
+        report.methods.push(measured);
         // What is done stays, should a later method fail or a person lose patience.
         keep(args, &report)?;
     }

@@ -26,20 +26,20 @@ pub struct Loudness {
 impl Loudness {
     /// The control for a scene. `None` if no source has a spectrum.
     pub fn new(scene: &Scene) -> Option<Self> {
-        let heard = |spec: &&_| is_heard(spec);
-        let ids: Vec<SourceId> = scene.sources().filter(heard).map(|s| s.id.clone()).collect();
+        let ids: Vec<SourceId> =
+            scene.sources().filter(|s| has_spectrum(s)).map(|s| s.id.clone()).collect();
         // The scene's own sources, so there is no error to be had.
         let scene = scene.clone().only(&ids).ok()?;
         (!ids.is_empty()).then_some(Self { scene })
     }
 
-    /// The sources that are heard.
+    /// The sources with a spectrum.
     pub fn sources(&self) -> impl Iterator<Item = &SourceId> {
         self.scene.sources().map(|spec| &spec.id)
     }
 }
 
-fn is_heard(spec: &crate::scene::SourceSpec) -> bool {
+fn has_spectrum(spec: &crate::scene::SourceSpec) -> bool {
     matches!(spec.domain, Domain::Spectrum { .. })
 }
 
@@ -149,8 +149,8 @@ mod tests {
     #[test]
     fn a_scene_without_spectra_has_no_loudness() {
         let scene = Scene::lmt108();
-        let heard: Vec<_> = Loudness::new(&scene).unwrap().sources().cloned().collect();
-        assert_eq!(heard.iter().map(SourceId::as_str).collect::<Vec<_>>(), ["ac", "mi1", "mi2"]);
+        let sounds: Vec<_> = Loudness::new(&scene).unwrap().sources().cloned().collect();
+        assert_eq!(sounds.iter().map(SourceId::as_str).collect::<Vec<_>>(), ["ac", "mi1", "mi2"]);
         let images = scene.only(&[SourceId::new("ca1").unwrap()]).unwrap();
         assert!(Loudness::new(&images).is_none());
     }

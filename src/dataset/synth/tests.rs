@@ -186,7 +186,7 @@ fn time_to_generate_a_full_scene() {
 
 /// Accuracy of `reference`, with few samples, on one source of a few surfaces.
 fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
-    use crate::evaluate::{Protocol, folds, run};
+    use crate::evaluate::{Evaluation, Protocol, folds};
     use crate::recognise::{Reference, ReferenceOptions};
 
     let scene = Scene::lmt108().only(&[SourceId::new(source).unwrap()]).unwrap();
@@ -197,8 +197,9 @@ fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
     let keys: Vec<_> = entries.iter().map(|e| e.key.clone()).collect();
     let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
     let options = ReferenceOptions { samples: 200, repetitions: 2, ..Default::default() };
-    let method = Reference::new(scene, options);
-    run(&method, &entries, &folds, Clone::clone, &|_, _, _| {}).unwrap().0.accuracy_mean
+    let method = Reference::new(scene.clone(), options);
+    let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    run.measure().unwrap().outcome.accuracy_mean
 }
 
 #[test]

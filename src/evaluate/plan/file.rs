@@ -36,7 +36,7 @@ pub enum PlanError {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expected {
-    /// The accuracy that was asked for.
+    /// The accuracy to reach.
     pub target: f64,
     /// Whether cross-validation reaches it.
     pub reached: bool,

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use crate::evaluate::run::{Progress, first_seconds, prepare_folds, run_prepared};
-use crate::evaluate::{EvaluateError, Fold, Outcome};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, Progress};
 use crate::library::Entry;
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::Scene;
@@ -39,18 +38,13 @@ pub(super) struct Trying<'a> {
     pub cache: Option<&'a Path>,
 }
 
-/// How many queries were named right.
-pub(super) fn right(outcome: &Outcome) -> usize {
-    outcome.folds.iter().map(|f| (f.accuracy * f.queries as f64).round() as usize).sum()
-}
-
 /// The choice of a method, once sources and scan time are chosen.
 pub(super) struct ChoosingMethod<'a> {
     pub on: Trying<'a>,
-    /// Whether so many right ones reach the target.
+    /// Whether this number of right answers reaches the target.
     pub reaches: &'a dyn Fn(usize) -> bool,
     /// For people: what was done, a line each.
-    pub told: &'a mut Vec<String>,
+    pub steps: &'a mut Vec<String>,
     pub progress: Progress<'a>,
 }
 
@@ -60,7 +54,7 @@ impl ChoosingMethod<'_> {
         let embedded = run(&embedding(), self.on, self.progress)?;
         match self.cheaper(&embedded)? {
             Some(cheaper) => Ok(cheaper),
-            None if (self.reaches)(right(&embedded)) => Ok((embedding(), embedded)),
+            None if (self.reaches)(embedded.right()) => Ok((embedding(), embedded)),
             None => self.sharper(embedded),
         }
     }
@@ -81,8 +75,8 @@ impl ChoosingMethod<'_> {
                 continue;
             }
             let outcome = run(&setting, self.on, self.progress)?;
-            if (self.reaches)(right(&outcome)) {
-                self.told.push(format!(
+            if (self.reaches)(outcome.right()) {
+                self.steps.push(format!(
                     "{} is as good, and takes {:.2} ms instead of {:.2} ms",
                     shown(&setting),
                     outcome.query_ms_p50,
@@ -99,9 +93,9 @@ impl ChoosingMethod<'_> {
     fn sharper(&mut self, embedded: Outcome) -> Result<(MethodSpec, Outcome), EvaluateError> {
         let setting = reference(SHARPER);
         let outcome = run(&setting, self.on, self.progress)?;
-        let (found, so_far) = (right(&outcome), right(&embedded));
+        let (found, so_far) = (outcome.right(), embedded.right());
         let (its, others) = (shown(&setting), shown(&embedding()));
-        self.told.push(format!("{its} names {found} right, {others} {so_far}"));
+        self.steps.push(format!("{its} names {found} right, {others} {so_far}"));
         Ok(if found > so_far { (setting, outcome) } else { (embedding(), embedded) })
     }
 }
@@ -130,9 +124,11 @@ fn run(
         queries: fold.queries.iter().copied().filter(has_any).collect(),
     });
     let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
-    let as_query = |entry: &Entry| first_seconds(entry, on.scene, on.scan_s);
-    let method = &*setting.build(on.scene);
-    let prepared = prepare_folds(method, &entries, &folds, on.cache, progress)?;
-    let (outcome, _) = run_prepared(method, &entries, &folds, &prepared, as_query, progress)?;
-    Ok(outcome)
+    let evaluation = Evaluation {
+        query_seconds: on.scan_s,
+        cache: on.cache,
+        progress,
+        ..Evaluation::new(on.scene, &entries, &folds)
+    };
+    Ok(evaluation.prepare(&*setting.build(on.scene))?.measure()?.outcome)
 }

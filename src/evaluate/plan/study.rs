@@ -1,10 +1,7 @@
-//! What every source tells of every query, fold by fold: enough to know the accuracy of any subset
+//! The evidence of every source on every query, fold by fold: enough to know the accuracy of any subset
 //! of sources at any of the scan times, without comparing a trial again.
 
-use std::time::Instant;
-
-use crate::evaluate::run::{Progress, first_seconds, prepare_folds};
-use crate::evaluate::{EvaluateError, Fold};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
 use crate::library::Entry;
 use crate::recognise::{MethodName, MethodSpec, Model, RecogniseError, SourceEvidence};
 use crate::scene::{Phase, Scene, SourceId};
@@ -53,8 +50,34 @@ struct Query {
     /// Place of its surface among those of its fold's library.
     truth: usize,
     surfaces: usize,
-    /// For each time, what each source told, if it told anything.
-    told: Vec<Vec<Option<SourceEvidence>>>,
+    /// For each time, the evidence of each source, if it gave any.
+    evidence: Vec<Vec<Option<SourceEvidence>>>,
+}
+
+impl Query {
+    fn new(
+        run: &Run<'_, '_>,
+        model: &dyn Model,
+        trial: &Trial,
+        sources: &[StudiedSource],
+        times: &[Option<f64>],
+    ) -> Result<Self, RecogniseError> {
+        let (mut of_times, mut surfaces) = (Vec::with_capacity(times.len()), Vec::new());
+        for &time in times {
+            let query = run.query_of(model, trial.clone(), time)?;
+            // `embedding` takes its sources apart.
+            let Some(mut evidence) = model.explain(&query.prepared)? else { continue };
+            let of_source = |source: &StudiedSource| {
+                let at = evidence.sources.iter().position(|s| s.source == source.id)?;
+                Some(evidence.sources.swap_remove(at))
+            };
+            of_times.push(sources.iter().map(of_source).collect());
+            surfaces = evidence.surfaces;
+        }
+        // Every query's surface is in its fold's library.
+        let truth = surfaces.iter().position(|s| *s == trial.key.surface).unwrap_or(0);
+        Ok(Self { truth, surfaces: surfaces.len(), evidence: of_times })
+    }
 }
 
 /// See the module.
@@ -73,7 +96,8 @@ impl Study {
         progress: Progress<'_>,
     ) -> Result<Self, EvaluateError> {
         let method = MethodSpec::from(MethodName::Embedding).build(scene);
-        let prepared = prepare_folds(&*method, entries, folds, None, progress)?;
+        let evaluation = Evaluation { progress, ..Evaluation::new(scene, entries, folds) };
+        let run = evaluation.prepare(&*method)?;
         let mut sources = studied(scene, entries)?;
         let longest =
             sources.iter().filter(|s| s.phase == Phase::Drag).fold(0.0, |t, s| s.whole_s.max(t));
@@ -83,33 +107,15 @@ impl Study {
         let mut queries = Vec::with_capacity(total);
         let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
         for fold in folds {
-            let model = prepared.fit(&*method, &fold.library)?;
+            let model = run.fit(&fold.library)?;
             for &i in &fold.queries {
-                let entry = &entries[i];
-                let trial = entry.load().map_err(RecogniseError::from)?;
-                let kept = Entry::in_memory(trial.clone());
-                let (mut told, mut surfaces) = (Vec::with_capacity(times.len()), Vec::new());
-                for &time in &times {
-                    let query = first_seconds(&kept, scene, time);
-                    let query = query.load().map_err(RecogniseError::from)?;
-                    let query = model.prepare(&kept, &query)?;
-                    // `embedding` takes its sources apart.
-                    let Some(mut evidence) = model.explain(&query)? else { continue };
-                    let of_source = |source: &StudiedSource| {
-                        let at = evidence.sources.iter().position(|s| s.source == source.id)?;
-                        Some(evidence.sources.swap_remove(at))
-                    };
-                    told.push(sources.iter().map(of_source).collect());
-                    surfaces = evidence.surfaces;
-                }
-                if queries.len() < TIMED {
+                let trial = run.recording(i)?;
+                queries.push(Query::new(&run, &*model, &trial, &sources, &times)?);
+                if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
-                        latencies.extend(time_alone(&*model, &trial, &source.id));
+                        latencies.extend(time_alone(&run, &*model, &trial, &source.id));
                     }
                 }
-                // Every query's surface is in its fold's library.
-                let truth = surfaces.iter().position(|s| *s == entry.key.surface).unwrap_or(0);
-                queries.push(Query { truth, surfaces: surfaces.len(), told });
                 progress("trying sources", queries.len(), total);
             }
         }
@@ -130,12 +136,12 @@ impl Study {
     /// there it takes the nearest trial by all, and this the nearest by each.
     pub fn right(&self, sources: &[usize], time: usize) -> usize {
         let is_right = |query: &&Query| {
-            let mut told: Vec<&SourceEvidence> =
-                sources.iter().filter_map(|&s| query.told[time][s].as_ref()).collect();
-            if told.iter().any(|told| told.trained) {
-                told.retain(|told| told.trained);
+            let mut evidence: Vec<&SourceEvidence> =
+                sources.iter().filter_map(|&s| query.evidence[time][s].as_ref()).collect();
+            if evidence.iter().any(|source| source.trained) {
+                evidence.retain(|source| source.trained);
             }
-            let sum = |surface: usize| told.iter().map(|t| t.terms[surface]).sum::<f64>();
+            let sum = |surface: usize| evidence.iter().map(|s| s.terms[surface]).sum::<f64>();
             let mut best = (f64::INFINITY, None);
             for surface in 0..query.surfaces {
                 let sum = sum(surface);
@@ -143,21 +149,19 @@ impl Study {
                     best = (sum, Some(surface));
                 }
             }
-            !told.is_empty() && best.1 == Some(query.truth)
+            !evidence.is_empty() && best.1 == Some(query.truth)
         };
         self.queries.iter().filter(is_right).count()
     }
 }
 
 /// Milliseconds from the raw samples of one source to its answer.
-fn time_alone(model: &dyn Model, trial: &Trial, id: &SourceId) -> Option<f64> {
+fn time_alone(run: &Run<'_, '_>, model: &dyn Model, trial: &Trial, id: &SourceId) -> Option<f64> {
     let signal = trial.signals.get(id)?.clone();
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
-    let entry = Entry::in_memory(alone.clone());
-    let start = Instant::now();
-    let query = model.prepare(&entry, &alone).ok()?;
-    model.rank(&query).ok()?;
-    Some(start.elapsed().as_secs_f64() * 1e3)
+    let query = run.query_of(model, alone, None).ok()?;
+    model.rank(&query.prepared).ok()?;
+    Some(query.started.elapsed().as_secs_f64() * 1e3)
 }
 
 /// The sources that some trial has, by the first such trial.

@@ -1,9 +1,8 @@
 //! Accuracy against latency and against scan time: measured points, and which of them no other
 //! point beats.
 
+use crate::evaluate::Outcome;
 use crate::scene::SourceId;
-
-use super::Outcome;
 
 /// One setting of one method, measured.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -16,7 +15,7 @@ pub struct Point {
     pub sources: Vec<String>,
     /// How much of each query's drag was used, in seconds; none for all of it.
     pub query_seconds: Option<f64>,
-    /// Mean over folds of the share of queries named right.
+    /// Share of queries named right.
     pub accuracy: f64,
     /// Lower end of the 95 % Wilson interval over queries.
     pub accuracy_low: f64,
@@ -49,7 +48,7 @@ impl Point {
             setting: setting.into(),
             sources: outcome.sources.iter().map(SourceId::to_string).collect(),
             query_seconds,
-            accuracy: outcome.accuracy_mean,
+            accuracy: outcome.accuracy,
             accuracy_low: outcome.accuracy_low,
             accuracy_high: outcome.accuracy_high,
             query_ms_p50: outcome.query_ms_p50,
@@ -62,8 +61,7 @@ impl Point {
 }
 
 impl Point {
-    /// The method with those of its options that are not its defaults' own names: as short as it
-    /// can be told apart.
+    /// The method, with its options where the setting says more than its name.
     pub fn name(&self) -> String {
         let options = self.setting.trim_start_matches("--method ");
         let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
@@ -94,7 +92,13 @@ pub fn pareto(points: &[Point], cost: impl Fn(&Point) -> f64) -> Vec<usize> {
     order
 }
 
-/// What `surfaced chart` writes as JSON.
+/// As [`pareto`], the points themselves.
+pub(super) fn front<'a>(points: &[&'a Point], cost: impl Fn(&Point) -> f64) -> Vec<&'a Point> {
+    let owned: Vec<Point> = points.iter().map(|&p| p.clone()).collect();
+    pareto(&owned, cost).into_iter().map(|i| points[i]).collect()
+}
+
+/// A whole chart, as JSON holds it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Chart {
     /// What was measured on.
@@ -126,6 +130,16 @@ impl Chart {
     /// The negative controls.
     pub fn controls(&self) -> impl Iterator<Item = &Point> {
         self.points.iter().filter(|point| point.control)
+    }
+
+    /// Settings that were measured on several scan times.
+    pub fn timed(&self) -> Vec<&Point> {
+        let same = |a: &Point, b: &Point| {
+            (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
+        };
+        let has_others =
+            |a: &&Point| self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds);
+        self.methods().filter(has_others).collect()
     }
 
     /// Whether a point of ours used but some of the sources.
@@ -187,7 +201,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_name_is_short_and_tells_settings_apart() {
+    fn a_name_is_short_and_differs_between_settings() {
         let name = |method: &str, setting: &str| {
             Point { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
         };
