@@ -132,7 +132,13 @@ proptest! {
         };
         let rankings = MethodName::ALL.map(ranked);
         for (method, ranking) in rankings.into_iter().enumerate() {
-            let ranking = ranking.unwrap();
+            let ranking = match ranking {
+                // A query at rest throughout is not named by `embedding`.
+                Err(RecogniseError::TooLittle) if MethodName::ALL[method] == MethodName::Embedding => {
+                    continue;
+                }
+                ranking => ranking.unwrap(),
+            };
             prop_assert_eq!(ranking.ranked.len(), 3);
             let fine = |s: f64| s.is_finite() && s >= 0.0;
             prop_assert!(

@@ -112,7 +112,8 @@ pub fn run(args: &Args) -> Done {
     let report = match table::open(data)? {
         Some(tables) => on_tables(args, &tables)?,
         None => {
-            let (library, left_out) = args.bad_files.open(data, |scene| args.sources.narrow(scene))?;
+            let (library, left_out) =
+                args.bad_files.open(data, |scene| args.sources.narrow(scene))?;
             if args.paper {
                 let out = args.out.as_deref();
                 paper::run(&library, &args.method, args.shard, out, args.json)?;

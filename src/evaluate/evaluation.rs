@@ -291,17 +291,25 @@ impl<'a> Run<'a, '_> {
         seconds: Option<f64>,
     ) -> Result<(Prediction, Vec<String>), RecogniseError> {
         let query = self.query(model, index, seconds)?;
-        let ranking = model.rank(&query.prepared)?;
+        let mut remarks = query.left_out;
+        let ranking = match model.rank(&query.prepared) {
+            // A scan that is not named is not named right.
+            Err(error @ RecogniseError::TooLittle) => {
+                remarks.push(format!("not named: {error}"));
+                None
+            }
+            ranking => Some(ranking?),
+        };
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
         let prediction = Prediction {
             key: self.on.trials.key(index).clone(),
             fold,
-            surface: ranking.surface().into(),
-            margin: ranking.margin,
+            surface: ranking.as_ref().map_or_else(String::new, |r| r.surface().into()),
+            margin: ranking.as_ref().map_or(0.0, |r| r.margin),
             query_ms,
-            sources: ranking.sources,
+            sources: ranking.map_or_else(Vec::new, |r| r.sources),
         };
-        Ok((prediction, query.left_out))
+        Ok((prediction, remarks))
     }
 
     fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {

@@ -75,6 +75,18 @@ pub trait Model: Send + Sync {
         Ok(None)
     }
 
+    /// A query that can be named again and again, each time by some of its sources; `None` by a
+    /// method to which that costs as much as a query of those sources.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    fn by_sources(
+        self: Arc<Self>,
+        _query: &Prepared,
+    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+        Ok(None)
+    }
+
     /// Follows scans while they go on; `None` by a method that cannot. The first time, the stop
     /// rule is calibrated, which takes a while.
     fn follow(self: Arc<Self>, _options: &FollowOptions) -> Option<Box<dyn Follow>> {
@@ -94,6 +106,13 @@ pub trait Model: Send + Sync {
     fn remarks(&self) -> &[String] {
         &[]
     }
+}
+
+/// A query, ready to be named by any of its sources.
+pub trait BySources: Send + Sync {
+    /// The surface that is most alike by `sources`, as a query of these alone would be named;
+    /// `None` if the query and the library have none of them in common.
+    fn surface(&self, sources: &[&SourceId]) -> Option<&str>;
 }
 
 /// How unlike a query each surface is, source by source.

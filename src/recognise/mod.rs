@@ -37,7 +37,7 @@ pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
 pub use error::RecogniseError;
 pub use features::{FrameFeatures, amplitude_spectrum, band_bins, hsv};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
-pub use method::{Evidence, Method, Model, SourceEvidence};
+pub use method::{BySources, Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;
 pub use prepared_library::{PreparedLibrary, prepare_library};
 pub use rank::{Candidate, RankedSurface, Ranking, rank};

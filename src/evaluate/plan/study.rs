@@ -1,9 +1,13 @@
-//! The evidence of every source on every query, fold by fold: enough to know the accuracy of any subset
-//! of sources at any of the scan times, without comparing a trial again.
+//! Every query of every fold, ready to be named by any subset of its sources at any of the scan times,
+//! without embedding a trial again.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
 
 use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
 use crate::library::Entry;
-use crate::recognise::{MethodName, MethodSpec, Model, RecogniseError, SourceEvidence};
+use crate::recognise::{BySources, MethodName, MethodSpec, Model, RecogniseError};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
@@ -45,38 +49,29 @@ impl StudiedSource {
     }
 }
 
-/// One query.
+/// One query: what it is, and for each scan time how it is named by some of its sources.
 struct Query {
-    /// Place of its surface among those of its fold's library.
-    truth: usize,
-    surfaces: usize,
-    /// For each time, the evidence of each source, if it gave any.
-    evidence: Vec<Vec<Option<SourceEvidence>>>,
+    truth: String,
+    times: Vec<Option<Box<dyn BySources>>>,
 }
 
 impl Query {
     fn new(
         run: &Run<'_, '_>,
-        model: &dyn Model,
+        model: &Arc<dyn Model>,
         trial: &Trial,
-        sources: &[StudiedSource],
         times: &[Option<f64>],
     ) -> Result<Self, RecogniseError> {
-        let (mut of_times, mut surfaces) = (Vec::with_capacity(times.len()), Vec::new());
-        for &time in times {
-            let query = run.query_of(model, trial.clone(), time)?;
-            // `embedding` takes its sources apart.
-            let Some(mut evidence) = model.explain(&query.prepared)? else { continue };
-            let of_source = |source: &StudiedSource| {
-                let at = evidence.sources.iter().position(|s| s.source == source.id)?;
-                Some(evidence.sources.swap_remove(at))
-            };
-            of_times.push(sources.iter().map(of_source).collect());
-            surfaces = evidence.surfaces;
-        }
-        // Every query's surface is in its fold's library.
-        let truth = surfaces.iter().position(|s| *s == trial.key.surface).unwrap_or(0);
-        Ok(Self { truth, surfaces: surfaces.len(), evidence: of_times })
+        let at_time = |&time: &Option<f64>| {
+            let query = run.query_of(&**model, trial.clone(), time)?;
+            match Arc::clone(model).by_sources(&query.prepared) {
+                // Such a query is not named by any of its sources.
+                Err(RecogniseError::TooLittle) => Ok(None),
+                other => other,
+            }
+        };
+        let times = times.iter().map(at_time).collect::<Result<_, RecogniseError>>()?;
+        Ok(Self { truth: trial.key.surface.clone(), times })
     }
 }
 
@@ -110,7 +105,7 @@ impl Study {
             let model = run.fit(&fold.library)?;
             for &i in &fold.queries {
                 let trial = run.recording(i)?;
-                queries.push(Query::new(&run, &*model, &trial, &sources, &times)?);
+                queries.push(Query::new(&run, &model, &trial, &times)?);
                 if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
                         latencies.extend(time_alone(&run, &*model, &trial, &source.id));
@@ -131,27 +126,15 @@ impl Study {
         self.queries.len()
     }
 
-    /// How many queries some sources, by their places, name right at a scan time, by its place.
-    /// Exactly as `embedding` does with these sources, but for several of which none is trained:
-    /// there it takes the nearest trial by all, and this the nearest by each.
+    /// How many queries some sources, by their places, name right at a scan time, by its place: as
+    /// `embedding` does with these sources alone.
     pub fn right(&self, sources: &[usize], time: usize) -> usize {
+        let ids: Vec<&SourceId> = sources.iter().map(|&s| &self.sources[s].id).collect();
         let is_right = |query: &&Query| {
-            let mut evidence: Vec<&SourceEvidence> =
-                sources.iter().filter_map(|&s| query.evidence[time][s].as_ref()).collect();
-            if evidence.iter().any(|source| source.trained) {
-                evidence.retain(|source| source.trained);
-            }
-            let sum = |surface: usize| evidence.iter().map(|s| s.terms[surface]).sum::<f64>();
-            let mut best = (f64::INFINITY, None);
-            for surface in 0..query.surfaces {
-                let sum = sum(surface);
-                if sum < best.0 {
-                    best = (sum, Some(surface));
-                }
-            }
-            !evidence.is_empty() && best.1 == Some(query.truth)
+            let named = query.times[time].as_ref().and_then(|query| query.surface(&ids));
+            named == Some(query.truth.as_str())
         };
-        self.queries.iter().filter(is_right).count()
+        self.queries.par_iter().filter(is_right).count()
     }
 }
 

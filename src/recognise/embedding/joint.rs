@@ -202,6 +202,19 @@ impl JointEmbedder {
         (vectors, present)
     }
 
+    /// Whether there is anything in a trial to compare: a picture, a series that moves and is as
+    /// long as a short frame, or one at rest whose level counts, as a switch's does.
+    pub fn says_something(&self, trial: &FrameFeatures) -> bool {
+        self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
+            Some(SourceFrames::Series(series)) => {
+                let level_counts = !stretch.spec.align_mean && stretch.spec.domain == Domain::Time;
+                series.is_a_frame_long() && (level_counts || !series.blocks.is_constant())
+            }
+            Some(SourceFrames::Picture(_)) => true,
+            None => false,
+        })
+    }
+
     /// Whether a channel of a source moves in the library; unknown sources are said to.
     pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
         let stretch = self.stretches.iter().find(|stretch| stretch.spec.id == *source);

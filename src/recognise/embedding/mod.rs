@@ -40,15 +40,15 @@ use self::joint::{Excerpt, JointEmbedder, Present};
 use self::labels::Labels;
 use self::left_out::LeftOut;
 pub use self::posterior::Posterior;
+use self::posterior::QueryVector;
 use self::training::Training;
 use super::checks::{check_surfaces, nothing_in_common};
 use super::decide::conformal::{Rejection, RejectionError};
 use super::decide::settle::Settling;
 use super::error::RecogniseError;
 use super::features::FrameFeatures;
-use super::features::frame_features::SourceFrames;
 use super::follow::{Follow, FollowOptions};
-use super::method::{Evidence, Method, Model};
+use super::method::{BySources, Evidence, Method, Model};
 use super::prepared::Prepared;
 use super::rank::Ranking;
 use super::shape::LibraryShape;
@@ -165,7 +165,7 @@ impl EmbeddingModel {
 
     fn embed(&self, query: &FrameFeatures) -> Result<(Vec<f32>, Present), RecogniseError> {
         self.joint.check(query, &self.library)?;
-        if !query.sources.values().any(SourceFrames::says_something) {
+        if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
         }
         let (mut vectors, present) = self.joint.embed(query, &[Excerpt::WHOLE]);
@@ -243,6 +243,14 @@ impl Model for EmbeddingModel {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
         let scan_s = self.scan_s(query.frames(NAME)?);
         Ok(Some(self.evidence(&vector, &present, scan_s)))
+    }
+
+    fn by_sources(
+        self: Arc<Self>,
+        query: &Prepared,
+    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+        let (vector, present) = self.embed(query.frames(NAME)?)?;
+        Ok(Some(Box::new(QueryVector { model: self, vector, present })))
     }
 
     fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {

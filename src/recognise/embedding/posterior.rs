@@ -1,12 +1,14 @@
 //! From distances to an answer: probabilities, a ranking, what each source says.
 
+use std::sync::Arc;
+
 use ndarray::ArrayView1;
 
 use super::EmbeddingModel;
 use super::calibrate::{held_back, log_posterior};
 use super::joint::{Present, columns};
 use crate::recognise::decide::conformal::nonconformity;
-use crate::recognise::method::{Evidence, SourceEvidence};
+use crate::recognise::method::{BySources, Evidence, SourceEvidence};
 use crate::recognise::rank::{Candidate, Ranking, rank};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
@@ -38,6 +40,27 @@ impl Posterior {
             }
         }
         best
+    }
+}
+
+/// A query as a vector, to be named by any of its sources.
+pub(super) struct QueryVector {
+    pub model: Arc<EmbeddingModel>,
+    /// In the library's deviations.
+    pub vector: Vec<f32>,
+    pub present: Present,
+}
+
+impl BySources for QueryVector {
+    fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
+        let stretches = self.model.joint.stretches.iter().zip(&self.present);
+        let chosen: Present =
+            stretches.map(|(s, has)| *has && sources.contains(&&s.spec.id)).collect();
+        if !chosen.contains(&true) {
+            return None;
+        }
+        let posterior = self.model.posterior_at(&self.vector, &chosen, f64::INFINITY);
+        Some(&self.model.labels.surfaces[posterior.best()])
     }
 }
 

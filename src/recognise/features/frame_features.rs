@@ -165,6 +165,11 @@ impl SeriesFrames {
         self.views.0[0].rate_hz
     }
 
+    /// Whether it fills a short frame.
+    pub fn is_a_frame_long(&self) -> bool {
+        self.samples >= self.views.0[1].points
+    }
+
     /// Length in seconds.
     pub fn duration_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz()
@@ -205,13 +210,6 @@ impl SourceFrames {
     /// The picture, if it is one.
     pub fn picture(&self) -> Option<&PixelGrid> {
         if let Self::Picture(grid) = self { Some(grid) } else { None }
-    }
-
-    /// Whether there is anything to compare: a picture, or a series that moves and is as long as a
-    /// short frame.
-    pub fn says_something(&self) -> bool {
-        let Self::Series(series) = self else { return true };
-        series.samples >= series.views.0[1].points && !series.blocks.is_constant()
     }
 
     /// Checks that a source of a query can be compared with that of a library trial, by frequency
