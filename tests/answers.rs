@@ -184,7 +184,7 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
-    let outcome = UnknownOutcome::of(&run, 5, 0.01).unwrap();
+    let outcome = UnknownOutcome::of(&run, 5, Some(0.01)).unwrap();
     assert_eq!((outcome.unknown_queries, outcome.known_queries), (40, 160));
     assert!(outcome.unknown_caught >= 0.6, "{outcome:?}");
     assert!(outcome.false_rejections <= 0.03, "{outcome:?}");
@@ -194,11 +194,11 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
 #[test]
 fn a_method_or_a_library_that_cannot_tell_says_so() {
     let (scene, model, _) = made();
-    let error = model.rejection(0.01).unwrap_err();
+    let error = model.rejection(Some(0.01)).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });
-    assert!(model.rejection(0.1).is_ok(), "16 trials are enough for 10 %");
+    assert!(model.rejection(Some(0.1)).is_ok(), "16 trials are enough for 10 %");
     let reference = Reference::new(scene, ReferenceOptions::default()).model(&[]).unwrap();
-    let error = reference.rejection(0.01).unwrap_err();
+    let error = reference.rejection(Some(0.01)).unwrap_err();
     assert_eq!(error, RejectionError::NoPValue);
     assert!(error.to_string().contains("the method `embedding` can"), "{error}");
 }

@@ -12,22 +12,19 @@ pub struct AnswerArgs {
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
     /// Share of scans of known surfaces that may be called unknown; 0 calls none so (default: 0.01,
-    /// where the method and the library allow it)
+    /// or as low as the library's trials can show)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
     false_rejections: Option<f64>,
 }
-
-/// The share of false rejections unless one is given.
-const FALSE_REJECTIONS: f64 = 0.01;
 
 fn share_or_none(text: &str) -> Result<f64, String> {
     if text.parse() == Ok(0.0) { Ok(0.0) } else { share(text) }
 }
 
 impl AnswerArgs {
-    /// The share of false rejections that is permitted; 0 for none.
-    pub fn false_rejections(&self) -> f64 {
-        self.false_rejections.unwrap_or(FALSE_REJECTIONS)
+    /// The share of false rejections that was given; 0 for none.
+    pub fn false_rejections(&self) -> Option<f64> {
+        self.false_rejections
     }
 
     /// Sets a recogniser up, and says what its answers rest on.
@@ -36,8 +33,8 @@ impl AnswerArgs {
     /// If a share of false rejections was given and unknown surfaces cannot be recognised.
     pub fn apply(&self, by: &mut Recogniser) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
-        if self.false_rejections() > 0.0 {
-            match by.reject_unknown(self.false_rejections()) {
+        if self.false_rejections != Some(0.0) {
+            match by.reject_unknown(self.false_rejections) {
                 Ok(rejections) => remarks.extend(on_unknown(&rejections)),
                 Err(error) if self.false_rejections.is_some() => return Err(error),
                 Err(error) => remarks.push(format!("no scan will be called unknown: {error}")),

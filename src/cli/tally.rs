@@ -72,7 +72,7 @@ impl Tally {
         self.answers += 1;
         self.latencies_ms.push(answer.latency_ms);
         self.spoiled += usize::from(!answer.spoiled.is_empty());
-        let right = answer.truth.as_ref().map(|truth| answer.surface.as_ref() == Some(truth));
+        let right = answer.truth.as_ref().map(|truth| is_right(answer, truth, None));
         self.with_truth += usize::from(right.is_some());
         self.right += usize::from(right == Some(true));
         self.settled_answer(answer);
@@ -95,12 +95,15 @@ impl Tally {
         then.whole_s += answer.scan_s;
         if let Some(truth) = &answer.truth {
             then.with_truth += 1;
-            then.right += usize::from(settled.as_ref().or(answer.surface.as_ref()) == Some(truth));
+            then.right += usize::from(is_right(answer, truth, settled.as_ref()));
         }
     }
 
     fn show(&self, answer: &Answer, right: Option<bool>) {
         let verdict = match (right, &answer.truth) {
+            (Some(true), Some(truth)) if answer.surface.is_none() => {
+                format!("correct: the library lacks {truth}")
+            }
             (Some(true), _) => "correct".to_string(),
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => String::new(),
@@ -187,5 +190,13 @@ impl Tally {
             )));
         }
         Ok(())
+    }
+}
+/// Whether an answer, or what it had settled on before, is right: unknown is, where the library lacks
+/// the surface.
+fn is_right(answer: &Answer, truth: &String, settled: Option<&String>) -> bool {
+    match settled.or(answer.surface.as_ref()) {
+        Some(surface) => surface == truth,
+        None => answer.ranked.iter().all(|ranked| ranked.surface != *truth),
     }
 }

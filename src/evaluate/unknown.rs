@@ -58,7 +58,7 @@ impl UnknownOutcome {
     /// # Errors
     /// If a trial cannot be compared, or if the method or a library cannot recognise unknown
     /// surfaces at this rate.
-    pub fn of(run: &Run<'_, '_>, groups: usize, rate: f64) -> Result<Self, EvaluateError> {
+    pub fn of(run: &Run<'_, '_>, groups: usize, rate: Option<f64>) -> Result<Self, EvaluateError> {
         let folds = run.on().folds;
         let surface = |i: usize| run.on().trials.key(i).surface.as_str();
         let surfaces: BTreeSet<&str> =

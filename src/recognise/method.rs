@@ -94,11 +94,11 @@ pub trait Model: Send + Sync {
     }
 
     /// The p-value at or below which a query is called unknown, for a stated rate of false
-    /// rejections.
+    /// rejections; without one, for the usual rate ([`Rejection::usual`]).
     ///
     /// # Errors
     /// If the method gives no p-value, or the library has too few trials.
-    fn rejection(&self, _rate: f64) -> Result<Rejection, RejectionError> {
+    fn rejection(&self, _rate: Option<f64>) -> Result<Rejection, RejectionError> {
         Err(RejectionError::NoPValue)
     }
 

@@ -65,13 +65,13 @@ impl Recogniser {
         Self { models, model_of, following, requirements, library }
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections. Gives what that
+    /// Calls scans unknown that fit no surface, at a rate of false rejections or the usual one. Gives what that
     /// rests on, for each model.
     ///
     /// # Errors
     /// If the method gives no p-value, or a library has too few trials; no scan is called
     /// unknown then.
-    pub fn reject_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+    pub fn reject_unknown(&mut self, rate: Option<f64>) -> Result<Vec<Rejection>, RejectionError> {
         let rejections = self.models.iter().map(|model| model.rejection(rate));
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {

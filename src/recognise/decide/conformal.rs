@@ -106,6 +106,12 @@ pub enum RejectionError {
     NoPValue,
 }
 
+/// The rate of false rejections where the library can show it.
+const USUAL_RATE: f64 = 0.01;
+
+/// Left-out trials that it takes to call scans unknown at the usual rate.
+pub const FEWEST: usize = 9;
+
 /// The p-value at or below which a query is called unknown.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Rejection {
@@ -120,9 +126,23 @@ pub struct Rejection {
 }
 
 impl Rejection {
+    /// The threshold for the usual rate by `trials` left-out trials: 1 %, or as low as so many can
+    /// show.
+    ///
+    /// # Errors
+    /// With fewer than [`FEWEST`] trials: one scan in ten and more would be rejected wrongly.
+    pub fn usual(trials: usize) -> Result<Self, RejectionError> {
+        if trials < FEWEST {
+            let rate = 1.0 / (FEWEST + 1) as f64;
+            return Err(RejectionError::TooFew { rate, needed: FEWEST, trials });
+        }
+        Self::new(trials, USUAL_RATE.max(1.0 / (trials + 1) as f64))
+    }
+
     /// The threshold for a rate of `rate`, by `trials` left-out trials. Given the trials, the rate
     /// is distributed as Beta(k, n + 1 − k), k = ⌊α(n + 1)⌋ (Vovk 2012, "Conditional validity of
-    /// inductive conformal predictors").
+    /// inductive conformal predictors"). For k = 1 its density falls from 0 on, and the interval
+    /// of highest density begins there.
     ///
     /// # Errors
     /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
@@ -136,7 +156,9 @@ impl Rejection {
             return Err(RejectionError::TooFew { rate, needed, trials });
         }
         let end = |level| beta_quantile(k, (trials + 1) as f64 - k, level);
-        Ok(Self { rate, trials, rate_low: end(0.025), rate_high: end(0.975) })
+        let (rate_low, rate_high) =
+            if k < 2.0 { (0.0, end(0.95)) } else { (end(0.025), end(0.975)) };
+        Ok(Self { rate, trials, rate_low, rate_high })
     }
 
     /// Whether a query of this p-value is no surface of the library.
@@ -154,6 +176,20 @@ mod tests {
         assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY, 4.0]), Some(1.0));
         assert_eq!(nonconformity(&[0.0, 0.0]), Some(0.0));
         assert_eq!(nonconformity(&[1.0, f64::INFINITY]), None);
+    }
+
+    #[test]
+    fn the_usual_rate_is_as_low_as_the_trials_can_show() {
+        assert!(Rejection::usual(8).is_err());
+        for (trials, rate) in [(9, 0.1), (24, 0.04), (99, 0.01), (1000, 0.01)] {
+            let usual = Rejection::usual(trials).unwrap();
+            assert!((usual.rate - rate).abs() < 1e-12, "{trials}");
+            assert!(usual.rejects(1.0 / (trials + 1) as f64));
+            assert!(usual.rate_low <= rate && rate < usual.rate_high);
+        }
+        // P(rate ≤ x) = 1 − (1 − x)^n for k = 1.
+        let interval = Rejection::usual(24).unwrap();
+        assert!(interval.rate_low == 0.0 && (interval.rate_high - 0.117).abs() < 1e-3);
     }
 
     #[test]

@@ -257,8 +257,9 @@ impl Model for EmbeddingModel {
         Some(Box::new(Follower::new(&self, options)))
     }
 
-    fn rejection(&self, rate: f64) -> Result<Rejection, RejectionError> {
-        Rejection::new(self.left_out.conformity.trials(), rate)
+    fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
+        let trials = self.left_out.conformity.trials();
+        rate.map_or_else(|| Rejection::usual(trials), |rate| Rejection::new(trials, rate))
     }
 
     fn remarks(&self) -> &[String] {
