@@ -229,8 +229,8 @@ fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
     refused(&["replay", &data, "--library", &data], 2, &["meet itself"]);
     let mixed = ["replay", &data, "--method", "embedding", "--n", "50"];
     refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
-    let mixed = ["replay", &data, "--halving", "--harmonics", "2"];
-    refused(&mixed, 2, &["goes with --method embedding alone, not with reference"]);
+    let mixed = ["replay", &data, "--halving", "--method", "svm"];
+    refused(&mixed, 2, &["goes with --method reference alone, not with svm"]);
 }
 
 #[test]
