@@ -1,6 +1,6 @@
 //! The files of a recording: what they are called in an MCAP file, and where they lie.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use crate::library::LibraryError;
 use crate::library::files::{self, Listed};
@@ -70,15 +70,17 @@ fn visible(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
 /// The path of a file of a recording, if its name leads below the recording and nowhere else: a
 /// description or a list beside the folders, or a file within them.
 pub fn within(name: &str) -> Option<PathBuf> {
-    // By the text itself: `Path` passes over empty parts and `.`.
-    let parts: Vec<&str> = name.split('/').collect();
-    let plain =
-        |part: &&str| !part.is_empty() && !part.starts_with('.') && !part.contains(['\\', '\0']);
-    let fits = match parts.len() {
-        1 => name == DESCRIPTION || name.ends_with(".mat"),
-        parts => parts <= DEEPEST,
+    let path = Path::new(name);
+    let plain = |part: Component<'_>| match part {
+        Component::Normal(part) => part.to_str().is_some_and(|part| !part.starts_with('.')),
+        _ => false,
     };
-    (fits && parts.iter().all(plain)).then(|| PathBuf::from(name))
+    let fits = match path.components().count() {
+        1 => name == DESCRIPTION || name.ends_with(".mat"),
+        parts => (2..=DEEPEST).contains(&parts),
+    };
+    let odd = name.contains(['\\', '\0']) || name.split('/').any(|part| matches!(part, "" | "."));
+    (fits && !odd && path.components().all(plain)).then(|| path.to_path_buf())
 }
 
 #[cfg(test)]
