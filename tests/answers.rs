@@ -10,11 +10,12 @@ use assert_cmd::Command;
 use common::{id, real_sounds};
 use serde_json::Value;
 use surfaced::dataset::synth;
-use surfaced::evaluate;
+use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FramedTrial, FreshFrames,
-    GuessSoFar, LOOK_S, Method, Reference, ReferenceOptions, RejectionError, without_flawed,
+    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
+    GuessSoFar, LOOK_S, LibraryShape, Model, Reference, ReferenceOptions, RejectionError,
+    without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::trial::{Image, Signal, Trial};
@@ -23,12 +24,8 @@ fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
 }
 
-fn prepared(method: &Embedding, trial: &Trial) -> FramedTrial {
-    method.prepare(&Entry::in_memory(trial.clone()), trial).unwrap()
-}
-
 /// A small synthetic library, its model, and a scan by somebody else.
-fn made() -> (Scene, Embedding, Arc<EmbeddingModel>, Trial) {
+fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     let size = synth::Parameters { surfaces: 4, trials: 4, users: 1, ..Default::default() };
     let library = synth::library(&synth::Parameters { drag_seconds: 1.73, ..size });
     let scene = library.scene.only(&["ca1", "fr", "me", "mi1", "mi2"].map(id)).unwrap();
@@ -36,10 +33,14 @@ fn made() -> (Scene, Embedding, Arc<EmbeddingModel>, Trial) {
         library.entries.iter().map(|e| e.clone().within(&scene).load().unwrap()).collect();
     let (experts, users): (Vec<Trial>, Vec<Trial>) =
         trials.into_iter().partition(|trial| trial.key.user == "expert");
-    let method = embedding(&scene);
-    let library = experts.iter().map(|trial| Arc::new(prepared(&method, trial))).collect();
-    let model = Arc::new(method.fit(library).unwrap());
-    (scene, method, model, users[1].clone())
+    let entries: Vec<Entry> = experts.into_iter().map(Entry::in_memory).collect();
+    let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
+    let frames = |entry: &Entry| {
+        let trial = entry.load().unwrap();
+        Arc::new(FrameFeatures::new(&entry.key, &trial, &scene, &shape).unwrap())
+    };
+    let model = embedding(&scene).train(entries.iter().map(frames).collect(), &shape).unwrap();
+    (scene, Arc::new(model), users[1].clone())
 }
 
 /// What is said at the looks at a scan whose frames come in pieces of so many seconds.
@@ -78,8 +79,8 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
 
 #[test]
 fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_scan_says() {
-    let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let (scene, model, scan) = made();
+    let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
     let fine = said(&mut *follower, &scene, &scan, 0.01);
     assert_eq!(fine.len(), 17, "one look each {LOOK_S} s");
     let settled = fine.last().unwrap().settled.clone().expect("four easy surfaces");
@@ -92,18 +93,19 @@ fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_s
         let until = scan.clone().first_seconds(guess.scan_s, |source| {
             scene.get(source.as_str()).unwrap().phase == Phase::Drag
         });
-        let posterior = model.posterior(&prepared(&method, &until)).unwrap().unwrap();
-        assert_eq!(guess.named[0].0, posterior.surfaces[posterior.best()]);
-        let probability = posterior.log_posterior[posterior.best()].exp();
-        assert!((guess.named[0].1 - probability).abs() < 1e-9, "at {} s", guess.scan_s);
+        let query = model.prepare(&Entry::in_memory(until.clone()), &until).unwrap();
+        let ranking = model.rank(&query).unwrap();
+        assert_eq!(guess.named[0].0, ranking.surface());
+        let probability = ranking.confidence.unwrap();
+        assert!((guess.named[0].1 - probability).abs() < 1e-4, "at {} s", guess.scan_s);
         assert_eq!(guess.settled.is_some(), guess.scan_s >= settled.1);
     }
 }
 
 #[test]
 fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
-    let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let (scene, model, scan) = made();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.remove(&id("fr"));
     let expected = said(&mut *follower, &scene, &without, 0.1);
@@ -130,8 +132,8 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 
 #[test]
 fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end() {
-    let (scene, method, model, scan) = made();
-    let mut follower = method.follow(&model, &FollowOptions::default()).unwrap();
+    let (scene, model, scan) = made();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
     without.signals.retain(|source, _| *source != id("fr") && *source != id("ca1"));
     let expected = said(&mut *follower, &scene, &without, 0.1);
@@ -144,7 +146,7 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
     let black = Image::new(Image::COLS, Image::ROWS, black).unwrap();
     flawed.signals.insert(id("ca1"), Signal::Image(black));
     assert_eq!(said(&mut *follower, &scene, &flawed, 0.1), expected);
-    let (left, _) = without_flawed(flawed, &scene);
+    let (left, _) = without_flawed(flawed, &scene, |_, _| true);
     assert_eq!(left, without);
     // A source that stops halfway counts until it has rested for half of what came.
     let mut halfway = scan.clone();
@@ -163,12 +165,8 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
 fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
-    let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;
-    let run = || {
-        let how = (0.01, None);
-        evaluate::run_settled(&method, &scene, &entries, &folds, &library, how, quiet).unwrap()
-    };
+    let prepared = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    let run = || SettledOutcome::of(&prepared, 0.01).unwrap();
     let outcome = run();
     assert!(outcome.scan_s_mean <= 0.5 * outcome.whole_s_mean, "{outcome:?}");
     assert!(outcome.accuracy >= outcome.accuracy_whole - 0.05, "{outcome:?}");
@@ -185,12 +183,8 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
 fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
-    let quiet = &|_: &'static str, _: usize, _: usize| ();
-    let library = evaluate::prepare_folds(&method, &entries, &folds, None, quiet).unwrap().trials;
-    let how = (5, 0.01);
-    let plain = |entry: &Entry| entry.clone();
-    let outcome =
-        evaluate::run_unknown(&method, &entries, &folds, &library, plain, how, quiet).unwrap();
+    let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    let outcome = UnknownOutcome::of(&run, 5, 0.01).unwrap();
     assert_eq!((outcome.unknown_queries, outcome.known_queries), (40, 160));
     assert!(outcome.unknown_caught >= 0.6, "{outcome:?}");
     assert!(outcome.false_rejections <= 0.03, "{outcome:?}");
@@ -199,13 +193,14 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
 
 #[test]
 fn a_method_or_a_library_that_cannot_tell_says_so() {
-    let (scene, method, model, _) = made();
-    let error = method.rejection(&model, 0.01).unwrap_err();
+    let (scene, model, _) = made();
+    let error = model.rejection(0.01).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });
-    assert!(method.rejection(&model, 0.1).is_ok(), "16 trials are enough for 10 %");
-    let reference = Reference::new(scene, ReferenceOptions::default());
-    let error = reference.rejection(&Vec::new(), 0.01).unwrap_err().to_string();
-    assert!(error.contains("reference") && error.contains("--method embedding"), "{error}");
+    assert!(model.rejection(0.1).is_ok(), "16 trials are enough for 10 %");
+    let reference = Reference::new(scene, ReferenceOptions::default()).model(&[]).unwrap();
+    let error = reference.rejection(0.01).unwrap_err();
+    assert_eq!(error, RejectionError::NoPValue);
+    assert!(error.to_string().contains("the method `embedding` can"), "{error}");
 }
 
 fn surfaced(args: &[&str]) -> Output {

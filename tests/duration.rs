@@ -45,22 +45,99 @@ fn json(text: &str) -> serde_json::Value {
     serde_json::from_str(text).unwrap()
 }
 
+/// The row of a surface and source in a report.
+fn row<'a>(answer: &'a serde_json::Value, surface: &str, source: &str) -> &'a serde_json::Value {
+    let rows = answer["durations"].as_array().unwrap();
+    rows.iter().find(|r| r["surface"] == surface && r["source"] == source).unwrap()
+}
+
 #[test]
-fn duration_tells_t_star_and_the_longest_scan_and_draws_the_curve() {
+fn pooled_gives_t_star_its_bound_and_what_a_trial_is_worth_and_draws_the_curve() {
     let folder = tempfile::tempdir().unwrap();
     library(folder.path());
     let svg = folder.path().join("curve.svg");
     let (path, svg_path) = (folder.path().to_str().unwrap(), svg.to_str().unwrap());
-    let args = ["duration", path, "--gamma", "--draws", "200", "--json", "--svg", svg_path];
-    let (code, stdout, stderr) = surfaced(&args);
+    let (code, stdout, stderr) = surfaced(&["duration", path, "--json", "--svg", svg_path]);
+    assert_eq!(code, 0, "{stderr}");
+    let answer = json(&stdout);
+    assert_eq!(answer["settings"], serde_json::json!({"rule": "pooled", "dependence": 0.1}));
+    assert_eq!(answer["durations"].as_array().unwrap().len(), 4);
+    for (surface, tau) in [("foam", 20.0), ("mesh", 5.0)] {
+        let found = row(&answer, surface, "ir");
+        assert_eq!(found["rule"], "pooled");
+        let number = |key: &str| found[key].as_f64().unwrap();
+        let (t_star, upper) = (number("t_star_samples"), number("t_star_upper_samples"));
+        assert!((1.9..2.9).contains(&(t_star / tau)) && upper >= t_star, "{found}");
+        assert!((number("t_star_s") - t_star / 1e4).abs() < 1e-12);
+        assert!((number("scan_s") - (0.0552 + 399.0 * upper / 1e4)).abs() < 1e-9);
+        // 12,000 samples, of which 2τ are worth one.
+        let worth = number("effective_samples") / (12_000.0 / (2.0 * tau));
+        assert!((0.8..1.2).contains(&worth), "{worth}");
+        assert!(number("effective_of_n") <= 400.0);
+        assert!(number("lasting_share") < 0.01);
+    }
+    assert_eq!(answer["scan_s"], row(&answer, "foam", "ir")["scan_s"]);
+    let metal = row(&answer, "foam", "me");
+    for key in ["t_star_samples", "t_star_upper_samples", "t_star_s", "scan_s", "effective_samples"]
+    {
+        assert!(metal[key].is_null(), "{key}: {metal}");
+    }
+    assert!(metal["reason"].as_str().unwrap().contains("constant"));
+    assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
+}
+
+#[test]
+fn pooled_ends_with_what_t_star_means_for_each_source() {
+    let folder = tempfile::tempdir().unwrap();
+    library(folder.path());
+    let args = ["duration", folder.path().to_str().unwrap(), "--source", "ir"];
+    let (code, _, stderr) = surfaced(&args);
+    assert_eq!(code, 0, "{stderr}");
+    let last = stderr.lines().find(|line| line.starts_with("ir:")).unwrap();
+    assert!(last.contains("fresh evidence") && last.contains("(foam)"), "{last}");
+    assert!(last.contains("independent samples") && last.contains("400 samples"), "{last}");
+}
+
+#[test]
+fn a_smaller_dependence_takes_longer_to_reach() {
+    let folder = tempfile::tempdir().unwrap();
+    library(folder.path());
+    let path = folder.path().to_str().unwrap();
+    let at = |dependence: &str| {
+        let args = ["duration", path, "--source", "ir", "--dependence", dependence, "--json"];
+        let (_, stdout, _) = surfaced(&args);
+        row(&json(&stdout), "foam", "ir")["t_star_samples"].as_u64().unwrap()
+    };
+    assert!(at("0.5") < at("0.2"));
+    let (code, _, stderr) = surfaced(&["duration", path, "--dependence", "2"]);
+    assert!(code == 2 && stderr.contains("between 0 and 1"), "{stderr}");
+}
+
+#[test]
+fn a_rule_takes_its_own_settings_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    library(folder.path());
+    let path = folder.path().to_str().unwrap();
+    let (code, _, stderr) = surfaced(&["duration", path, "--gamma"]);
+    assert!(code == 2 && stderr.contains("--rule mean-ci"), "{stderr}");
+    let (code, _, stderr) =
+        surfaced(&["duration", path, "--rule", "mean-ci", "--dependence", "0.2"]);
+    assert!(code == 2 && stderr.contains("`pooled`"), "{stderr}");
+}
+
+#[test]
+fn the_published_rule_gives_t_star_and_the_longest_scan_and_draws_the_curve() {
+    let folder = tempfile::tempdir().unwrap();
+    library(folder.path());
+    let svg = folder.path().join("curve.svg");
+    let (path, svg_path) = (folder.path().to_str().unwrap(), svg.to_str().unwrap());
+    let args = ["duration", path, "--rule", "mean-ci", "--gamma", "--draws", "200", "--json"];
+    let (code, stdout, stderr) = surfaced(&[&args[..], &["--svg", svg_path]].concat());
     assert_eq!(code, 0, "{stderr}");
     let answer = json(&stdout);
     let rows = answer["durations"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
-    let row = |surface: &str, source: &str| {
-        rows.iter().find(|r| r["surface"] == surface && r["source"] == source).unwrap()
-    };
-    let (foam, mesh) = (row("foam", "ir"), row("mesh", "ir"));
+    let (foam, mesh) = (row(&answer, "foam", "ir"), row(&answer, "mesh", "ir"));
     let lag = |row: &serde_json::Value| row["t_star_samples"].as_u64().unwrap();
     assert!(lag(foam) > 2 * lag(mesh), "{} {}", lag(foam), lag(mesh));
     let t_star_s = foam["t_star_s"].as_f64().unwrap();
@@ -68,7 +145,7 @@ fn duration_tells_t_star_and_the_longest_scan_and_draws_the_curve() {
     let scan_s = foam["scan_s"].as_f64().unwrap();
     assert!((scan_s - (0.0552 + 399.0 * t_star_s)).abs() < 1e-9);
     assert_eq!(answer["scan_s"], foam["scan_s"]);
-    let metal = row("foam", "me");
+    let metal = row(&answer, "foam", "me");
     assert!(metal["t_star_samples"].is_null() && metal["scan_s"].is_null());
     assert!(metal["reason"].as_str().unwrap().contains("constant"));
     assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
@@ -81,8 +158,11 @@ fn an_unknown_surface_and_an_unknown_source_are_named() {
     let path = folder.path().to_str().unwrap();
     let (code, _, stderr) = surfaced(&["duration", path, "--surface", "oak"]);
     assert!(code == 1 && stderr.contains("`oak`") && stderr.contains("foam, mesh"), "{stderr}");
-    let (code, _, stderr) = surfaced(&["duration", path, "--source", "mi2"]);
+    let (code, _, stderr) = surfaced(&["duration", path, "--source", "ca1"]);
+    assert!(code == 1 && stderr.contains("image"), "{stderr}");
+    let (code, _, stderr) = surfaced(&["duration", path, "--rule", "mean-ci", "--source", "mi2"]);
     assert!(code == 1 && stderr.contains("not of domain `time`"), "{stderr}");
+    assert!(stderr.contains("--as-time"), "{stderr}");
 }
 
 #[test]

@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
-
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Method, Precision, PreparedTrial, Ranking, Reference, ReferenceOptions, Stage, prepare_library,
+    LibraryShape, MethodName, MethodSpec, Precision, Ranking, RecogniseError, Reference,
+    ReferenceOptions, Stage, prepare_library,
 };
 use surfaced::scene::Scene;
-use surfaced::trial::EXPERT;
+use surfaced::trial::{EXPERT, Trial};
 
 mod common;
 
@@ -25,16 +25,13 @@ fn scene() -> (Vec<Entry>, Vec<Entry>) {
     synth::library(&parameters).entries.into_iter().partition(|e| e.key.user == EXPERT)
 }
 
-fn prepared(method: &Reference, entries: &[Entry]) -> Vec<Arc<PreparedTrial>> {
-    let prepare = |e: &Entry| method.prepare_for_library(e, &e.load().unwrap()).unwrap();
-    entries.iter().map(|entry| Arc::new(prepare(entry))).collect()
-}
-
 fn rankings(options: ReferenceOptions, library: &[Entry], queries: &[Entry]) -> Vec<Ranking> {
     let method = Reference::new(Scene::lmt108(), options);
-    let model = method.fit(prepared(&method, library)).unwrap();
-    let query = |e: &Entry| method.prepare(e, &e.load().unwrap()).unwrap();
-    queries.iter().map(|e| method.rank(&model, &query(e)).unwrap()).collect()
+    let all = (0..library.len()).collect();
+    let library = prepare_library(&method, library, &all, None, &|_, _| ()).unwrap();
+    let model = library.fit_all(&method).unwrap();
+    let query = |e: &Entry| model.prepare(e, &e.load().unwrap()).unwrap();
+    queries.iter().map(|e| model.rank(&query(e)).unwrap()).collect()
 }
 
 fn assert_close(a: &[Ranking], b: &[Ranking], relative: f64) {
@@ -88,17 +85,22 @@ fn neither_the_number_of_threads_nor_the_order_of_the_library_matters() {
     assert_eq!(one, with(3, &backwards));
 }
 
-/// A library on disk, its entries, and how many of them a preparation took from the cache.
-fn prepare(folder: &Path, options: ReferenceOptions) -> (usize, Vec<String>, Vec<Ranking>) {
+/// How many trials of a library on disk a preparation took from the cache, what it remarked, and
+/// how a method ranks one of them.
+fn prepare(folder: &Path, method: impl Into<MethodSpec>) -> (usize, Vec<String>, Ranking) {
     let library = surfaced::dataset::open(folder, &Scene::lmt108()).unwrap();
-    let method = Reference::new(library.scene.clone(), options);
+    let method = method.into().build(&library.scene);
     let wanted: BTreeSet<usize> = (0..library.entries.len()).collect();
     let made =
-        prepare_library(&method, &library.entries, &wanted, Some(folder), &|_, _| ()).unwrap();
-    let model = method.fit(made.trials.into_iter().flatten().collect()).unwrap();
+        prepare_library(&*method, &library.entries, &wanted, Some(folder), &|_, _| ()).unwrap();
+    let model = made.fit_all(&*method).unwrap();
     let query = &library.entries[0];
-    let query = method.prepare(query, &query.load().unwrap()).unwrap();
-    (made.from_cache, made.remarks, vec![method.rank(&model, &query).unwrap()])
+    let query = model.prepare(query, &query.load().unwrap()).unwrap();
+    (made.from_cache, made.remarks, model.rank(&query).unwrap())
+}
+
+fn reference() -> MethodSpec {
+    MethodSpec::Reference(options())
 }
 
 fn on_disk() -> tempfile::TempDir {
@@ -116,29 +118,65 @@ fn on_disk() -> tempfile::TempDir {
 }
 
 #[test]
-fn a_cached_library_ranks_exactly_as_a_new_one() {
+fn a_cached_library_ranks_exactly_as_a_new_one_by_every_method() {
     let folder = on_disk();
-    let (first, remarks, anew) = prepare(folder.path(), options());
-    assert_eq!((first, remarks), (0, Vec::<String>::new()));
-    let (second, remarks, cached) = prepare(folder.path(), options());
-    assert_eq!((second, remarks), (4, Vec::<String>::new()));
-    assert_eq!(anew, cached);
+    let others = MethodName::ALL.into_iter().filter(|name| *name != MethodName::Reference);
+    for method in others.map(MethodSpec::from).chain([reference()]) {
+        let (first, remarks, anew) = prepare(folder.path(), method.clone());
+        assert_eq!((first, remarks), (0, Vec::<String>::new()), "{method:?}");
+        let (second, remarks, cached) = prepare(folder.path(), method.clone());
+        assert_eq!((second, remarks), (4, Vec::<String>::new()), "{method:?}");
+        assert_eq!(anew, cached, "{method:?}");
+    }
+}
+
+#[test]
+fn trials_drawn_for_each_pair_are_not_cached() {
+    let folder = on_disk();
+    let positions = surfaced::recognise::PositionMode::PerPair;
+    for _ in 0..2 {
+        let method = MethodSpec::Reference(ReferenceOptions { positions, ..options() });
+        assert_eq!(prepare(folder.path(), method).0, 0);
+    }
+    assert!(!folder.path().join(".reference.surfaced-cache").exists());
+}
+
+#[test]
+fn a_trial_that_another_method_prepared_is_refused_by_name() {
+    let (scene, shape) = (Scene::lmt108(), Arc::new(LibraryShape::default()));
+    let of = |name: MethodName| MethodSpec::from(name).build(&scene);
+    let prepared = |name| {
+        let trials = ["oak", "beech"].map(|surface| common::trial(surface, EXPERT, 1));
+        let prepare = |trial: Trial| {
+            of(name).prepare(&Entry::in_memory(trial.clone()), &trial, &shape).unwrap()
+        };
+        trials.map(prepare).to_vec()
+    };
+    let refused = |by: MethodName, of_method: MethodName| {
+        of(by).fit(prepared(of_method), &shape).err().unwrap()
+    };
+    let error = refused(MethodName::Reference, MethodName::Embedding);
+    assert!(matches!(error, RecogniseError::PreparedByAnother { by: "embedding", .. }), "{error}");
+    let error = refused(MethodName::Svm, MethodName::Reference);
+    assert!(error.to_string().contains("was prepared for reference"), "{error}");
+    let error = refused(MethodName::Embedding, MethodName::Svm);
+    assert!(matches!(error, RecogniseError::NeedsRecordings("embedding")), "{error}");
 }
 
 #[test]
 fn only_what_changed_is_prepared_anew() {
     let folder = on_disk();
-    prepare(folder.path(), options());
+    prepare(folder.path(), reference());
     common::write_wav(&folder.path().join("oak/2/ir.wav"), 10_000, 1, &[5, 7, 9, 11, 13]);
-    assert_eq!(prepare(folder.path(), options()).0, 3);
-    assert_eq!(prepare(folder.path(), options()).0, 4);
+    assert_eq!(prepare(folder.path(), reference()).0, 3);
+    assert_eq!(prepare(folder.path(), reference()).0, 4);
 }
 
 #[test]
 fn other_settings_and_a_damaged_cache_are_prepared_anew_with_a_remark() {
     let folder = on_disk();
-    prepare(folder.path(), options());
-    let other = ReferenceOptions { seed: 2, ..options() };
+    prepare(folder.path(), reference());
+    let other = MethodSpec::Reference(ReferenceOptions { seed: 2, ..options() });
     let (from_cache, remarks, _) = prepare(folder.path(), other.clone());
     assert_eq!(from_cache, 0);
     assert!(remarks[0].contains("other settings"), "{remarks:?}");
@@ -155,7 +193,7 @@ fn a_cache_that_cannot_be_written_is_a_remark() {
     let folder = on_disk();
     // A folder in the place of the file: neither read nor replaced, even by root.
     std::fs::create_dir_all(folder.path().join(".reference.surfaced-cache/in-the-way")).unwrap();
-    let (from_cache, remarks, _) = prepare(folder.path(), options());
+    let (from_cache, remarks, _) = prepare(folder.path(), reference());
     assert_eq!(from_cache, 0);
     assert!(remarks.iter().any(|r| r.contains("not kept")), "{remarks:?}");
 }

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use proptest::prelude::*;
 use surfaced::device::Replay;
 use surfaced::library::Entry;
-use surfaced::recognise::{Method, PositionMode, Ranking, Reference, ReferenceOptions};
+use surfaced::recognise::{
+    LibraryShape, Method, PositionMode, Ranking, Reference, ReferenceOptions,
+};
 use surfaced::scan::{Event, Options, Session};
 use surfaced::scene::Scene;
 use surfaced::trial::Trial;
@@ -39,13 +41,14 @@ fn played(trial: &Trial, chunk_s: f64) -> Trial {
 
 fn name(method: &Reference, library: &[Entry], query: &Trial, threads: usize) -> Ranking {
     let work = || {
+        let shape = Arc::new(LibraryShape::of(&library.iter().collect::<Vec<_>>()).unwrap());
         let prepared = library.iter().map(|entry| {
             let trial = entry.load().unwrap();
-            Arc::new(method.prepare(entry, &trial).unwrap())
+            method.prepare(entry, &trial, &shape).unwrap()
         });
-        let model = method.fit(prepared.collect()).unwrap();
-        let query = method.prepare(&Entry::in_memory(query.clone()), query).unwrap();
-        method.rank(&model, &query).unwrap()
+        let model = method.fit(prepared.collect(), &shape).unwrap();
+        let query = model.prepare(&Entry::in_memory(query.clone()), query).unwrap();
+        model.rank(&query).unwrap()
     };
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }

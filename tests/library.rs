@@ -32,6 +32,7 @@ fn a_written_library_is_read_back_whole() {
         );
     }
     let library = open(&path).unwrap();
+    common::assert_outlines_are_true(&library);
     assert_eq!((library.name.as_str(), library.synthetic), ("ours", false));
     assert_eq!(library.remarks, Vec::<String>::new());
     assert!(library.entries.is_sorted_by_key(|entry| &entry.key));

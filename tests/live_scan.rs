@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use common::id;
 use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
-use surfaced::scan::detect::{Feel, Limits};
-use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, Session};
+use surfaced::scan::detect::{DetectorConfig, SensorKind};
+use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, ScanCommand, Session};
 use surfaced::scene::Phase;
 use surfaced::trial::Signal;
 
@@ -83,8 +83,11 @@ fn detection() -> Detection {
         channels,
     };
     Detection {
-        limits: Limits::default(),
-        groups: vec![vec![(id("ac"), Feel::Vibration)], vec![(id("sound"), Feel::Vibration)]],
+        detector: DetectorConfig::default(),
+        groups: vec![
+            vec![(id("ac"), SensorKind::Vibration)],
+            vec![(id("sound"), SensorKind::Vibration)],
+        ],
         cuts: vec![
             cut("ac", "ac", Phase::Drag, 3),
             cut("mi1", "sound", Phase::Tap, 1),
@@ -97,6 +100,11 @@ fn scans(sensors: Vec<Sensor>) -> (Vec<Scan>, Vec<String>) {
     let devices = sensors.into_iter().map(|s| Box::new(s) as Box<dyn Device>).collect();
     let options = Options { detection: Some(detection()), ..Options::default() };
     let session = Session::start(devices, options).unwrap();
+    all(&session)
+}
+
+/// All scans and warnings of a session.
+fn all(session: &Session) -> (Vec<Scan>, Vec<String>) {
     let (mut scans, mut warnings) = (Vec::new(), Vec::new());
     for event in session.events() {
         match event {
@@ -161,4 +169,19 @@ fn one_sensor_alone_makes_scans_and_a_stream_that_ends_ends_its_drag() {
     assert_eq!(scans[0].trial.signals.keys().map(|id| id.as_str()).collect::<Vec<_>>(), ["ac"]);
     let [first, _, length] = loud_s(&scans[0], "ac");
     assert!(first < 0.02 && (length - 1.0).abs() < 0.03, "{first} {length}");
+}
+
+#[test]
+fn a_scan_begun_by_command_ends_at_the_longest_scan() {
+    let options =
+        Options { detection: Some(detection()), longest_scan_s: 0.6, ..Options::default() };
+    // It ends before anything is to be detected.
+    let session = Session::start(vec![Box::new(acceleration(1.9))], options).unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    session.command(ScanCommand::Begin);
+    let (scans, warnings) = all(&session);
+    let [scan] = &scans[..] else { panic!("{} scans, {warnings:?}", scans.len()) };
+    assert!(scan.spoiled.is_empty(), "{:?}", scan.spoiled);
+    assert!((0.55..1.3).contains(&scan.scan_s), "{}", scan.scan_s);
+    assert!(warnings.iter().any(|text| text.contains("ended after 0.6 s")), "{warnings:?}");
 }

@@ -89,6 +89,7 @@ fn a_small_tree_is_read_whole() {
     let (dir, root) = small_tree();
     for path in [root.as_path(), dir.path()] {
         let library = open(path);
+        common::assert_outlines_are_true(&library);
         let keys: Vec<_> = library.entries.iter().map(|entry| entry.key.clone()).collect();
         let expected =
             [("expert", 1), ("expert", 2), ("expert", 3), ("user1", 1), ("user2", 2), ("user3", 3)];

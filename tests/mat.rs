@@ -48,6 +48,7 @@ fn trials_are_read_whole_with_labels_users_and_numbers() {
         let of_mesh = [("expert", 1), ("expert", 2), ("user1", 1), ("user2", 2)];
         assert_eq!(keys[..4], of_mesh.map(|(user, n)| TrialKey::new("G1Mesh", user, n)));
         assert_eq!(library.surfaces(), ["G1Mesh", "G4Wood", "G7FoamVersion1"]);
+        common::assert_outlines_are_true(&library);
         let trial = library.entries[4].load().unwrap();
         let shape = |id: &str| match &trial.signals[id] {
             Signal::Series(series) => (series.rate_hz(), series.frames(), series.channels()),

@@ -12,8 +12,8 @@ use common::sound::{SINK, Server};
 use common::{id, shared};
 use realfft::RealFftPlanner;
 use surfaced::device::microphone::{Alsa, Microphone, RATE_HZ};
-use surfaced::device::{Control, Device, DeviceState, ReportKind};
-use surfaced::ring::{Bell, Piece, Sink, Stop, series};
+use surfaced::device::{Control, Device, DeviceReportKind, DeviceState};
+use surfaced::ring::{Piece, Sink, Stop, Waker, series};
 
 const SOUND: &str = "data/LMT_108_SurfaceMaterials_Database/SoundScans/Movement/Training/\
                      G4CherryTree_Sound_Movement_train10.wav";
@@ -63,8 +63,8 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     let sound_s = sound.len() as f64 / f64::from(RATE_HZ);
 
     let mut microphone = Microphone::new(id("mi2"), Box::new(Alsa::new("default").unwrap()));
-    let (bell, woken) = Bell::new();
-    let (sink, mut tap) = series(1, RATE_HZ as usize, bell);
+    let (waker, woken) = Waker::new();
+    let (sink, mut tap) = series(1, RATE_HZ as usize, waker);
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
     let control = Control::new(0, stop.clone(), sender);
@@ -87,15 +87,16 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
         });
         for report in reports.try_iter() {
             match report.kind {
-                ReportKind::State { state: DeviceState::Opening, .. } => {}
-                ReportKind::State { state: DeviceState::Streaming, .. } => {
+                DeviceReportKind::State { state: DeviceState::Opening, .. } => {}
+                DeviceReportKind::State { state: DeviceState::Streaming, .. } => {
                     let player = server.client("paplay").arg("-d").arg(SINK).arg(&path).spawn();
                     playing = Some((Instant::now(), player.unwrap()));
                 }
                 // A server that has just started may take a while over its first sound.
-                ReportKind::State { state: DeviceState::Stalled, .. } if playing.is_none() => {}
-                ReportKind::State { state, detail } => panic!("{state}: {detail}"),
-                ReportKind::Warning(text) => warnings.push(text),
+                DeviceReportKind::State { state: DeviceState::Stalled, .. }
+                    if playing.is_none() => {}
+                DeviceReportKind::State { state, detail } => panic!("{state}: {detail}"),
+                DeviceReportKind::Warning(text) => warnings.push(text),
                 other => panic!("{other:?}"),
             }
         }

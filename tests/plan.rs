@@ -11,7 +11,7 @@ use common::id;
 use serde_json::Value;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::evaluate::plan::{Plan, PlanOptions, Planned, search};
-use surfaced::evaluate::{self, Protocol};
+use surfaced::evaluate::{self, Evaluation, Protocol};
 use surfaced::library::{Entry, Library};
 use surfaced::recognise::{Embedding, EmbeddingOptions};
 
@@ -75,8 +75,9 @@ fn a_hundred_and_eight_surfaces_need_several() {
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = evaluate::folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
     let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
-    let cut = |entry: &Entry| evaluate::first_seconds(entry, &scene, plan.scan_s);
-    let (outcome, _) = evaluate::run(&method, &entries, &folds, cut, &|_, _, _| ()).unwrap();
+    let evaluation = Evaluation::new(&scene, &entries, &folds);
+    let run = Evaluation { query_seconds: plan.scan_s, ..evaluation }.prepare(&method).unwrap();
+    let outcome = run.measure().unwrap().outcome;
     let said = planned.steps.last().unwrap();
     let right = (outcome.accuracy_mean * outcome.queries as f64).round();
     assert!(said.ends_with(&format!(": {right} of 324 right")), "{said}, but {right}");

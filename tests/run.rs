@@ -192,7 +192,7 @@ fn recording_keeps_every_scan_until_it_is_ended() {
 }
 
 #[test]
-fn a_configuration_or_a_library_that_cannot_be_is_told() {
+fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     let bench = Bench::new();
     let said = |args: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_surfaced")).args(args).output().unwrap();

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use common::stylus::{Fake, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
-use surfaced::device::{Control, Device, DeviceState, OpenError, Report, ReportKind};
-use surfaced::ring::{Bell, Piece, SeriesTap, Sink, Stop, series};
+use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};
+use surfaced::ring::{Piece, SeriesTap, Sink, Stop, Waker, series};
 use surfaced_wire::Command;
 
 /// A driver at work.
@@ -19,7 +19,7 @@ struct Bench {
     _dir: tempfile::TempDir,
     taps: Vec<SeriesTap>,
     got: Vec<Vec<f32>>,
-    reports: Receiver<Report>,
+    reports: Receiver<DeviceReport>,
     states: Vec<DeviceState>,
     texts: Vec<String>,
     stop: Stop,
@@ -45,7 +45,7 @@ fn bench() -> Bench {
 }
 
 impl Bench {
-    fn start(mut self, sender: crossbeam_channel::Sender<Report>) -> Self {
+    fn start(mut self, sender: crossbeam_channel::Sender<DeviceReport>) -> Self {
         let mut stylus = Stylus::new(Selector::Path(self.link.clone()));
         let mut sinks = Vec::new();
         for spec in stylus.streams() {
@@ -55,7 +55,7 @@ impl Bench {
                 _ => 1,
             };
             // 40 s: nobody drains while a script runs.
-            let (sink, tap) = series(channels, 400_000, Bell::new().0);
+            let (sink, tap) = series(channels, 400_000, Waker::new().0);
             sinks.push(Sink::Series(sink));
             self.taps.push(tap);
         }
@@ -77,11 +77,11 @@ impl Bench {
         }
         for report in self.reports.try_iter() {
             match report.kind {
-                ReportKind::State { state, detail } => {
+                DeviceReportKind::State { state, detail } => {
                     self.states.push(state);
                     self.texts.push(detail);
                 }
-                ReportKind::Warning(text) => self.texts.push(text),
+                DeviceReportKind::Warning(text) => self.texts.push(text),
                 other => panic!("{other:?}"),
             }
         }
@@ -101,7 +101,7 @@ impl Bench {
         self.stop.request();
         let thread = self.thread.take().unwrap();
         while !thread.is_finished() {
-            fake.heed();
+            fake.obey();
         }
         thread.join().unwrap();
         self.take();
@@ -160,7 +160,7 @@ fn all_samples_arrive_in_order_and_scaled() {
 }
 
 #[test]
-fn a_stall_is_told_and_its_gap_counted() {
+fn a_stall_is_reported_and_its_gap_counted() {
     let mut b = bench();
     let mut fake = Fake::plug(&b.link);
     fake.wait_for_start();
@@ -209,9 +209,13 @@ fn a_reset_is_a_gap_that_no_scan_bridges() {
     let runs = b.runs();
     assert_eq!((runs.len(), runs[0]), (2, (0, before, 0)));
     assert_eq!((runs[1].0, runs[1].1), (0, after));
-    // Started anew 0.5 s after its last sample; 20 ms of it can be mere delays.
+    // Restarted 0.5 s after its last sample; 20 ms of it can be mere delays.
     assert!((4_500..20_000).contains(&runs[1].2), "{runs:?}");
-    assert!(b.texts.iter().any(|text| text.contains("restart(s)")), "{:?}", b.texts);
+    assert!(
+        b.texts.iter().any(|text| text.contains("restarts of its sample counter")),
+        "{:?}",
+        b.texts
+    );
 }
 
 #[test]
@@ -238,7 +242,7 @@ fn garbage_costs_the_frames_it_hits_and_no_others() {
     let missing: u64 = b.runs().iter().map(|run| run.2).sum();
     assert_eq!(missing, 20 * 32, "{:?}", b.runs());
     assert!(b.runs().iter().all(|run| run.2 == 0 || run.2 == 32));
-    assert!(b.texts.iter().any(|text| text.contains("damaged frame(s)")), "{:?}", b.texts);
+    assert!(b.texts.iter().any(|text| text.contains("damaged frames")), "{:?}", b.texts);
 }
 
 #[test]
@@ -327,12 +331,12 @@ fn the_light_is_asked_for_until_it_is_on() {
     let limit = Instant::now() + Duration::from_secs(10);
     while !light.is_on() {
         assert!(Instant::now() < limit, "{:?}", fake.commands);
-        fake.heed();
+        fake.obey();
     }
     assert!(fake.commands.iter().filter(|c| **c == Command::LightOn).count() >= 2);
     stop.request();
     while !thread.is_finished() {
-        fake.heed();
+        fake.obey();
     }
     thread.join().unwrap();
 }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
-use surfaced::station::{Enrolled, LibraryState, Notice, Order};
+use surfaced::station::{Command, Enrolled, EnrolledOutcome, LibraryState, StationEvent};
 
 /// A server that was told a short session.
 fn told() -> Served {
@@ -103,14 +103,14 @@ fn every_answer_that_the_readme_shows_is_what_a_server_says() {
 fn orders_reach_the_station_and_nothing_else_does() {
     let served = told();
     for (path, body, order) in [
-        ("start", "", Order::Start),
-        ("stop", "", Order::Stop),
-        ("reload", "", Order::Reload),
-        ("enroll/end", "", Order::EndEnroll),
+        ("start", "", Command::Start),
+        ("stop", "", Command::Stop),
+        ("reload", "", Command::Reload),
+        ("enroll/end", "", Command::EndEnroll),
         (
             "enroll",
             r#"{"surface": "ash", "user": "anna", "trials": 3}"#,
-            Order::Enroll { surface: "ash".into(), user: "anna".into(), trials: 3 },
+            Command::Enroll { surface: "ash".into(), user: "anna".into(), trials: 3 },
         ),
     ] {
         let reply = served.post(&format!("/api/v1/{path}"), body);
@@ -132,7 +132,7 @@ fn a_station_that_is_busy_or_gone_is_said_to_be() {
     let busy = served.post("/api/v1/start", "");
     assert_eq!((busy.status, busy.json()["error"].as_str()), (503, Some("busy")));
     assert_eq!(served.get("/healthz").status, 200);
-    served.tell([Notice::Finished(Arc::new(Totals::default()))]);
+    served.tell([StationEvent::Finished(Arc::new(Totals::default()))]);
     served.until("/api/v1/state", |state| state["finished"] == true);
     let ended = served.post("/api/v1/start", "");
     assert_eq!((ended.status, ended.json()["error"].as_str()), (409, Some("ended")));
@@ -144,12 +144,12 @@ fn a_library_that_is_being_read_is_said_to_be() {
     let mut served = serve(|_| {});
     let mut events = Events::open(&served, "");
     assert_eq!(events.next("state")["reading"], false);
-    served.tell([Notice::Reading]);
+    served.tell([StationEvent::Reading]);
     assert_eq!(events.next("reading"), json!(true));
     let advice = events.next("advice");
     assert_eq!((&advice["do"], &advice["text"]), (&json!("wait"), &json!("reading the library")));
     assert_eq!(served.get("/api/v1/state").json()["reading"], true);
-    served.tell([Notice::Library(LibraryState::default())]);
+    served.tell([StationEvent::Library(LibraryState::default())]);
     assert_eq!(events.next("advice")["text"], "wait for the stylus");
     assert_eq!(served.get("/api/v1/state").json()["reading"], false);
 }
@@ -168,9 +168,9 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
     let mut events = Events::open(&served, "");
     assert_eq!(events.next("state")["scan"], 3);
     served.tell([
-        Notice::Phase { scan: 3, phase: None },
-        Notice::Answer(Arc::new(answer(3, Some("beech")))),
-        Notice::Device {
+        StationEvent::Phase { scan: 3, phase: None },
+        StationEvent::Answer(Arc::new(answer(3, Some("beech")))),
+        StationEvent::Device {
             device: "stylus".into(),
             state: DeviceState::Lost,
             detail: "unplugged".into(),
@@ -184,9 +184,10 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
     served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
     assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "expert", "wanted": 2}));
     for wanted in [1, 0] {
-        served.tell([Notice::Enrolled(Enrolled {
+        served.tell([StationEvent::Enrolled(Enrolled {
             scan: 4,
             surface: "ash".into(),
+            outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,
             remarks: vec![],
@@ -212,7 +213,7 @@ fn a_reader_gets_the_types_that_it_names() {
     // The reader may come a moment later than the first.
     let begin = std::time::Instant::now();
     for n in 0.. {
-        served.tell([Notice::Trace(Arc::new(Trace { fresh: vec![fresh(n * 500)] }))]);
+        served.tell([StationEvent::Trace(Arc::new(Trace { fresh: vec![fresh(n * 500)] }))]);
         std::thread::sleep(std::time::Duration::from_millis(20));
         let metrics = served.get("/metrics").body;
         if metrics.contains("surfaced_readers 1") && n > 3 {
@@ -220,7 +221,7 @@ fn a_reader_gets_the_types_that_it_names() {
         }
         assert!(begin.elapsed() < common::http::SOON);
     }
-    served.tell([Notice::Answer(Arc::new(answer(4, None)))]);
+    served.tell([StationEvent::Answer(Arc::new(answer(4, None)))]);
     let trace = events.next("trace");
     let stream = &trace["streams"][0];
     assert_eq!((&stream["source"], &stream["bin_s"]), (&json!("ac"), &json!(0.005)));

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use common::http::{Events, SOON, Served, answer, serve, session};
 use serde_json::Value;
 use surfaced::serve::{Server, Settings, Token};
-use surfaced::station::{LibraryState, Notice};
+use surfaced::station::{LibraryState, StationEvent};
 
 /// Patience that tests can wait for.
 fn impatient() -> Served {
@@ -105,8 +105,8 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     // A library may hold such a label already: then it is JSON, told as such.
     let surfaces = vec![(script.to_string(), 1)];
     served.tell([
-        Notice::Library(LibraryState { surfaces, ..LibraryState::default() }),
-        Notice::Answer(Arc::new(answer(1, Some(script)))),
+        StationEvent::Library(LibraryState { surfaces, ..LibraryState::default() }),
+        StationEvent::Answer(Arc::new(answer(1, Some(script)))),
     ]);
     let state = served.until("/api/v1/state", |state| state["answer"].is_object());
     assert_eq!(state["library"]["surfaces"][0]["surface"], script);
@@ -114,11 +114,11 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     assert!(reply.head.contains("content-type: application/json"));
     assert!(reply.head.contains("x-content-type-options: nosniff"));
     // Nor does a line break in a device's name break the metrics or the stream.
-    served.tell([Notice::Warning("event: answer\ndata: {}\n\n".into())]);
+    served.tell([StationEvent::Warning("event: answer\ndata: {}\n\n".into())]);
     served.until("/api/v1/state", |state| state["warnings"] != serde_json::json!([]));
     let mut events = Events::open(&served, "");
     events.next("state");
-    served.tell([Notice::Warning("a\n\nevent: answer\ndata: 1".into())]);
+    served.tell([StationEvent::Warning("a\n\nevent: answer\ndata: 1".into())]);
     assert_eq!(events.next("warning")["text"], "a\n\nevent: answer\ndata: 1");
 }
 
@@ -186,7 +186,10 @@ fn stalled_readers_cost_a_good_one_nothing() {
     // Enough to fill whatever the sockets hold.
     let text = "x".repeat(100_000);
     for n in 0..400 {
-        served.tell([Notice::Warning(text.clone()), Notice::Answer(Arc::new(answer(n, None)))]);
+        served.tell([
+            StationEvent::Warning(text.clone()),
+            StationEvent::Answer(Arc::new(answer(n, None))),
+        ]);
         assert_eq!(good.next("answer")["scan"], n);
     }
     let metrics = served.get("/metrics").body;
@@ -200,7 +203,7 @@ fn stalled_readers_cost_a_good_one_nothing() {
     let begin = Instant::now();
     while !served.get("/metrics").body.contains("surfaced_readers 1\n") {
         assert!(begin.elapsed() < SOON);
-        served.tell([Notice::Warning(text.clone())]);
+        served.tell([StationEvent::Warning(text.clone())]);
         std::thread::sleep(Duration::from_millis(50));
     }
     drop(stalled);

@@ -210,8 +210,8 @@ fn every_classifier_names_surfaces_of_recordings_and_of_feature_tables() {
         "--protocol",
         "leave-one-trial-out",
         "--method",
-        "joint",
+        "embedding",
     ]);
     assert_eq!(refused.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("joint needs recordings"));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("embedding needs recordings"));
 }

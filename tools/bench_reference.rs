@@ -16,12 +16,10 @@ use std::time::Instant;
 
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::kernel::{
-    InstructionSet, Lanes, Quality, lane_scale, lane_self_sum_with, lane_sum_with,
+    InstructionSet, PaddedPoints, Quality, lane_scale, lane_self_sum_with, lane_sum_with,
 };
-use surfaced::library::{Entry, LibraryError, LoadTrial};
-use surfaced::recognise::{
-    Method, PreparedTrial, Reference, ReferenceOptions, STAGES, prepare_library,
-};
+use surfaced::library::{Entry, LibraryError, LoadTrial, Outlines};
+use surfaced::recognise::{Reference, ReferenceOptions, STAGES, prepare_library};
 use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{EXPERT, Trial};
 
@@ -73,7 +71,7 @@ fn kernel() {
         for channels in 1..=4 {
             // Spread out as a normal distribution is; or with one sample far away.
             let fill = |key: usize, far: f64| {
-                let mut lanes = Lanes::default();
+                let mut lanes = PaddedPoints::default();
                 lanes.fill(channels, lane_scale(1.0), |c| {
                     (0..400).map(move |i| {
                         let at = (i * (7 + c) + key) as f64 * 0.618_033_988_749;
@@ -84,7 +82,7 @@ fn kernel() {
                 lanes
             };
             let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
-            let cross = |b: &Lanes| {
+            let cross = |b: &PaddedPoints| {
                 timed(400, || {
                     black_box(lane_sum_with(set, black_box(&a), black_box(b), Quality::Quick));
                 })
@@ -113,6 +111,10 @@ struct Stamped(Entry);
 impl LoadTrial for Stamped {
     fn load(&self, _: &[SourceId]) -> Result<Trial, LibraryError> {
         self.0.load()
+    }
+
+    fn outlines(&self, _: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+        self.0.outlines().map(Some)
     }
 
     fn stamp(&self, _: &[SourceId]) -> Option<u64> {
@@ -176,7 +178,8 @@ fn library(query: bool, halving: bool, cache: bool) {
             prepared.remarks.join("; ")
         );
     }
-    let model: Vec<Arc<PreparedTrial>> = prepared.trials.into_iter().flatten().collect();
+    let fit = |method| prepared.fit_all(method).unwrap_or_else(|error| panic!("{error}"));
+    let (exact, halved) = (fit(&exact), fit(&halved));
     if query {
         let entry = &of_users[0];
         let trial = entry.load().unwrap_or_else(|error| panic!("{error}"));
@@ -184,9 +187,9 @@ fn library(query: bool, halving: bool, cache: bool) {
         let (least, median) = timed(9, || drop(black_box(ready())));
         println!("preparing one query: {:.1} ms (median {:.1} ms)", least * 1e3, median * 1e3);
         let z = ready();
-        for (name, method) in [("exact", &exact), ("halving", &halved)] {
+        for (name, model) in [("exact", &exact), ("halving", &halved)] {
             let before = processor_s();
-            let (least, median) = timed(9, || drop(black_box(method.rank(&model, &z))));
+            let (least, median) = timed(9, || drop(black_box(model.rank(&z))));
             let used = processor_s().zip(before).map(|(after, before)| (after - before) / 9.0);
             println!(
                 "one query, 1080 trials × 8 sources × R = 10, {name}: {least:.3} s (median \
@@ -204,12 +207,8 @@ fn library(query: bool, halving: bool, cache: bool) {
             let entry = &of_users[i * of_users.len() / queries];
             let trial = entry.load().unwrap_or_else(|error| panic!("{error}"));
             let z = exact.prepare(entry, &trial).unwrap_or_else(|error| panic!("{error}"));
-            let answers = [&exact, &halved].map(|method| {
-                method
-                    .rank(&model, &z)
-                    .unwrap_or_else(|error| panic!("{error}"))
-                    .surface()
-                    .to_string()
+            let answers = [&exact, &halved].map(|model| {
+                model.rank(&z).unwrap_or_else(|error| panic!("{error}")).surface().to_string()
             });
             same += usize::from(answers[0] == answers[1]);
             for (right, answer) in right.iter_mut().zip(&answers) {

@@ -1,154 +1,381 @@
-//! The studies behind the documentation of `surfaced::duration`: processes of known correlation
-//! time, noise, a sine, and real dragging sounds. Seeds are fixed; one thread.
+//! The studies behind `surfaced::duration`: T* where the truth is known, and odd trials against even
+//! ones on recordings. Seeds are fixed. `tools/charts/duration-study DATA` keeps what it prints.
 //!
-//!     cargo run --release --example duration_study            simulations
-//!     cargo run --release --example duration_study -- DATA    real sounds: the folder that holds
-//!                                                             SoundScans/
+//!     cargo run --release --example duration_study               processes
+//!     cargo run --release --example duration_study -- DATA …     recordings: libraries, LMT108
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use rand_chacha::ChaCha8Rng;
-use surfaced::duration::{Estimate, Outcome, Rule, Search, Settings, Trials, simulate};
+use rayon::prelude::*;
+use surfaced::duration::{
+    Answer, CORRELATION, Estimator, PooledEstimate, PooledSettings, Question, Rule, Search,
+    Settings, SourceDuration, Trials, VALUES, at_needed_rate, report, simulate,
+};
 use surfaced::kernel::Threshold;
+use surfaced::library::Library;
+use surfaced::scene::Scene;
 use surfaced::seed;
 use surfaced::trial::Series;
 
 type Failure = Box<dyn std::error::Error>;
+type Make = fn(usize, f64, &mut ChaCha8Rng) -> Vec<f32>;
 const REPETITIONS: u64 = 50;
-const RULES: [Rule; 2] = [Rule::Quantile, Rule::MeanCi];
+/// Trials and frames of the recording that the truth is computed from.
+const TRUTH: (usize, usize) = (20, 500_000);
+
+/// A process, and what is expected of its T*.
+struct Case {
+    name: &'static str,
+    make: Make,
+    channels: usize,
+    tau: f64,
+    trials: usize,
+    frames: usize,
+    wanted: Wanted,
+}
+
+/// What must hold, T* in units of the truth unless said otherwise.
+#[derive(Clone, Copy)]
+enum Wanted {
+    /// Median T*/τ between two numbers, the truth being ln 10.
+    InTau(f64, f64),
+    /// Median between 0.75 and 1.5 of the truth.
+    NearTruth,
+    /// That, or "too little data".
+    NearTruthOrLittleData,
+    /// 1 in at least 95 %.
+    One,
+    /// "Never" in at least 95 %.
+    Never,
+}
 
 fn main() -> Result<(), Failure> {
-    match std::env::args().nth(1) {
-        Some(folder) => sounds(Path::new(&folder)),
-        None => simulations(),
+    let folders: Vec<String> = std::env::args().skip(1).collect();
+    if folders.is_empty() {
+        pooled_on_processes();
+        return algorithm1_on_processes();
+    }
+    folders.iter().try_for_each(|folder| halves(Path::new(folder)))
+}
+
+fn ou(frames: usize, tau: f64, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    simulate::ar1(frames, tau, rng)
+}
+
+fn three_channels(frames: usize, _: f64, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let channels = [20.0, 50.0, 100.0].map(|tau| simulate::ar1(frames, tau, rng));
+    (0..frames).flat_map(|i| [channels[0][i], channels[1][i], channels[2][i]]).collect()
+}
+
+/// An OU process whose standard deviation is this many steps of a 12-bit converter.
+fn quantised(frames: usize, tau: f64, rng: &mut ChaCha8Rng, steps: f32) -> Vec<f32> {
+    let to_code = |x: f32| (x * steps).round().clamp(-2048.0, 2047.0);
+    ou(frames, tau, rng).into_iter().map(to_code).collect()
+}
+
+fn cases() -> Vec<Case> {
+    let case = |name, make, tau, wanted| Case {
+        name,
+        make,
+        channels: 1,
+        tau,
+        trials: 10,
+        frames: 48_000,
+        wanted,
+    };
+    let (tau, truth) = (100.0, Wanted::NearTruth);
+    vec![
+        case("OU", ou, 5.0, Wanted::InTau(2.1, 2.7)),
+        case("OU", ou, 20.0, Wanted::InTau(2.1, 2.7)),
+        case("OU", ou, 100.0, Wanted::InTau(2.1, 2.7)),
+        Case { trials: 5, frames: 10_000, ..case("OU", ou, 20.0, Wanted::InTau(2.0, 3.0)) },
+        case("OU", ou, 1000.0, Wanted::NearTruthOrLittleData),
+        case("random telegraph", simulate::telegraph, tau, truth),
+        Case { channels: 3, ..case("three channels, 20/50/100", three_channels, tau, truth) },
+        case("AR, t₂ innovations", simulate::heavy_tailed, tau, truth),
+        case("OU, 12 bit, σ = 512 steps", |n, tau, rng| quantised(n, tau, rng, 512.0), tau, truth),
+        case("OU, 12 bit, σ = 1 step", |n, tau, rng| quantised(n, tau, rng, 1.0), tau, truth),
+        case(
+            "OU, 5 % saturated",
+            |n, tau, rng| ou(n, tau, rng).into_iter().map(|x| x.min(1.6449)).collect(),
+            tau,
+            truth,
+        ),
+        case("stochastic volatility", simulate::volatility, tau, truth),
+        case("noise", |n, _, rng| ou(n, 0.0, rng), 1.0, Wanted::One),
+        Case {
+            trials: 5,
+            frames: 10_000,
+            ..case("noise", |n, _, rng| ou(n, 0.0, rng), 1.0, Wanted::One)
+        },
+        case(
+            "Cauchy noise",
+            |n, _, rng| {
+                let mut ratio = || (simulate::normal(rng) / simulate::normal(rng)) as f32;
+                (0..n).map(|_| ratio()).collect()
+            },
+            1.0,
+            Wanted::One,
+        ),
+        case("sine, period 210", |n, _, rng| simulate::sine(n, 210.0, rng), 1.0, Wanted::Never),
+        case(
+            "sine and noise",
+            |n, _, rng| {
+                let sine = simulate::sine(n, 210.0, rng);
+                sine.into_iter().map(|x| x + simulate::normal(rng) as f32).collect()
+            },
+            1.0,
+            Wanted::Never,
+        ),
+        case("trend", |n, _, rng| simulate::ramp(n, 0.0, rng), 1.0, Wanted::Never),
+        case("trend and noise", |n, _, rng| simulate::ramp(n, 0.5, rng), 1.0, Wanted::Never),
+    ]
+}
+
+impl Case {
+    fn estimate(&self, repetition: u64, (trials, frames): (usize, usize)) -> PooledEstimate {
+        let key: [&[u8]; 3] = [b"study", self.name.as_bytes(), &self.tau.to_le_bytes()];
+        let mut rng = seed::rng(repetition, &key);
+        let series: Vec<Series> = (0..trials)
+            .map(|_| Series::new(1e4, self.channels, (self.make)(frames, self.tau, &mut rng)))
+            .collect::<Result<_, _>>()
+            .expect("finite samples");
+        let values = VALUES.max(trials * frames);
+        at_needed_rate(&series, frames, CORRELATION, values).expect("samples that change")
+    }
+
+    /// T*/τ of very many samples; ln 10 where the autocorrelation is exp(−t/τ).
+    fn truth(&self) -> Option<f64> {
+        match self.wanted {
+            Wanted::InTau(..) | Wanted::NearTruthOrLittleData => Some(10f64.ln()),
+            Wanted::NearTruth => match self.estimate(u64::MAX, TRUTH).answer {
+                Answer::Found { t_star, .. } => Some(t_star / self.tau),
+                _ => None,
+            },
+            Wanted::One => Some(1.0),
+            Wanted::Never => None,
+        }
     }
 }
 
-/// Both rules on `REPETITIONS` sets of trials of one process.
-fn repeat(
-    q: usize,
-    name: &str,
-    draws: usize,
-    make: impl Fn(&mut ChaCha8Rng) -> Vec<f32>,
-) -> Result<[Vec<Estimate>; 2], Failure> {
-    let mut found = [Vec::new(), Vec::new()];
-    for repetition in 0..REPETITIONS {
-        let mut rng = seed::rng(repetition, &[b"study", name.as_bytes(), &q.to_le_bytes()]);
-        let trials = Trials::new(simulate::trials(q, 1e4, || make(&mut rng))?)?;
-        let settings = Settings {
-            draws,
-            threshold: Threshold::Gamma,
-            seed: repetition,
-            ..Settings::default()
+fn pooled_on_processes() {
+    println!("Rule `pooled`, {REPETITIONS} runs each, in units of τ (of samples for noise):\n");
+    println!(
+        "| process | τ | Q × L | truth | T* median (5–95 %) | upper bound, median | below truth | \
+         below 0.85 truth | no T* | n_eff off by | as wanted |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    for case in cases() {
+        let truth = case.truth();
+        let found: Vec<PooledEstimate> = (0..REPETITIONS)
+            .into_par_iter()
+            .map(|run| case.estimate(run, (case.trials, case.frames)))
+            .collect();
+        let sorted = |value: fn(&PooledEstimate) -> Option<f64>| -> Vec<f64> {
+            let mut all: Vec<f64> = found.iter().filter_map(value).collect();
+            all.sort_unstable_by(f64::total_cmp);
+            all
         };
-        let mut search = Search::new(&trials, settings)?;
-        for (rule, found) in RULES.into_iter().zip(&mut found) {
-            found.push(search.find(rule));
-        }
+        let t_star = sorted(|e| e.t_star_samples().map(|t| t as f64));
+        let upper = sorted(|e| e.upper_samples().map(|t| t as f64));
+        let cell = |all: &[f64], share| {
+            at(all, share).map_or("–".into(), |x| format!("{:.2}", x / case.tau))
+        };
+        let early = |factor: f64| match truth {
+            Some(truth) if !upper.is_empty() => {
+                let early = upper.iter().filter(|&&u| u < factor * truth * case.tau).count();
+                format!("{} %", 100 * early / found.len())
+            }
+            _ => "–".into(),
+        };
+        // Exact for processes whose autocorrelation alone is exp(−t/τ).
+        let inflation = at(&sorted(|e| e.inflation), 0.5);
+        let off = match (case.wanted, inflation) {
+            (Wanted::InTau(..) | Wanted::NearTruthOrLittleData, Some(inflation)) => {
+                let exact = 1.0 / (0.5 / case.tau).tanh();
+                format!("{:+.0} %", 100.0 * (exact / inflation - 1.0))
+            }
+            _ => "–".into(),
+        };
+        println!(
+            "| {} | {} | {} × {} | {} | {} ({}–{}) | {} | {} | {} | {} | {off} | {} |",
+            case.name,
+            case.tau,
+            case.trials,
+            case.frames,
+            truth.map_or("never".into(), |truth| format!("{truth:.2}")),
+            cell(&t_star, 0.5),
+            cell(&t_star, 0.05),
+            cell(&t_star, 0.95),
+            cell(&upper, 0.5),
+            early(1.0),
+            early(0.85),
+            reasons(&found),
+            if holds(&case, truth, &found, &t_star, &upper) { "yes" } else { "**no**" },
+        );
     }
-    Ok(found)
 }
 
-/// Where Algorithm 1 as printed stops.
-fn first_stop(estimate: &Estimate) -> Option<usize> {
-    match estimate.outcome {
-        Outcome::Found { lag } | Outcome::Returns { first: lag, .. } => Some(lag),
-        Outcome::NotInRange { .. } => None,
+fn at(sorted: &[f64], share: f64) -> Option<f64> {
+    sorted.get((sorted.len().saturating_sub(1) as f64 * share).round() as usize).copied()
+}
+
+fn reason(answer: Answer) -> &'static str {
+    match answer {
+        Answer::Found { .. } => "",
+        Answer::Never => "never",
+        Answer::NotWithinRange => "not within the range",
+        Answer::TooLittleData { .. } => "too little data",
     }
 }
 
-fn simulations() -> Result<(), Failure> {
-    println!("| process | Q | rule | T* = 1 sample | no T* |");
-    println!("|---|---|---|---|---|");
-    for (name, q) in [("noise", 10), ("noise", 30), ("sine", 10), ("sine", 30)] {
-        let found = repeat(q, name, 200, |rng| match name {
-            "noise" => simulate::ar1(22_000, 0.0, rng),
-            _ => simulate::sine(22_000, 210.0, rng),
-        })?;
-        for (rule, estimates) in RULES.into_iter().zip(found) {
-            let count = |wanted: Option<usize>| {
-                100 * estimates.iter().filter(|e| e.t_star() == wanted).count() / estimates.len()
-            };
-            println!("| {name} | {q} | {rule} | {} % | {} % |", count(Some(1)), count(None));
-        }
+/// How often there is no T*, and why.
+fn reasons(found: &[PooledEstimate]) -> String {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for estimate in found {
+        *counts.entry(reason(estimate.answer)).or_default() += 1;
     }
-    println!("\n| process | Q | rule | T* median (5–95 %) | stops too early | no T* |");
+    counts.remove("");
+    let shares: Vec<String> = (counts.iter())
+        .map(|(reason, count)| format!("{} % {reason}", 100 * count / found.len()))
+        .collect();
+    if shares.is_empty() { "0 %".into() } else { shares.join(", ") }
+}
+
+fn holds(
+    case: &Case,
+    truth: Option<f64>,
+    found: &[PooledEstimate],
+    t_star: &[f64],
+    upper: &[f64],
+) -> bool {
+    let most = (0.95 * found.len() as f64).ceil() as usize;
+    let median = at(t_star, 0.5).map(|t| t / case.tau);
+    let near = |low: f64, high: f64| median.is_some_and(|t| (low..=high).contains(&t));
+    let near_truth = || truth.is_some_and(|truth| near(0.75 * truth, 1.5 * truth));
+    match case.wanted {
+        Wanted::InTau(low, high) => {
+            let early = upper.iter().filter(|&&u| u < 0.85 * 10f64.ln() * case.tau).count();
+            near(low, high) && 10 * early <= found.len()
+        }
+        Wanted::NearTruth => near_truth(),
+        Wanted::NearTruthOrLittleData => {
+            let others = found.iter().map(|e| reason(e.answer));
+            near_truth() && others.into_iter().all(|r| r.is_empty() || r == "too little data")
+        }
+        Wanted::One => t_star.iter().filter(|&&t| t == 1.0).count() >= most,
+        Wanted::Never => found.iter().filter(|e| e.answer == Answer::Never).count() >= most,
+    }
+}
+
+/// The paper's two rules on OU processes.
+fn algorithm1_on_processes() -> Result<(), Failure> {
+    println!("\nThe published rules, R = 200, κ by moments, {REPETITIONS} runs, in units of τ:\n");
+    println!("| process | Q × L | rule | T* median (5–95 %) | below truth | no T* |");
     println!("|---|---|---|---|---|---|");
-    let cases =
-        [(20.0, 10), (20.0, 30), (20.0, 100), (100.0, 10), (100.0, 20), (100.0, 30), (100.0, 50)];
-    for (tau, q) in cases {
-        let draws = if q > 50 { 100 } else { 200 };
-        let found = repeat(q, "ar1", draws, |rng| simulate::ar1(22_000, tau, rng))?;
-        for (rule, estimates) in RULES.into_iter().zip(found) {
-            let mut lags: Vec<usize> = estimates.iter().filter_map(Estimate::t_star).collect();
-            lags.sort_unstable();
-            let at = |share: f64| match lags.len() {
-                0 => "–".into(),
-                n => lags[((n - 1) as f64 * share).round() as usize].to_string(),
-            };
-            let early = (estimates.iter().filter_map(first_stop))
-                .filter(|&lag| (-(lag as f64) / tau).exp() > 0.1)
-                .count();
+    for (tau, q) in [(0.0, 10usize), (0.0, 30), (20.0, 10), (20.0, 30), (100.0, 10), (100.0, 30)] {
+        let searches = (0..REPETITIONS).into_par_iter().map(|run| {
+            let mut rng = seed::rng(run, &[b"study", b"ar1", &q.to_le_bytes()[..]]);
+            let make = || simulate::ar1(22_000, tau, &mut rng);
+            // What `ar1` makes is finite, and more than five trials of it change.
+            let series = simulate::trials(q, 1e4, make).expect("finite samples");
+            let trials = Trials::new(series).expect("enough trials");
+            let threshold = Threshold::Gamma;
+            let settings = Settings { draws: 200, threshold, seed: run, ..Settings::default() };
+            let mut search = Search::new(&trials, settings).expect("possible settings");
+            [Rule::Quantile, Rule::MeanCi].map(|rule| search.find(rule).t_star())
+        });
+        let found: Vec<[Option<usize>; 2]> = searches.collect();
+        for (i, rule) in [Rule::Quantile, Rule::MeanCi].into_iter().enumerate() {
+            let scale = f64::max(tau, 1.0);
+            let mut lags: Vec<f64> =
+                found.iter().filter_map(|f| f[i]).map(|t| t as f64 / scale).collect();
+            lags.sort_unstable_by(f64::total_cmp);
+            let cell = |share| at(&lags, share).map_or("–".into(), |x| format!("{x:.2}"));
+            let truth = if tau > 0.0 { 10f64.ln() } else { 1.0 };
             println!(
-                "| AR(1), τ = {tau} | {q} | {rule} | {} ({}–{}) | {} % | {} % |",
-                at(0.5),
-                at(0.05),
-                at(0.95),
-                100 * early / estimates.len(),
-                100 * (estimates.len() - lags.len()) / estimates.len()
+                "| {} | {q} × 22000 | {rule} | {} ({}–{}) | {} % | {} % |",
+                if tau > 0.0 { format!("OU, τ = {tau}") } else { "noise".into() },
+                cell(0.5),
+                cell(0.05),
+                cell(0.95),
+                100 * lags.iter().filter(|&&t| t < truth).count() / found.len(),
+                100 * (found.len() - lags.len()) / found.len(),
             );
         }
     }
     Ok(())
 }
 
-fn sounds(folder: &Path) -> Result<(), Failure> {
-    let training = folder.join("SoundScans/Movement/Training");
-    let mut surfaces: BTreeMap<String, Vec<std::path::PathBuf>> = BTreeMap::new();
-    for file in std::fs::read_dir(&training)? {
-        let path = file?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if let Some((surface, _)) = name.split_once("_Sound_Movement_train") {
-            surfaces.entry(surface.into()).or_default().push(path);
+/// T* of odd trials against that of even ones, by the three rules.
+fn halves(folder: &Path) -> Result<(), Failure> {
+    let library = surfaced::dataset::open(folder, &Scene::lmt108())?;
+    println!("\n{}: T* [ms] of odd trials · of even trials\n", library.name);
+    let half = |odd: bool| {
+        let of_half = |number: u32| (number % 2 == 1) == odd;
+        let entries = library.entries.iter().filter(|e| of_half(e.key.number)).cloned().collect();
+        Library { entries, ..library.clone() }
+    };
+    let algorithm1 = |rule| {
+        Estimator::Algorithm1(Settings {
+            rule,
+            threshold: Threshold::Gamma,
+            largest_lag: 5512,
+            ..Settings::default()
+        })
+    };
+    let estimators = [
+        ("pooled", Estimator::Pooled(PooledSettings { dependence: CORRELATION })),
+        ("quantile", algorithm1(Rule::Quantile)),
+        ("mean-ci", algorithm1(Rule::MeanCi)),
+    ];
+    // For each source and surface the cells of the three rules; and the counts for each source.
+    let mut cells: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
+    let mut counts: BTreeMap<(String, &str), [usize; 3]> = BTreeMap::new();
+    for (name, estimator) in estimators {
+        let sources = report(&half(true), &Question::default(), |_, _| {})?;
+        let sources = sources.scene.into_iter().map(|s| s.source).collect();
+        let question = Question { sources, as_time: true, estimator, ..Question::default() };
+        let [odd, even] = [true, false].map(|odd| report(&half(odd), &question, |_, _| {}));
+        for (a, b) in odd?.durations.iter().zip(&even?.durations) {
+            assert_eq!((&a.surface, &a.source), (&b.surface, &b.source), "halves of one library");
+            let agree = agree(a, b);
+            let key = (a.source.to_string(), a.surface.clone());
+            let mark = if agree { "" } else { " ✗" };
+            cells.entry(key).or_default().push(format!("{} · {}{mark}", cell(a), cell(b)));
+            let count = counts.entry((a.source.to_string(), name)).or_default();
+            count[0] += usize::from(agree);
+            count[1] += usize::from(a.t_star_s.is_some() && b.t_star_s.is_some());
+            count[2] += 1;
         }
     }
-    println!("| surface | Q | quantile | mean-ci | HSIC/κ at 1 s/8 |");
-    println!("|---|---|---|---|---|");
-    for (surface, mut paths) in surfaces {
-        paths.sort();
-        let series: Result<Vec<Series>, Failure> = paths.iter().map(|path| read(path)).collect();
-        let trials = Trials::new(series?)?;
-        let settings = Settings { largest_lag: 5512, ..Settings::default() };
-        let mut search = Search::new(&trials, settings)?;
-        let cells = RULES.map(|rule| show(&search.find(rule)));
-        let far = search.at(5512);
-        println!(
-            "| {surface} | {} | {} | {} | {:.2} |",
-            trials.count(),
-            cells[0],
-            cells[1],
-            far.hsic_mean / far.kappa
-        );
+    println!("| source | surface | pooled | quantile | mean-ci |\n|---|---|---|---|---|");
+    for ((source, surface), row) in &cells {
+        println!("| {source} | {surface} | {} |", row.join(" | "));
+    }
+    println!("\n| source | rule | agree | both with a T* |\n|---|---|---|---|");
+    for ((source, rule), [agree, both, all]) in &counts {
+        println!("| {source} | {rule} | {agree} of {all} ({} %) | {both} |", 100 * agree / all);
     }
     Ok(())
 }
 
-fn show(estimate: &Estimate) -> String {
-    let ms = |lag: usize| lag as f64 / estimate.rate_hz * 1e3;
-    match estimate.outcome {
-        Outcome::Found { lag } => format!("{lag} ({:.2} ms)", ms(lag)),
-        Outcome::NotInRange { largest_lag } => format!("not within {:.0} ms", ms(largest_lag)),
-        Outcome::Returns { first, again_at } => {
-            format!("none ({first}, back at {again_at} = {:.1} ms)", ms(again_at))
-        }
+/// Within a factor of 1.5 or one lag, or without a T* for the same reason.
+fn agree(a: &SourceDuration, b: &SourceDuration) -> bool {
+    match (a.t_star_samples, b.t_star_samples) {
+        (Some(x), Some(y)) => x.abs_diff(y) <= 1 || 2 * x.max(y) <= 3 * x.min(y),
+        (None, None) => kind(a) == kind(b),
+        _ => false,
     }
 }
 
-fn read(path: &Path) -> Result<Series, Failure> {
-    let mut reader = hound::WavReader::open(path)?;
-    let spec = reader.spec();
-    let samples: Result<Vec<f32>, _> =
-        reader.samples::<i16>().map(|s| s.map(|x| f32::from(x) / 32_768.0)).collect();
-    Ok(Series::new(f64::from(spec.sample_rate), usize::from(spec.channels), samples?)?)
+/// What a reason begins with.
+fn kind(row: &SourceDuration) -> &str {
+    row.reason.as_deref().and_then(|reason| reason.split(':').next()).unwrap_or_default()
+}
+
+fn cell(row: &SourceDuration) -> String {
+    row.t_star_s.map_or_else(|| kind(row).chars().take(24).collect(), |t| format!("{:.2}", 1e3 * t))
 }

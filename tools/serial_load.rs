@@ -7,8 +7,8 @@
 
 use std::time::Instant;
 
-use surfaced::device::serial::{Heard, Intake, default_streams};
-use surfaced::ring::{Bell, Piece, series};
+use surfaced::device::serial::{Intake, IntakeEvent, default_streams};
+use surfaced::ring::{Piece, Waker, series};
 use surfaced_wire::{
     Channel, Hello, MAX_ENCODED, Message, SAMPLES_PER_FRAME, STYLUS_CHANNELS, Samples, encode,
 };
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let wanted = default_streams();
     let (mut sinks, mut taps): (Vec<_>, Vec<_>) =
-        wanted.iter().map(|w| series(w.channels.len(), 10_000, Bell::new().0)).unzip();
+        wanted.iter().map(|w| series(w.channels.len(), 10_000, Waker::new().0)).unzip();
     let (mut values, mut lost, mut minutes) = (0u64, 0u64, 0.0);
     let begin = Instant::now();
     while begin.elapsed().as_secs_f64() < 3.0 {
@@ -52,8 +52,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         intake.feed(&hello, 0.0, |_| {});
         for part in line.chunks(4096) {
             intake.feed(part, 0.0, |heard| match heard {
-                Heard::Frames { stream, samples } => lost += sinks[stream].push(samples),
-                Heard::Missing { frames, .. } => lost += frames,
+                IntakeEvent::Frames { stream, samples } => lost += sinks[stream].push(samples),
+                IntakeEvent::Missing { frames, .. } => lost += frames,
                 _ => lost += 1,
             });
             for tap in &mut taps {

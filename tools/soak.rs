@@ -105,7 +105,7 @@ fn main() -> Result<(), Failure> {
     std::thread::sleep(Duration::from_secs(1));
     Command::new("kill").args(["-s", "TERM", &run.id().to_string()]).status()?;
     while run.try_wait()?.is_none() {
-        fake.heed();
+        fake.obey();
     }
     for thread in [counting, reading] {
         thread.join().map_err(|_| "a reader panicked")?;

@@ -11,7 +11,7 @@ use std::error::Error;
 
 use surfaced::dataset::synth::{self, Difficulty, Effect, Parameters};
 use surfaced::evaluate::paper::{ALL, rows};
-use surfaced::evaluate::{self, Protocol};
+use surfaced::evaluate::{self, Evaluation, Protocol};
 use surfaced::recognise::{Reference, ReferenceOptions, STAGES};
 use surfaced::scene::{Scene, SourceId};
 
@@ -61,19 +61,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let entries: Vec<_> = library.entries.into_iter().map(|entry| entry.within(&every)).collect();
     let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = evaluate::folds(Protocol::ExpertVsUsers, &keys)?;
-    // Prepared trials hold samples alone, so that they serve every choice of sources and shifts.
-    let prepared = evaluate::prepare_folds(&method(&every), &entries, &folds, None, &|_, _, _| {})?;
     println!("| setting | synthetic, % | paper, % | difference |");
     println!("|---|---|---|---|");
     for (shown, name, scene) in settings {
-        let (outcome, _) = evaluate::run_prepared(
-            &method(&scene),
-            &entries,
-            &folds,
-            &prepared.trials,
-            |query| query.clone().within(&scene),
-            &|_, _, _| {},
-        )?;
+        let narrowed: Vec<_> = entries.iter().map(|entry| entry.clone().within(&scene)).collect();
+        let method = method(&scene);
+        let run = Evaluation::new(&scene, &narrowed, &folds).prepare(&method)?;
+        let outcome = run.measure()?.outcome;
         let published = rows()
             .into_iter()
             .find(|row| row.protocol == Protocol::ExpertVsUsers && row.name == name)

@@ -1,23 +1,23 @@
-//! How answers are given while scans go on, and when a scan is called unknown.
+//! How answers are given during scans, and when a scan is called unknown.
 
-use super::eval::share;
+use super::parse::share;
 use super::show;
-use crate::recognise::{AnyMethod, Rejection, RejectionError, Settling};
-use crate::station::ByMethod;
+use crate::recognise::{Rejection, RejectionError, Settling};
+use crate::station::Recogniser;
 
 /// When answers are settled, and which scans are called unknown.
 #[derive(Clone, Debug, clap::Args)]
 pub struct AnswerArgs {
-    /// Accuracy that an answer may lose by being settled before its scan ends
+    /// Accuracy that answers may lose by settling before their scans end
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
     /// Share of scans of known surfaces that may be called unknown; 0 calls none so (default: 0.01,
-    /// where the method and the library can tell)
+    /// where the method and the library allow it)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
     false_rejections: Option<f64>,
 }
 
-/// The share of false rejections where none is asked for.
+/// The share of false rejections unless one is given.
 const FALSE_REJECTIONS: f64 = 0.01;
 
 fn share_or_none(text: &str) -> Result<f64, String> {
@@ -25,7 +25,7 @@ fn share_or_none(text: &str) -> Result<f64, String> {
 }
 
 impl AnswerArgs {
-    /// The share of false rejections that is asked for; 0 for none.
+    /// The share of false rejections that is permitted; 0 for none.
     pub fn false_rejections(&self) -> f64 {
         self.false_rejections.unwrap_or(FALSE_REJECTIONS)
     }
@@ -33,11 +33,11 @@ impl AnswerArgs {
     /// Sets a recogniser up, and says what its answers rest on.
     ///
     /// # Errors
-    /// If unknown surfaces were asked for that cannot be told.
-    pub fn apply(&self, by: &mut ByMethod<AnyMethod>) -> Result<Applied, RejectionError> {
+    /// If a share of false rejections was given and unknown surfaces cannot be recognised.
+    pub fn apply(&self, by: &mut Recogniser) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections() > 0.0 {
-            match by.tell_unknown(self.false_rejections()) {
+            match by.reject_unknown(self.false_rejections()) {
                 Ok(rejections) => remarks.extend(on_unknown(&rejections)),
                 Err(error) if self.false_rejections.is_some() => return Err(error),
                 Err(error) => remarks.push(format!("no scan will be called unknown: {error}")),
@@ -45,14 +45,14 @@ impl AnswerArgs {
         }
         let found = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&found));
-        by.remark(&remarks);
+        by.add_remarks(&remarks);
         Ok(Applied { follows: !found.is_empty(), remarks })
     }
 }
 
 /// What a recogniser was set up to do.
 pub struct Applied {
-    /// Whether it follows scans while they go on.
+    /// Whether it follows scans in progress.
     pub follows: bool,
     /// For people: what its answers rest on, a line each.
     pub remarks: Vec<String>,
@@ -61,8 +61,8 @@ pub struct Applied {
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
     Some(format!(
-        "scans that fit no surface are called unknown: {} of known ones at most (95 % interval {} \
-         to {}, by {} left-out trials)",
+        "a scan that fits no surface is called unknown; this wrongly rejects at most {} of scans of \
+         known surfaces (95 % interval {} to {}, from {} left-out trials)",
         show::percent(least.rate),
         show::percent(least.rate_low),
         show::percent(least.rate_high),
@@ -74,17 +74,17 @@ fn on_settling(found: &[Settling]) -> Option<String> {
     let first = found.first()?;
     let ruled: Vec<&Settling> = found.iter().filter(|settling| settling.rule.is_some()).collect();
     if ruled.is_empty() {
-        return Some("answers settle when scans end: the library allows no earlier rule".into());
+        return Some("answers settle when scans end; this library allows no earlier rule".into());
     }
     let mean_s = ruled.iter().map(|settling| settling.scan_s).sum::<f64>() / ruled.len() as f64;
-    let shown = if found.iter().all(|settling| settling.shown) {
+    let unproven = if found.iter().all(|settling| settling.shown) {
         String::new()
     } else {
-        format!(", which {} left-out trials are too few to show", first.trials)
+        format!("; with {} left-out trials, this limit is not proven", first.trials)
     };
     Some(format!(
-        "answers settle after {mean_s:.2} s of scan (mean of left-out trials), for {} of accuracy \
-         at most{shown}",
+        "answers settle after {mean_s:.2} s of scan on average, at a cost in accuracy of at most \
+         {}{unproven}",
         show::percent(first.stated_loss)
     ))
 }

@@ -43,7 +43,7 @@ impl BadFileArgs {
             return Err(failure(bad));
         }
         show::library(&library);
-        bad.iter().for_each(|error| eprintln!("warning: not used: {error}"));
+        bad.iter().for_each(|error| say!("warning: not used: {error}"));
         Ok((library, Skipped(bad.len())))
     }
 }

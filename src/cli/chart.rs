@@ -3,17 +3,12 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use clap::Parser;
-
 use super::choose::{Choice, choose};
-use super::eval::{Also, Evaluation};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
-use super::method::{MethodArgs, at_least_one};
+use super::method::{at_least_one, options_of};
 use super::{Done, Failure, show};
-use crate::evaluate::{Chart, Loudness, Outcome, Point, Prediction, figure};
-use crate::recognise::AnyMethod;
-use crate::scene::{Domain, Phase, Scene, SourceId};
-use crate::trial::Signal;
+use crate::evaluate::chart::{Chart, Charting, Point, What, charted, drag_s, figure, measure};
+use crate::scene::SourceId;
 
 /// Chart accuracy against latency and scan time, for every method
 ///
@@ -31,53 +26,6 @@ pub struct Args {
     /// Use this many surfaces at most, evenly spread over their names
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     surfaces: Option<usize>,
-}
-
-/// Settings that are charted, as options of `surfaced eval`; the flagged ones on the first seconds
-/// of a drag, too.
-const SETTINGS: [(&str, bool); 11] = [
-    ("--method reference --n 100 --repetitions 1", false),
-    ("--method reference --n 400 --repetitions 1", false),
-    ("--method reference --n 100 --repetitions 10", false),
-    ("--method reference --n 400 --repetitions 10", true),
-    ("--method reference --n 400 --repetitions 10 --halving", false),
-    ("--method joint", true),
-    ("--method embedding --no-discriminant --harmonics 1", false),
-    ("--method embedding --no-discriminant", true),
-    ("--method embedding --harmonics 1", false),
-    ("--method embedding --harmonics 2", false),
-    (SUBSETS_BY, true),
-];
-/// The setting that subsets of the sources, and the control below, are charted with.
-const SUBSETS_BY: &str = "--method embedding";
-/// Scan times, in seconds, besides the whole.
-const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
-/// Upper end of the band of a negative control: hum and rumble, of room and session.
-const CONTROL_HZ: f64 = 80.0;
-
-/// A method's options without a command around them.
-#[derive(Parser)]
-struct Options {
-    #[command(flatten)]
-    method: MethodArgs,
-}
-
-/// What is measured in one go.
-struct Plan {
-    setting: String,
-    scene: Scene,
-    seconds: Vec<Option<f64>>,
-    kind: Kind,
-}
-
-#[derive(PartialEq)]
-enum Kind {
-    /// What a person may choose.
-    Method,
-    /// A method on what should say little.
-    Control,
-    /// No method at all.
-    Loudness,
 }
 
 /// Runs the command.
@@ -105,7 +53,7 @@ fn measured(args: &Args) -> Result<Chart, Failure> {
     }
     let sources = choice.held();
     choice.scene = choice.scene.only(&sources)?;
-    let drag_s = drag_s(&choice)?;
+    let drag_s = drag_s(&choice.entries, &choice.scene)?;
     let surfaces: std::collections::BTreeSet<&str> = choice.surfaces().collect();
     let chart = Chart {
         data: library.name.clone(),
@@ -118,29 +66,35 @@ fn measured(args: &Args) -> Result<Chart, Failure> {
         drag_s,
         points: Vec::new(),
     };
-    let points = points(&choice, &plans(&choice.scene, drag_s))?;
+    let points = points(&choice, drag_s)?;
     Ok(Chart { points, ..chart })
 }
 
-fn points(choice: &Choice, plans: &[Plan]) -> Result<Vec<Point>, Failure> {
+fn points(choice: &Choice, drag_s: Option<f64>) -> Result<Vec<Point>, Failure> {
+    let all = charted(&choice.scene, drag_s);
+    let on = Charting { entries: &choice.entries, folds: &choice.folds };
     let start = Instant::now();
     let mut points = Vec::new();
-    for (done, plan) in plans.iter().enumerate() {
+    for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
         let left = match done {
             0 => String::new(),
             _ => {
-                let left_s = so_far_s * (plans.len() - done) as f64 / done as f64;
+                let left_s = so_far_s * (all.len() - done) as f64 / done as f64;
                 format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
             }
         };
-        eprintln!("{}/{}  {}{left}", done + 1, plans.len(), plan.setting);
-        for (seconds, (outcome, _)) in plan.seconds.iter().zip(measure(choice, plan)?) {
-            let control = plan.kind != Kind::Method;
-            let point = Point::new(&outcome, &plan.setting, *seconds, control);
-            eprintln!(
+        let name = match &one.what {
+            What::Method(method) => options_of(method),
+            What::Control(_, name) | What::Loudness(name) => name.clone(),
+        };
+        say!("{}/{}  {name}{left}", done + 1, all.len());
+        let (measured, left_out) = measure(on, one, &name)?;
+        show::left_out(&left_out);
+        for point in measured {
+            say!(
                 "       {}: {} ({} to {}), {:.2} ms",
-                seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
+                point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
                 show::percent(point.accuracy),
                 show::percent(point.accuracy_low),
                 show::percent(point.accuracy_high),
@@ -152,130 +106,28 @@ fn points(choice: &Choice, plans: &[Plan]) -> Result<Vec<Point>, Failure> {
     Ok(points)
 }
 
-fn measure(choice: &Choice, plan: &Plan) -> Result<Vec<(Outcome, Vec<Prediction>)>, Failure> {
-    let Choice { entries, folds, .. } = choice;
-    let evaluation = Evaluation {
-        entries,
-        folds,
-        scene: &plan.scene,
-        seconds: &plan.seconds,
-        cache: None,
-        also: Also::default(),
-    };
-    let setting = match plan.kind {
-        Kind::Loudness => match Loudness::new(&plan.scene) {
-            Some(loudness) => return Ok(evaluation.of(&AnyMethod::new(loudness))?.each),
-            None => return Ok(Vec::new()),
-        },
-        Kind::Control => SUBSETS_BY,
-        Kind::Method => &plan.setting,
-    };
-    // The settings above are options of this very program; a test parses them.
-    let options = Options::try_parse_from(words(setting))?;
-    Ok(evaluation.of(&options.method.method(&plan.scene)?)?.each)
-}
-
-fn words(setting: &str) -> impl Iterator<Item = &str> {
-    std::iter::once("surfaced").chain(setting.split(' '))
-}
-
-fn plans(scene: &Scene, drag_s: Option<f64>) -> Vec<Plan> {
-    let timed = || {
-        let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
-        std::iter::once(None).chain(shorter.map(Some)).collect()
-    };
-    let plan = |setting: &str, scene: &Scene, kind| Plan {
-        setting: setting.into(),
-        scene: scene.clone(),
-        seconds: vec![None],
-        kind,
-    };
-    let of_setting = |(setting, is_timed): (&str, bool)| {
-        let whole = plan(setting, scene, Kind::Method);
-        if is_timed { Plan { seconds: timed(), ..whole } } else { whole }
-    };
-    let mut plans: Vec<Plan> = SETTINGS.into_iter().map(of_setting).collect();
-    for subset in subsets(scene) {
-        plans.push(plan(SUBSETS_BY, &subset, Kind::Method));
-    }
-    let heard = |domain: &Domain| matches!(domain, Domain::Spectrum { .. });
-    if let Some(sounds) = of_domain(scene, heard) {
-        let ids: Vec<_> = sounds.sources().map(|spec| spec.id.as_str()).collect();
-        let ids = ids.join(", ");
-        let below = sounds.clone().changed(|spec| {
-            spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
-            spec.align_mean = false;
-        });
-        plans.push(plan(&format!("{ids} below {CONTROL_HZ} Hz alone"), &below, Kind::Control));
-        plans.push(plan(&format!("loudness of {ids} alone"), &sounds, Kind::Loudness));
-    }
-    plans
-}
-
-/// Each source alone, and all of one domain, where that is not all there is.
-fn subsets(scene: &Scene) -> Vec<Scene> {
-    let all = scene.sources().len();
-    let single = |spec: &crate::scene::SourceSpec| {
-        let id = std::slice::from_ref(&spec.id);
-        scene.clone().only(id).ok()
-    };
-    let mut subsets: Vec<Scene> = scene.sources().filter_map(single).collect();
-    let domains: [fn(&Domain) -> bool; 3] = [
-        |domain| matches!(domain, Domain::Spectrum { .. }),
-        |domain| matches!(domain, Domain::Time),
-        |domain| matches!(domain, Domain::Image),
-    ];
-    let several = domains.into_iter().filter_map(|is| of_domain(scene, is));
-    subsets.extend(several.filter(|subset| subset.sources().len() > 1));
-    subsets.retain(|subset| subset.sources().len() < all);
-    subsets
-}
-
-/// The sources of a domain, if there are any.
-fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
-    let of = scene.sources().filter(|spec| is(&spec.domain));
-    let ids: Vec<SourceId> = of.map(|spec| spec.id.clone()).collect();
-    let scene = scene.clone().only(&ids).ok()?;
-    (!ids.is_empty()).then_some(scene)
-}
-
-/// The longest drag of the first trial that has one.
-fn drag_s(choice: &Choice) -> Result<Option<f64>, Failure> {
-    let is_drag =
-        |id: &SourceId| choice.scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
-    let Some(entry) = choice.entries.iter().find(|e| e.sources.iter().any(is_drag)) else {
-        return Ok(None);
-    };
-    let trial = entry.load()?;
-    let lengths = trial.signals.iter().filter_map(|(id, signal)| match signal {
-        Signal::Series(series) if is_drag(id) => Some(series.duration_s()),
-        _ => None,
-    });
-    Ok(lengths.max_by(f64::total_cmp))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use clap::Parser;
 
-    #[test]
-    fn every_setting_is_one_of_this_program() {
-        for (setting, _) in SETTINGS {
-            assert!(Options::try_parse_from(words(setting)).is_ok(), "{setting}");
-        }
+    use super::*;
+    use crate::cli::method::MethodArgs;
+    use crate::evaluate::chart::settings;
+
+    /// A method's options without a command around them.
+    #[derive(clap::Parser)]
+    struct Options {
+        #[command(flatten)]
+        method: MethodArgs,
     }
 
     #[test]
-    fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
-        let scene = Scene::lmt108();
-        let controls = |plans: &[Plan]| plans.iter().filter(|p| p.kind != Kind::Method).count();
-        let all = plans(&scene, Some(4.8));
-        assert_eq!(controls(&all), 2);
-        // Eight sources alone, three spectra, three series, two pictures.
-        assert_eq!(all.len(), SETTINGS.len() + 8 + 3 + 2);
-        let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
-        let alone = plans(&mi2, Some(0.8));
-        assert_eq!((controls(&alone), alone.len()), (2, SETTINGS.len() + 2));
-        assert_eq!(alone[3].seconds, [None, Some(0.5)]);
+    fn every_setting_is_called_by_the_options_that_ask_for_it() {
+        for (method, _) in settings() {
+            let words = options_of(&method);
+            let words = std::iter::once("surfaced").chain(words.split(' '));
+            let parsed = Options::try_parse_from(words).unwrap();
+            assert_eq!(parsed.method.spec().ok(), Some(method));
+        }
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::Failure;
+use super::protocol::ProtocolArg;
 use crate::evaluate::{self, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
@@ -10,7 +11,7 @@ use crate::trial::TrialKey;
 
 /// What a measurement works with.
 pub(super) struct Choice {
-    /// The sources that were asked for.
+    /// The sources to compare.
     pub scene: Scene,
     /// Trials that hold some of them.
     pub entries: Vec<Entry>,
@@ -31,30 +32,41 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
         let list = |ids: BTreeSet<&SourceId>| {
             ids.into_iter().map(SourceId::as_str).collect::<Vec<_>>().join(", ")
         };
-        let asked = list(scene.sources().map(|spec| &spec.id).collect());
+        let wanted = list(scene.sources().map(|spec| &spec.id).collect());
         let held = list(library.entries.iter().flat_map(|entry| &entry.sources).collect());
         let held = if held.is_empty() { "none that is known".into() } else { held };
         return Err(Failure::Failed(format!(
-            "{}: no trial holds {asked}; sources that the data hold: {held}",
+            "{}: no trial holds {wanted}; sources that the data hold: {held}",
             library.name
         )));
     }
     Ok(entries)
 }
 
-/// Narrows recordings to a scene, and splits them into folds: by the protocol that was named, else
-/// users against the expert where there are both, else each trial against the same person's others.
+/// The protocol that was named, else the one that fits the trials, which people learn of.
+pub(super) fn protocol_for(keys: &[TrialKey], named: Option<ProtocolArg>) -> Protocol {
+    match named {
+        Some(ProtocolArg(protocol)) => protocol,
+        None => {
+            let protocol = Protocol::natural(keys);
+            say!("protocol: {}, which fits these data", protocol.name());
+            protocol
+        }
+    }
+}
+
+/// Narrows recordings to a scene, and splits them into folds by a protocol, see [`protocol_for`].
 ///
 /// # Errors
 /// If no trial holds any of the scene's sources, or the protocol finds no folds.
 pub(super) fn choose(
     library: &Library,
     scene: Scene,
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
 ) -> Result<Choice, Failure> {
     let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let protocol = protocol.unwrap_or_else(|| Protocol::natural(&keys));
+    let protocol = protocol_for(&keys, protocol);
     let folds = evaluate::folds(protocol, &keys)?;
     Ok(Choice { scene, entries, protocol, folds })
 }

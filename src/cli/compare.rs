@@ -70,8 +70,8 @@ fn compare_samples(args: &Args) -> Done {
     if args.json {
         show::json(&result);
     } else {
-        eprintln!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
-        eprintln!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
+        say!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
+        say!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
     }
     Ok(())
 }
@@ -109,10 +109,10 @@ fn compare_trials(args: &Args) -> Done {
 
 fn tell(report: &Report, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
-    eprintln!("A  {}\nB  {}{mark}\n", report.a, report.b);
-    eprintln!("source     score n·MMD²    MMD²          σ             κ             p");
+    say!("A  {}\nB  {}{mark}\n", report.a, report.b);
+    say!("source     score n·MMD²    MMD²          σ             κ             p");
     for s in &report.comparison.sources {
-        eprintln!(
+        say!(
             "{:<10} {:<15.4} {:<13.4e} {:<13.4e} {:<13.4e} {:<7.4}{}",
             s.source,
             s.score,
@@ -123,7 +123,7 @@ fn tell(report: &Report, alpha: f64) {
             if s.p_value <= alpha { " differ" } else { "" }
         );
     }
-    eprintln!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
+    say!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
 }
 
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.

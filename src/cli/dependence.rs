@@ -48,16 +48,13 @@ pub fn run(args: &Args) -> Done {
         show::json(&result);
         return Ok(());
     }
-    eprintln!("n = {}, σ_x = {:.6}, σ_y = {:.6}", result.n, result.sigma_x, result.sigma_y);
-    eprintln!(
-        "HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}",
-        result.hsic, result.kappa, result.p_value
-    );
+    say!("n = {}, σ_x = {:.6}, σ_y = {:.6}", result.n, result.sigma_x, result.sigma_y);
+    say!("HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}", result.hsic, result.kappa, result.p_value);
     let verdict = if result.hsic > result.kappa {
         "they depend on each other"
     } else {
         "no dependence seen, which is not a proof of independence"
     };
-    eprintln!("at level {}: {verdict}", args.alpha);
+    say!("at level {}: {verdict}", args.alpha);
     Ok(())
 }

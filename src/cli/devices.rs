@@ -13,15 +13,15 @@ pub struct Args {
 }
 
 #[derive(serde::Serialize)]
-struct Report {
-    serial_ports: Kind,
-    microphones: Kind,
-    cameras: Kind,
+struct Inventory {
+    serial_ports: DeviceClass,
+    microphones: DeviceClass,
+    cameras: DeviceClass,
 }
 
-/// The devices of one kind.
+/// The devices of one class.
 #[derive(serde::Serialize)]
-struct Kind {
+struct DeviceClass {
     /// Whether this build has the drivers for them.
     built: bool,
     devices: Vec<Listed>,
@@ -29,7 +29,7 @@ struct Kind {
     problem: Option<String>,
 }
 
-impl Kind {
+impl DeviceClass {
     fn of<E: std::fmt::Display>(listed: Result<Vec<Listed>, E>) -> Self {
         match listed {
             Ok(devices) => Self { built: true, devices, problem: None },
@@ -50,65 +50,65 @@ impl Kind {
 }
 
 #[cfg(feature = "microphone")]
-fn microphones() -> Kind {
-    Kind::of(crate::device::microphone::microphones())
+fn microphones() -> DeviceClass {
+    DeviceClass::of(crate::device::microphone::microphones())
 }
 
 #[cfg(not(feature = "microphone"))]
-fn microphones() -> Kind {
-    Kind::left_out("microphone")
+fn microphones() -> DeviceClass {
+    DeviceClass::left_out("microphone")
 }
 
 #[cfg(feature = "camera")]
-fn cameras() -> Kind {
-    Kind::of(crate::device::camera::cameras())
+fn cameras() -> DeviceClass {
+    DeviceClass::of(crate::device::camera::cameras())
 }
 
 #[cfg(not(feature = "camera"))]
-fn cameras() -> Kind {
-    Kind::left_out("camera")
+fn cameras() -> DeviceClass {
+    DeviceClass::left_out("camera")
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
-    let report = Report {
-        serial_ports: Kind::of(list::serial_ports()),
+    let inventory = Inventory {
+        serial_ports: DeviceClass::of(list::serial_ports()),
         microphones: microphones(),
         cameras: cameras(),
     };
-    let kinds = [
-        ("serial ports", &report.serial_ports),
-        ("microphones", &report.microphones),
-        ("cameras", &report.cameras),
+    let classes = [
+        ("serial ports", &inventory.serial_ports),
+        ("microphones", &inventory.microphones),
+        ("cameras", &inventory.cameras),
     ];
     match args.json {
-        true => show::json(&report),
-        false => kinds.into_iter().for_each(|(name, kind)| tell(name, kind)),
+        true => show::json(&inventory),
+        false => classes.into_iter().for_each(|(name, class)| show_class(name, class)),
     }
-    let unasked: Vec<_> = kinds
+    let unlisted: Vec<_> = classes
         .into_iter()
-        .filter(|(_, kind)| kind.built)
-        .filter_map(|(name, kind)| Some(format!("{name}: {}", kind.problem.as_ref()?)))
+        .filter(|(_, class)| class.built)
+        .filter_map(|(name, class)| Some(format!("{name}: {}", class.problem.as_ref()?)))
         .collect();
-    if unasked.is_empty() { Ok(()) } else { Err(Failure::Failed(unasked.join("; "))) }
+    if unlisted.is_empty() { Ok(()) } else { Err(Failure::Failed(unlisted.join("; "))) }
 }
 
-fn tell(name: &str, kind: &Kind) {
-    eprintln!("{name}:");
-    match &kind.problem {
-        Some(problem) => eprintln!("  {problem}"),
-        None if kind.devices.is_empty() => eprintln!("  none"),
+fn show_class(name: &str, class: &DeviceClass) {
+    say!("{name}:");
+    match &class.problem {
+        Some(problem) => say!("  {problem}"),
+        None if class.devices.is_empty() => say!("  none"),
         None => {}
     }
-    for device in &kind.devices {
+    for device in &class.devices {
         let Listed { id, name, node, problem } = device;
         let node = match node {
             Some(node) if node != id => format!(" (now {node})"),
             _ => String::new(),
         };
-        eprintln!("  {id}{node}: {}", name.replace('\n', ", "));
+        say!("  {id}{node}: {}", name.replace('\n', ", "));
         if let Some(problem) = problem {
-            eprintln!("    ! {problem}");
+            say!("    ! {problem}");
         }
     }
 }
@@ -118,9 +118,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kind_that_cannot_be_listed_says_why() {
-        let kind = Kind::of(Err("no sound system"));
-        assert!(kind.built && kind.problem.as_deref() == Some("no sound system"));
+    fn a_class_that_cannot_be_listed_says_why() {
+        let class = DeviceClass::of(Err("no sound system"));
+        assert!(class.built && class.problem.as_deref() == Some("no sound system"));
     }
 
     #[cfg(not(feature = "live"))]

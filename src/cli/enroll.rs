@@ -8,20 +8,20 @@ use crossbeam_channel::Sender;
 
 use super::live::{Listen, StationArgs, Work, library_of, verdict, work};
 use super::method::at_least_one;
-use super::{Done, Failure, shown};
-use crate::record::write_library_toml;
+use super::{Done, Failure, show, shown};
+use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Enrolled, Listener, Notice, Order};
+use crate::station::{Command, Enrolled, EnrolledOutcome, Listener, StationEvent};
 use crate::trial::EXPERT;
 
-/// Label of scans that nobody labelled.
+/// The label of scans that are given none.
 const UNLABELLED: &str = "unlabelled";
 
-/// Add trials of a surface to a library, led from scan to scan
+/// Add trials of a surface to a library, scan by scan
 ///
-/// Each trial is a tap, then a drag. One that is too short by its own T*, clipped, or not whole is
-/// refused, with the reason; the others are kept at once, so that nothing is lost whatever happens.
+/// Each trial is a tap, then a drag. A trial that is too short by its own T*, clipped or incomplete
+/// is refused, with the reason; the others are kept at once, so that nothing is lost.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
                         surfaced enroll felt --library my-library --trials 5 --user anna")]
@@ -32,16 +32,16 @@ pub struct EnrollArgs {
     /// How many trials (default: those of the configuration)
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     trials: Option<usize>,
-    /// Who drags
+    /// The person who drags
     #[arg(long, default_value = EXPERT, value_parser = name)]
     user: String,
     #[command(flatten)]
     station: StationArgs,
 }
 
-/// Keep every live scan as a trial of a library, until `q` or Ctrl-C
+/// ScanStore every live scan as a trial of a library, until `q` or Ctrl-C
 ///
-/// Nothing is refused; a scan that is not whole is marked as incomplete.
+/// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
                         surfaced record --label felt --library my-library")]
@@ -49,7 +49,7 @@ pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
     label: String,
-    /// Who drags
+    /// The person who drags
     #[arg(long, default_value = EXPERT, value_parser = name)]
     user: String,
     #[command(flatten)]
@@ -67,13 +67,15 @@ fn name(text: &str) -> Result<String, String> {
 /// Runs `surfaced enroll`.
 pub fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
-    let trials = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
-    let order = Order::Enroll { surface: args.label.clone(), user: args.user.clone(), trials };
-    let hint =
-        format!("{}: {trials} trial(s) to go; tap the surface, then drag over it", args.label);
-    let kept = keep(&config, &args.station, order, hint)?;
-    if kept < trials {
-        return Err(Failure::Failed(format!("{kept} of {trials} trials were recorded")));
+    let wanted = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
+    let (surface, user) = (args.label.clone(), args.user.clone());
+    let command = Command::Enroll { surface, user, trials: wanted };
+    let trials = show::counted(wanted as usize, "trial");
+    let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
+    let Stored { kept, lost } = store(&config, &args.station, command, Some(wanted), hint)?;
+    if kept < wanted {
+        let lost = if lost > 0 { format!("; {lost} could not be written") } else { String::new() };
+        return Err(Failure::Failed(format!("{kept} of {wanted} trials were recorded{lost}")));
     }
     Ok(())
 }
@@ -81,66 +83,90 @@ pub fn enroll(args: &EnrollArgs) -> Done {
 /// Runs `surfaced record`.
 pub fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
-    let order = Order::Record { surface: args.label.clone(), user: args.user.clone() };
-    let hint = format!("keeping every scan as {}; q ends", args.label);
-    keep(&config, &args.station, order, hint).map(drop)
+    let command = Command::Record { surface: args.label.clone(), user: args.user.clone() };
+    let hint = format!("keeping every scan as {}; q quits", args.label);
+    let Stored { kept, lost } = store(&config, &args.station, command, None, hint)?;
+    let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));
+    match (kept, lost) {
+        (_, 0) => Ok(()),
+        (0, _) => Err(Failure::Failed(text())),
+        (_, _) => Err(Failure::Damaged(text())),
+    }
 }
 
-/// Keeps scans until `order` is fulfilled, or work ends; tells how many. `hint` is for people.
-fn keep(
+/// How many scans were kept, and how many could not be written.
+#[derive(Clone, Copy, Default)]
+struct Stored {
+    kept: u32,
+    lost: u32,
+}
+
+/// Stores scans by `command`: `wanted` of them, or until the station is ended. `hint` is for people.
+fn store(
     config: &StationConfig,
     args: &StationArgs,
-    order: Order,
+    command: Command,
+    wanted: Option<u32>,
     hint: String,
-) -> Result<u32, Failure> {
+) -> Result<Stored, Failure> {
     let library = library_of(config)?;
     describe(&library, &config.scene)?;
-    let kept = Rc::new(Cell::new(0));
-    let counted = kept.clone();
-    let count: Listen<'_> = Box::new(|orders| Box::new(Count { orders, kept: counted }));
+    let stored = Rc::new(Cell::new(Stored::default()));
+    let counted = stored.clone();
+    let count: Listen<'_> =
+        Box::new(move |commands| Box::new(Count { commands, wanted, stored: counted }));
     let totals = work(
         config,
         Work {
             load: None,
-            keep: library.clone(),
-            orders: vec![order],
+            store: library.clone(),
+            first: Some(command),
             listeners: vec![count],
             hint,
             json: args.json,
             serve: args.serve.clone(),
         },
     )?;
-    let kept = kept.get();
-    eprintln!("{kept} trial(s) were recorded in {}", shown(&library));
-    // What was lost between scans is in no trial, and what was lost within them was told.
+    let stored = stored.get();
+    let trials = show::counted(stored.kept as usize, "trial");
+    say!("{trials} recorded in {}", shown(&library));
+    // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
-        return Ok(kept);
+        return Ok(stored);
     }
-    verdict(&totals).map(|()| kept)
+    verdict(&totals).map(|()| stored)
 }
 
-/// Makes a library that is not there yet, and says in it what its sources are.
+/// Makes a library that is not there yet, with its sources described, and makes sure that trials
+/// can be written into it.
 fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
     if !library.exists() {
         let name = library.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
         write_library_toml(library, scene, &name, false)?;
     }
-    Ok(())
+    Ok(check_writable(library)?)
 }
 
-/// Counts trials, and ends the work with the last one.
+/// Counts scans, and ends the station with the last that is wanted.
 struct Count {
-    orders: Sender<Order>,
-    kept: Rc<Cell<u32>>,
+    commands: Sender<Command>,
+    wanted: Option<u32>,
+    stored: Rc<Cell<Stored>>,
 }
 
 impl Listener for Count {
-    fn notice(&mut self, notice: &Notice) {
-        let Notice::Enrolled(Enrolled { trial, wanted, .. }) = notice else { return };
-        self.kept.set(self.kept.get() + u32::from(trial.is_some()));
-        if *wanted == 0 {
+    fn on_event(&mut self, event: &StationEvent) {
+        let StationEvent::Enrolled(Enrolled { outcome, .. }) = event else { return };
+        let Stored { kept, lost } = self.stored.get();
+        let stored = match outcome {
+            EnrolledOutcome::Kept => Stored { kept: kept + 1, lost },
+            EnrolledOutcome::Lost => Stored { kept, lost: lost + 1 },
+            EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
+        };
+        self.stored.set(stored);
+        if self.wanted.is_some_and(|wanted| stored.kept >= wanted) {
             // Fails only when the station has ended already.
-            let _ = self.orders.send(Order::Quit);
+            let _ = self.commands.send(Command::Quit);
         }
     }
 }

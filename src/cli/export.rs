@@ -34,7 +34,7 @@ pub struct ImportArgs {
 pub fn export(args: &ExportArgs) -> Done {
     let library = mcap::open(&args.recording, &Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
-    eprintln!("wrote {} to {}", counted(trials), shown(&args.out));
+    say!("wrote {} to {}", counted(trials), shown(&args.out));
     Ok(())
 }
 
@@ -42,8 +42,8 @@ pub fn export(args: &ExportArgs) -> Done {
 pub fn import(args: &ImportArgs) -> Done {
     let trials = mcap::import(&args.mcap, &args.library)?;
     match trials {
-        0 => eprintln!("wrote {}", shown(&args.library)),
-        trials => eprintln!("wrote {} to {}", counted(trials), shown(&args.library)),
+        0 => say!("wrote {}", shown(&args.library)),
+        trials => say!("wrote {} to {}", counted(trials), shown(&args.library)),
     }
     Ok(())
 }

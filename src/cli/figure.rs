@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::protocol::ProtocolArg;
 use super::{Done, Failure, SourceArgs, shown};
-use crate::evaluate::Protocol;
 
 /// What a figure is measured on, and where it goes.
 #[derive(clap::Args)]
@@ -15,9 +15,9 @@ pub struct FigureArgs {
     /// Picture to write, an SVG; the JSON, and other pictures if there are any, go beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// How queries and library are split (default: users against the expert where there are users)
+    /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    pub protocol: Option<Protocol>,
+    pub protocol: Option<ProtocolArg>,
     #[command(flatten)]
     pub sources: SourceArgs,
     /// Print the JSON on stdout, too
@@ -60,7 +60,7 @@ pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Fai
     serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-/// Writes a file that was asked for.
+/// Writes a file that a person named.
 pub fn write(path: &Path, text: &str) -> Done {
     std::fs::write(path, text).map_err(|error| Failure::Failed(format!("{}: {error}", shown(path))))
 }

@@ -7,20 +7,22 @@ use crossbeam_channel::Sender;
 
 use super::answers::AnswerArgs;
 use super::choose::within;
+use super::keys::{Keys, watch_signals};
 use super::lines::JsonLines;
 use super::plan::Comparing;
 use super::serve::ServeArgs;
 use super::supervisor::Supervisor;
-use super::terminal::{Keys, Terminal, watch_signals};
+use super::terminal::Terminal;
 use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
-use crate::recognise::{LOOK_S, Method, prepare_library};
+use crate::recognise::{LOOK_S, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    ByMethod, Keep, LibraryState, Listener, Load, Needs, Order, Recogniser, Station, assemble,
+    Command, DurationRequirements, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
+    assemble,
 };
 
 /// Which station.
@@ -43,7 +45,7 @@ pub struct StationArgs {
 }
 
 impl StationArgs {
-    /// What the file and the flags say.
+    /// The configuration that the file and the flags give.
     pub fn config(&self) -> Result<StationConfig, Failure> {
         let mut config = match &self.config {
             Some(path) => {
@@ -65,12 +67,12 @@ impl StationArgs {
 /// The folder of a station's library.
 pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     config.library.clone().ok_or_else(|| {
-        let text = "no library is named; say --library FOLDER, or `library` in the configuration";
+        let text = "no library is named; give --library FOLDER, or `library` in the configuration";
         Failure::Usage(text.into())
     })
 }
 
-/// Reads a library and makes it ready to name scans, whenever it is asked to.
+/// Reads a library and makes it ready to name scans, each time that it is called.
 pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -> Load {
     let (path, scene) = (path.to_path_buf(), scene.clone());
     let (how, answers) = (how.clone(), answers.clone());
@@ -79,7 +81,7 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
         let usable = || {
             let scene = how.narrow(library.scene.clone())?;
             let entries = within(&library, &scene)?;
-            let method = how.method.method(&scene)?;
+            let method = how.method.build(&scene);
             Ok((scene, entries, method))
         };
         let (scene, entries, method) = match usable() {
@@ -89,33 +91,32 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
             }
         };
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let beside = how.method.cache_beside(&path);
+        let beside = how.cache.then_some(path.as_path());
         let all = (0..entries.len()).collect();
-        let prepared = prepare_library(&method, &entries, &all, beside, &|_, _| {})
+        let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
-        let trials = prepared.trials.into_iter().flatten().collect();
-        let model = method.fit(trials).map_err(|error| error.to_string())?;
-        let needs = Needs::of(&scene, entries, state.synthetic);
-        let mut by = ByMethod::new(method, model, needs, state);
+        let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
+        let requirements = DurationRequirements::of(&scene, entries, state.synthetic);
+        let mut by = Recogniser::new(model, requirements, state);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
-        Ok(Arc::new(by) as Arc<dyn Recogniser>)
+        Ok(Arc::new(by))
     })
 }
 
-/// Makes a listener that may give orders.
-pub type Listen<'a> = Box<dyn FnOnce(Sender<Order>) -> Box<dyn Listener + 'a> + 'a>;
+/// Makes a listener that may send commands.
+pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
 /// A station at work, as a command wants it.
 pub struct Work<'a> {
     /// Reads the library, if scans are to be named.
     pub load: Option<Load>,
     /// Where enrolled scans go.
-    pub keep: PathBuf,
-    /// What it is told first.
-    pub orders: Vec<Order>,
-    /// Whoever else listens, and may give orders.
+    pub store: PathBuf,
+    /// Its first command.
+    pub first: Option<Command>,
+    /// Further listeners, which may send commands.
     pub listeners: Vec<Listen<'a>>,
-    /// What a person is to do, while nothing else is to be said.
+    /// What a person is to do, shown while there is nothing else to show.
     pub hint: String,
     /// Prints lines of JSON.
     pub json: bool,
@@ -123,11 +124,11 @@ pub struct Work<'a> {
     pub serve: ServeArgs,
 }
 
-/// Runs a station until it is told to quit, by a key, a signal or a listener.
+/// Runs a station until a key, a signal or a listener makes it quit.
 pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     let assembled = assemble(config);
     for what in &assembled.left_out {
-        eprintln!("{what}");
+        say!("{what}");
     }
     if assembled.devices.is_empty() {
         return Err(Failure::Usage("no device is configured that this build can use".into()));
@@ -138,14 +139,14 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         ..Options::default()
     };
     let options = work.serve.options(options);
-    let keep = Keep {
-        folder: work.keep,
+    let store = ScanStore {
+        folder: work.store,
         scene: config.scene.clone(),
         devices: assembled.device_of,
         by_t_star: config.by_t_star.clone(),
     };
-    let mut station = Station::new(assembled.devices, options).keep(keep);
-    let orders = station.orders();
+    let mut station = Station::new(assembled.devices, options).store(store);
+    let commands = station.commands();
     if let Some(load) = work.load {
         station = station.load(load);
     }
@@ -153,19 +154,19 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
         station = station.listener(flasher);
     }
     if work.json {
-        station = station.listener(JsonLines);
+        station = station.listener(JsonLines { commands: commands.clone() });
     }
     for listen in work.listeners {
-        station = station.listener(listen(orders.clone()));
+        station = station.listener(listen(commands.clone()));
     }
-    let supervisor = Supervisor::new(orders.clone())?;
+    let supervisor = Supervisor::new(commands.clone())?;
     let (station, _server) = work.serve.start(station.listener(supervisor), config.serve, true)?;
     let terminal = Terminal::new(work.json, work.hint);
-    let _keys = Keys::listen(orders.clone(), terminal.scanning());
-    let _signals = watch_signals(orders.clone())?;
-    for order in work.orders {
+    let _keys = Keys::listen(commands.clone(), terminal.scanning());
+    let _signals = watch_signals(commands.clone())?;
+    if let Some(command) = work.first {
         // The station holds the other end.
-        let _ = orders.send(order);
+        let _ = commands.send(command);
     }
     Ok(station.listener(terminal).run()?)
 }
@@ -177,6 +178,6 @@ pub fn verdict(totals: &Totals) -> Done {
     }
     match totals.lost() {
         0 => Ok(()),
-        lost => Err(Failure::Damaged(format!("{lost} sample(s) were lost, in scans or between"))),
+        lost => Err(Failure::Damaged(format!("samples lost, in scans or between: {lost}"))),
     }
 }

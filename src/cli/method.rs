@@ -1,17 +1,48 @@
 //! Which method compares trials, and with what settings.
 
-use std::path::Path;
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
 
 use super::Failure;
-use crate::evaluate::plan::{Plan, Setting};
-use crate::recognise::classify::{
-    AdaBoost, Distance, NaiveBayes, Neighbours, OnFeatures, RandomForest, Svm,
-};
 use crate::recognise::{
-    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, PositionMode,
-    Precision, Reference, ReferenceOptions, STAGES, metal_detector,
+    EmbeddingOptions, MethodName, MethodSpec, PositionMode, Precision, ReferenceOptions, STAGES,
+    TreeOptions,
 };
-use crate::scene::Scene;
+
+/// A method's name on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MethodArg(pub MethodName);
+
+impl ValueEnum for MethodArg {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [MethodArg; MethodName::ALL.len()] = {
+            let mut all = [MethodArg(MethodName::Reference); MethodName::ALL.len()];
+            let mut at = 0;
+            while at < all.len() {
+                all[at] = MethodArg(MethodName::ALL[at]);
+                at += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self.0 {
+            MethodName::Reference => "The paper's method, exactly",
+            MethodName::Embedding => "Fourier features and a shrinkage discriminant",
+            MethodName::NaiveBayes => "Hand-made features: Gaussian naive Bayes",
+            MethodName::Svm => "Hand-made features: support vector machine with RBF kernel",
+            MethodName::Knn => "Hand-made features: nearest neighbours",
+            MethodName::Mahalanobis => {
+                "Hand-made features: nearest neighbours by Mahalanobis distance"
+            }
+            MethodName::Adaboost => "Hand-made features: boosted trees",
+            MethodName::RandomForest => "Hand-made features: random forest",
+        };
+        Some(PossibleValue::new(self.0.as_str()).help(help))
+    }
+}
 
 /// How positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -27,7 +58,7 @@ pub enum Positions {
 pub struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
     #[arg(long, value_enum, value_name = "METHOD")]
-    method: Option<MethodName>,
+    method: Option<MethodArg>,
     /// With `reference`: how sample positions are drawn (default: shared)
     #[arg(long, value_enum)]
     positions: Option<Positions>,
@@ -46,18 +77,9 @@ pub struct MethodArgs {
     /// With `reference`: sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
     #[arg(long)]
     exact: bool,
-    /// With `embedding`: let the nearest trial win, instead of training a discriminant
-    #[arg(long)]
-    no_discriminant: bool,
-    /// With `embedding`: harmonics of each band, 1 to 4 (default: 4, or 2 for several channels)
-    #[arg(long, value_name = "H", value_parser = clap::value_parser!(u8).range(1..=4))]
-    harmonics: Option<u8>,
     /// With `reference`: compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
-    /// Compare with surfaces of matching conductivity alone, by the metal detector
-    #[arg(long)]
-    by_conductivity: bool,
     /// With `reference`: do not tabulate library sums: quicker to prepare, slower to compare
     #[arg(long)]
     no_tables: bool,
@@ -75,25 +97,6 @@ pub fn at_least_one(text: &str) -> Result<usize, String> {
 }
 
 impl MethodArgs {
-    /// A method with its usual settings, but for `reference` the quick way.
-    pub fn quick(method: MethodName) -> Self {
-        Self {
-            method: Some(method),
-            positions: None,
-            n: None,
-            repetitions: None,
-            neighbours: None,
-            seed: 1,
-            exact: false,
-            harmonics: None,
-            no_discriminant: false,
-            halving: method == MethodName::Reference,
-            by_conductivity: false,
-            no_tables: false,
-            no_cache: true,
-        }
-    }
-
     /// The method that was asked for, by name or by options that it alone has.
     fn name(&self) -> Result<MethodName, Failure> {
         let counts = [self.n, self.repetitions, self.neighbours];
@@ -102,90 +105,50 @@ impl MethodArgs {
             || self.exact
             || self.halving
             || self.no_tables;
-        let of_embedding = self.no_discriminant || self.harmonics.is_some();
-        let by_options =
-            [(of_reference, MethodName::Reference), (of_embedding, MethodName::Embedding)];
-        let mut named = self.method;
-        for (_, its) in by_options.into_iter().filter(|(given, _)| *given) {
-            match named {
-                Some(other) if other != its => {
-                    return Err(Failure::Usage(format!(
-                        "an option was given that goes with --method {} alone, not with {}; see \
-                         --help",
-                        its.name(),
-                        other.name()
-                    )));
-                }
-                _ => named = Some(its),
+        match self.method {
+            None if of_reference => Ok(MethodName::Reference),
+            None => Ok(MethodName::Embedding),
+            Some(MethodArg(other)) if of_reference && other != MethodName::Reference => {
+                Err(Failure::Usage(format!(
+                    "an option was given that goes with --method reference alone, not with {}; \
+                     see --help",
+                    other.as_str()
+                )))
             }
+            Some(MethodArg(name)) => Ok(name),
         }
-        Ok(named.unwrap_or(MethodName::Embedding))
     }
 
-    /// The method that was asked for, on the sources of a scene.
+    /// The method that was asked for.
     ///
     /// # Errors
-    /// Wrong usage, if options of different methods are given, or surfaces are to be told apart by a
-    /// metal detector that the scene lacks.
-    pub fn method(&self, scene: &Scene) -> Result<AnyMethod, Failure> {
-        let method = self.on_all_surfaces(self.name()?, scene);
-        if !self.by_conductivity {
-            return Ok(method);
-        }
-        let Some(detector) = metal_detector(scene) else {
-            let text = "--by-conductivity needs a metal detector among the sources, such as `me`";
-            return Err(Failure::Usage(text.into()));
-        };
-        Ok(AnyMethod::new(ByConductivity::new(method, detector.clone())))
+    /// Wrong usage, if options of different methods are given.
+    pub fn spec(&self) -> Result<MethodSpec, Failure> {
+        let trees = TreeOptions { seed: self.seed };
+        Ok(match self.name()? {
+            MethodName::Reference => MethodSpec::Reference(self.reference_options()),
+            MethodName::Embedding => MethodSpec::Embedding(EmbeddingOptions { seed: self.seed }),
+            MethodName::Adaboost => MethodSpec::Adaboost(trees),
+            MethodName::RandomForest => MethodSpec::RandomForest(trees),
+            other => other.into(),
+        })
     }
 
-    fn on_all_surfaces(&self, name: MethodName, scene: &Scene) -> AnyMethod {
-        let (scene, seed) = (scene.clone(), self.seed);
-        let neighbours =
-            |scene, distance| AnyMethod::new(OnFeatures::new(scene, Neighbours { distance }));
-        match name {
-            MethodName::Reference => {
-                AnyMethod::new(Reference::new(scene, self.reference_options()))
+    /// The method of a plan, with those of these settings that a plan leaves open.
+    pub fn planned(&self, plan: &MethodSpec) -> MethodSpec {
+        match plan {
+            MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
+                let (samples, repetitions) = (*samples, *repetitions);
+                let open = self.reference_options();
+                MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..open })
             }
-            MethodName::Joint => AnyMethod::new(Joint::new(scene)),
-            MethodName::Embedding => {
-                AnyMethod::new(Embedding::new(scene, self.embedding_options()))
-            }
-            MethodName::NaiveBayes => AnyMethod::new(OnFeatures::new(scene, NaiveBayes)),
-            MethodName::Svm => AnyMethod::new(OnFeatures::new(scene, Svm)),
-            MethodName::Knn => neighbours(scene, Distance::Euclidean),
-            MethodName::Mahalanobis => neighbours(scene, Distance::Mahalanobis),
-            MethodName::Adaboost => AnyMethod::new(OnFeatures::new(scene, AdaBoost { seed })),
-            MethodName::RandomForest => {
-                AnyMethod::new(OnFeatures::new(scene, RandomForest { seed }))
-            }
+            other => other.clone(),
         }
     }
 
-    /// These settings, but for what a plan says.
-    pub fn planned(&self, plan: &Plan) -> Self {
-        let (method, by_conductivity) = (Some(plan.setting.method()), plan.by_conductivity);
-        let planned = Self { method, by_conductivity, ..self.clone() };
-        match plan.setting {
-            Setting::Reference { n, repetitions } => {
-                Self { n: Some(n), repetitions: Some(repetitions), ..planned }
-            }
-            Setting::Joint | Setting::Embedding => planned,
-        }
-    }
-
-    /// The settings of `embedding`.
-    pub fn embedding_options(&self) -> EmbeddingOptions {
-        EmbeddingOptions {
-            discriminant: !self.no_discriminant,
-            harmonics: self.harmonics.map(usize::from),
-            ..EmbeddingOptions::default()
-        }
-    }
-
-    /// Where prepared trials of a library in a folder are kept, if they are.
-    pub fn cache_beside<'a>(&self, library: &'a Path) -> Option<&'a Path> {
-        (!self.no_cache).then_some(library)
+    /// Whether prepared trials are kept beside their library.
+    pub fn uses_cache(&self) -> bool {
+        !self.no_cache
     }
 
     /// The settings of `reference`.
@@ -205,4 +168,16 @@ impl MethodArgs {
             halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
+}
+
+/// The options that ask for a method, as far as charts and people tell settings apart by them.
+pub fn options_of(method: &MethodSpec) -> String {
+    let mut options = format!("--method {}", method.name().as_str());
+    if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {
+        options += &format!(" --n {samples} --repetitions {repetitions}");
+        if !halving.is_empty() {
+            options += " --halving";
+        }
+    }
+    options
 }

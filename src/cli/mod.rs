@@ -1,6 +1,10 @@
-//! The command line: what was said, checked, turned into what the library works with, and shown.
+//! The command line: arguments are checked, turned into what the library works with, and results
+//! shown.
 //!
 //! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
+
+#[macro_use]
+mod say;
 
 mod answers;
 mod bad_files;
@@ -15,11 +19,15 @@ mod enroll;
 mod eval;
 mod export;
 mod figure;
+mod keys;
 mod lines;
 mod live;
+mod log;
 mod method;
 mod paper;
+mod parse;
 mod plan;
+mod protocol;
 mod replay;
 mod run;
 mod samples;
@@ -35,6 +43,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tracing::Level;
 
 use crate::dataset;
 use crate::library::Library;
@@ -51,11 +60,11 @@ use crate::scene::{Scene, SourceId};
 )]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum CliCommand {
     Replay(replay::Args),
     Run(run::Args),
     Enroll(enroll::EnrollArgs),
@@ -74,7 +83,7 @@ enum Command {
     Completion(completion::Args),
 }
 
-/// How a command ended, short of doing all that it was asked to.
+/// How a command ended that did not do all of its work.
 #[derive(Debug)]
 pub(crate) enum Failure {
     /// Exit code 1.
@@ -96,31 +105,32 @@ type Done = Result<(), Failure>;
 
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
+    log::start();
     let done = match Cli::parse().command {
-        Command::Replay(args) => replay::run(&args),
-        Command::Run(args) => run::run(&args),
-        Command::Enroll(args) => enroll::enroll(&args),
-        Command::Record(args) => enroll::record(&args),
-        Command::Eval(args) => eval::run(&args),
-        Command::Chart(args) => chart::run(&args),
-        Command::Plan(args) => plan::run(&args),
-        Command::Stress(args) => stress::run(&args),
-        Command::Compare(args) => compare::run(&args),
-        Command::Dependence(args) => dependence::run(&args),
-        Command::Duration(args) => duration::run(&args),
-        Command::Synth(args) => synth::run(&args),
-        Command::Devices(args) => devices::run(&args),
-        Command::Export(args) => export::export(&args),
-        Command::Import(args) => export::import(&args),
-        Command::Completion(args) => completion::run(&args),
+        CliCommand::Replay(args) => replay::run(&args),
+        CliCommand::Run(args) => run::run(&args),
+        CliCommand::Enroll(args) => enroll::enroll(&args),
+        CliCommand::Record(args) => enroll::record(&args),
+        CliCommand::Eval(args) => eval::run(&args),
+        CliCommand::Chart(args) => chart::run(&args),
+        CliCommand::Plan(args) => plan::run(&args),
+        CliCommand::Stress(args) => stress::run(&args),
+        CliCommand::Compare(args) => compare::run(&args),
+        CliCommand::Dependence(args) => dependence::run(&args),
+        CliCommand::Duration(args) => duration::run(&args),
+        CliCommand::Synth(args) => synth::run(&args),
+        CliCommand::Devices(args) => devices::run(&args),
+        CliCommand::Export(args) => export::export(&args),
+        CliCommand::Import(args) => export::import(&args),
+        CliCommand::Completion(args) => completion::run(&args),
     };
-    let (code, kind, message) = match done {
+    let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Failed(message)) => (1, "error", message),
-        Err(Failure::Usage(message)) => (2, "error", message),
-        Err(Failure::Damaged(message)) => (3, "warning", message),
+        Err(Failure::Failed(message)) => (1, Level::ERROR, message),
+        Err(Failure::Usage(message)) => (2, Level::ERROR, message),
+        Err(Failure::Damaged(message)) => (3, Level::WARN, message),
     };
-    eprintln!("{}{kind}: {message}", show::priority(kind));
+    say!("{}{}{message}", log::priority(level), log::word(level));
     ExitCode::from(code)
 }
 
@@ -133,7 +143,7 @@ pub(crate) struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// The scene with only the sources that were asked for.
+    /// The scene with only the sources that were named.
     fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
         if self.sources.is_empty() {
             return Ok(scene);
@@ -142,7 +152,7 @@ impl SourceArgs {
     }
 }
 
-/// Opens recordings of any form, and tells on stderr what was found.
+/// Opens recordings of any form, and says on stderr what was found.
 pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
     let library = dataset::open(path, &Scene::lmt108())?;
     show::library(&library);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
 use super::{Done, Failure, show, shown};
-use crate::evaluate::paper::{self, Part, Report, ReportRow, Shard};
+use crate::evaluate::paper::{self, MergeError, Part, Report, ReportRow, Shard};
 use crate::library::Library;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
@@ -32,7 +32,7 @@ pub fn run(
 ) -> Done {
     let options = method.reference_options();
     let steps = show::Steps::new();
-    let progress = |step, done, of| steps.tell(step, done, of);
+    let progress = |step, done, of| steps.show(step, done, of);
     let Some(shard) = shard else {
         let part = paper::work(library, &options, Shard::WHOLE, &progress)?;
         drop(steps);
@@ -41,7 +41,7 @@ pub fn run(
     let out = out.unwrap_or(Path::new("."));
     let path = out.join(shard.file_name());
     let done = if path.exists() { read(&path).ok() } else { None };
-    // The very run is told by its data, settings and trials, which cost nothing to find out.
+    // Data, settings and trials identify a run, and cost nothing to find out.
     let expected = paper::work_head(library, &options, shard);
     if let Some(done) = done {
         if done.shard != shard || !done.is_of_run(&expected) {
@@ -52,14 +52,14 @@ pub fn run(
             )));
         }
         drop(steps);
-        eprintln!("{}: done before", shown(&path));
+        say!("{}: done before", shown(&path));
         return Ok(());
     }
     let part = paper::work(library, &options, shard, &progress)?;
     drop(steps);
     // Plain numbers and text: nothing here that JSON cannot express.
     write(&path, &serde_json::to_string(&part).expect("plain data"))?;
-    eprintln!("wrote {}", shown(&path));
+    say!("wrote {}", shown(&path));
     Ok(())
 }
 
@@ -81,7 +81,18 @@ pub fn merge(args: &MergeArgs) -> Done {
         }
     }
     let parts = files.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
-    finish(&paper::merge(parts)?, args.out.as_deref(), args.json)
+    let whole = paper::merge(parts).map_err(mended)?;
+    finish(&whole, args.out.as_deref(), args.json)
+}
+
+/// Why shards cannot be joined, with what to name instead where none were.
+fn mended(error: MergeError) -> Failure {
+    Failure::Failed(match error {
+        MergeError::Nothing => format!(
+            "{error}; name the files that `surfaced eval --paper --shard` wrote, or their folder"
+        ),
+        other => other.to_string(),
+    })
 }
 
 fn failed(path: &Path, error: impl std::fmt::Display) -> Failure {
@@ -118,40 +129,40 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
             write(&out.join("confusion.svg"), &figure)?;
             written = "report.json, bars.svg, confusion.svg";
         }
-        eprintln!("wrote {written} to {}", shown(out));
+        say!("wrote {written} to {}", shown(out));
     }
     if json {
         show::json(&report);
     } else {
-        tell(&report);
+        print(&report);
     }
     Ok(())
 }
 
-fn tell(report: &Report) {
+fn print(report: &Report) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
-    eprintln!();
-    eprintln!("{}{mark} · reference · {}", report.data, report.settings);
-    eprintln!("accuracies in percent, mean ± sd over folds");
-    eprintln!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
+    say!();
+    say!("{}{mark} · reference · {}", report.data, report.settings);
+    say!("accuracies in percent, mean ± sd over folds");
+    say!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
     let mut head = (String::new(), "");
     for row in &report.rows {
         let of_row = (row.place.to_string(), row.protocol);
         if of_row != head {
-            eprintln!("{} · {}", row.place, row.protocol);
+            say!("{} · {}", row.place, row.protocol);
             head = of_row;
         }
-        tell_row(row);
+        print_row(row);
     }
 }
 
-fn tell_row(row: &ReportRow) {
+fn print_row(row: &ReportRow) {
     let figure = |mean: f64, std: Option<f64>| match std {
         Some(std) => format!("{mean:.1} ± {std:4.1}"),
         None => format!("{mean:.1}       "),
     };
     if let Some(why) = &row.not_run {
-        eprintln!("  {:<52} not run: {why}", row.name);
+        say!("  {:<52} not run: {why}", row.name);
         return;
     }
     let ours = match row.accuracy_mean {
@@ -164,9 +175,9 @@ fn tell_row(row: &ReportRow) {
         [] => String::new(),
         missing => format!("  without {}, which the data lack", missing.join(", ")),
     };
-    eprintln!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
+    say!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
     if let Some(Some(precision)) = row.published.map(|p| p.precision) {
         let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
-        eprintln!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
+        say!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
     }
 }

@@ -3,13 +3,14 @@
 use std::path::PathBuf;
 
 use super::choose::choose;
-use super::eval::share;
 use super::figure::write;
 use super::method::MethodArgs;
+use super::parse::share;
+use super::protocol::ProtocolArg;
 use super::{Done, Failure, SourceArgs, show};
-use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use crate::library::Library;
+use crate::recognise::MethodSpec;
 use crate::scene::Scene;
 
 /// Find the cheapest setting that names this library's surfaces well enough
@@ -27,9 +28,9 @@ pub struct Args {
     /// File to write the plan to
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// How queries and library are split (default: users against the expert where there are users)
+    /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
     #[command(flatten)]
     sources: SourceArgs,
     /// Print the plan, and what it was found by, as one JSON document on stdout
@@ -47,37 +48,33 @@ pub struct ComparingArgs {
     /// Compare as this plan says, which `surfaced plan` has written
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving", "no_discriminant", "harmonics", "by_conductivity"
+        "halving"
     ])]
     plan: Option<PathBuf>,
 }
 
 impl ComparingArgs {
-    /// What the plan says, if there is one, or else the other arguments; tells people so.
+    /// What the plan says, if there is one, or else the other arguments; says so.
     ///
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
     pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let sources = self.sources.clone();
+        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
         let Some(path) = &self.plan else {
-            let method = self.method.clone();
-            return Ok(Comparing { plan: None, sources, method, query_seconds });
+            let method = self.method.spec()?;
+            return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
-        let mut used =
-            plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        if plan.by_conductivity {
-            used += ", surfaces of matching conductivity alone";
-        }
-        eprintln!(
+        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        say!(
             "plan for {}: {} by {}{used}",
             plan.library,
             names.join(" + "),
-            plan.setting.method().name()
+            plan.method.name().as_str()
         );
-        let (method, query_seconds) = (self.method.planned(&plan), plan.scan_s);
-        Ok(Comparing { plan: Some(plan), sources, method, query_seconds })
+        let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
+        Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
     }
 }
 
@@ -88,7 +85,9 @@ pub struct Comparing {
     pub plan: Option<Plan>,
     sources: SourceArgs,
     /// The method.
-    pub method: MethodArgs,
+    pub method: MethodSpec,
+    /// Whether prepared trials are kept beside the library.
+    pub cache: bool,
     /// How much of each drag is used, in seconds, if not all of it.
     pub query_seconds: Option<f64>,
 }
@@ -115,7 +114,7 @@ pub fn run(args: &Args) -> Done {
     let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();
     let options = PlanOptions { target: args.target, protocol, cache: None };
-    let planned = search(&library, options, &|step, done, of| steps.tell(step, done, of))?;
+    let planned = search(&library, options, &|step, done, of| steps.show(step, done, of))?;
     drop(steps);
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {
@@ -124,17 +123,17 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&planned);
     }
-    tell(&planned);
+    print(&planned);
     if args.out.is_none() {
-        eprintln!("\n{text}");
+        say!("\n{text}");
     }
     verdict(args, &planned)
 }
 
-fn tell(planned: &Planned) {
-    eprintln!("\nsource       alone   latency    scan");
+fn print(planned: &Planned) {
+    say!("\nsource       alone   latency    scan");
     for cost in &planned.sources {
-        eprintln!(
+        say!(
             "{:<8} {:>9} {:>6.2} ms {:>5.1} s",
             cost.source,
             show::percent(cost.accuracy),
@@ -142,21 +141,21 @@ fn tell(planned: &Planned) {
             cost.scan_s
         );
     }
-    eprintln!();
+    say!();
     for step in &planned.steps {
-        eprintln!("{step}");
+        say!("{step}");
     }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
-    eprintln!(
+    say!(
         "plan: {} by {}, {:.1} s of scan, {:.2} ms",
         sources.join(" + "),
-        planned.plan.setting.method().name(),
+        planned.plan.method.name().as_str(),
         e.scan_s,
         e.latency_ms
     );
-    eprintln!(
+    say!(
         "expected accuracy {} of {} queries of {} surfaces, {} (95 % interval {} to {}){mark}",
         show::percent(e.accuracy),
         e.queries,
@@ -166,7 +165,7 @@ fn tell(planned: &Planned) {
         show::percent(e.accuracy_high)
     );
     if e.reached && !e.shown {
-        eprintln!(
+        say!(
             "{} queries are too few to show {}, even without a mistake: more trials would",
             e.queries,
             show::percent(e.target)

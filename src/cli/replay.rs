@@ -6,21 +6,24 @@ use std::sync::Arc;
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
+use super::keys::watch_signals;
 use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
+use super::protocol::ProtocolArg;
 use super::serve::ServeArgs;
 use super::tally::Tally;
-use super::terminal::watch_signals;
 use super::{Done, Failure, live, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{self, Fold, Protocol, first_seconds};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::library::{Entry, Library};
-use crate::recognise::{AnyMethod, AnyModel, LOOK_S, Method, RecogniseError};
+use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
-use crate::station::{ByMethod, Keep, LibraryState, Needs, Notice, Station};
+use crate::station::{
+    DurationRequirements, LibraryState, Recogniser, ScanStore, Station, StationEvent,
+};
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -43,13 +46,13 @@ pub struct Args {
     speed: Speed,
     /// Which trials are named against which, where no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::eval::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::parse::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -76,7 +79,7 @@ pub fn run(args: &Args) -> Done {
         (None, _) => {
             let scene = synth::embedded();
             show::library(&scene);
-            by_protocol(&how, scene, Some(Protocol::ExpertVsUsers))?
+            by_protocol(&how, scene, Some(ProtocolArg(Protocol::ExpertVsUsers)))?
         }
         (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
@@ -87,11 +90,14 @@ pub fn run(args: &Args) -> Done {
 fn by_protocol(
     how: &Comparing,
     data: Library,
-    protocol: Option<Protocol>,
+    protocol: Option<ProtocolArg>,
 ) -> Result<Stage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
+    let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
-    eprintln!("each trial is named by {}", protocol.name());
+    if named {
+        say!("protocol: {}", protocol.name());
+    }
     Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
 }
 
@@ -129,24 +135,25 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        station = station.listener(JsonLines);
+        let commands = station.commands();
+        station = station.listener(JsonLines { commands });
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
         let load = live::load(folder, &stage.scene, how, &args.answers);
-        station = station.load(load).keep(Keep::new(folder.clone(), stage.scene.clone()));
+        station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
     let (mut station, server) = args.serve.start(station, address, library.is_some())?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
-    station.tell(&Notice::Reading);
+    station.emit(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
     station = station.recogniser(Arc::new(recogniser));
     if follows {
         station = station.progress_every(LOOK_S);
     }
     let signals = match &server {
-        Some(_) => Some(watch_signals(station.orders())?),
+        Some(_) => Some(watch_signals(station.commands())?),
         None => None,
     };
     let totals = station.run()?;
@@ -164,20 +171,15 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
 
 /// What names the queries, each by the library of its fold, and whether it follows scans while they
 /// go on; tells people what its answers rest on.
-fn recogniser(
-    args: &Args,
-    how: &Comparing,
-    stage: &Stage,
-) -> Result<(ByMethod<AnyMethod>, bool), Failure> {
-    let method = how.method.method(&stage.scene)?;
-    let models = models(&method, stage)?;
+fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser, bool), Failure> {
+    let models = models(&*how.method.build(&stage.scene), stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
-    let needs = Needs::of(&stage.scene, compared, stage.synthetic);
-    let mut recogniser = ByMethod::with_folds(method, models, fold_of, needs, library);
+    let needs = DurationRequirements::of(&stage.scene, compared, stage.synthetic);
+    let mut recogniser = Recogniser::with_folds(models, fold_of, needs, library);
     let applied = args.answers.apply(&mut recogniser)?;
-    applied.remarks.iter().for_each(|remark| eprintln!("{remark}"));
+    applied.remarks.iter().for_each(|remark| say!("{remark}"));
     Ok((recogniser, applied.follows))
 }
 
@@ -199,13 +201,10 @@ impl Stage {
     }
 }
 
-fn models(method: &AnyMethod, stage: &Stage) -> Result<Vec<AnyModel>, RecogniseError> {
+fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
-    let wanted: BTreeSet<usize> = stage.folds.iter().flat_map(|f| f.library.clone()).collect();
-    let progress = |step, done, of| steps.tell(step, done, of);
-    let prepared = evaluate::prepare(method, &stage.entries, &wanted, &progress)?;
-    let fit = |fold: &Fold| {
-        method.fit(fold.library.iter().filter_map(|&i| prepared[i].clone()).collect())
-    };
-    stage.folds.iter().map(fit).collect()
+    let progress = |step, done, of| steps.show(step, done, of);
+    let evaluation = Evaluation::new(&stage.scene, &stage.entries, &stage.folds);
+    let run = Evaluation { progress: &progress, ..evaluation }.prepare(method)?;
+    stage.folds.iter().map(|fold| run.fit(&fold.library)).collect()
 }

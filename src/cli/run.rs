@@ -1,4 +1,4 @@
-//! `surfaced run`: the station at work, with whatever devices are there.
+//! `surfaced run`: the station at work, with the devices that are there.
 
 use super::answers::AnswerArgs;
 use super::live::{StationArgs, Work, library_of, load, verdict, work};
@@ -7,8 +7,8 @@ use super::{Done, Failure, shown};
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
-/// Starts with whatever devices are there, and says what it lacks. On a terminal, the space bar
-/// begins and ends a scan by hand; without it, scans are found by their tap and drag.
+/// Starts with the devices that are there, and names those that are missing. Scans are detected by
+/// their tap and drag; on a terminal, the space bar also begins and ends one by hand.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
@@ -43,11 +43,11 @@ pub fn run(args: &Args) -> Done {
         &config,
         Work {
             load: Some(load),
-            keep: library,
-            orders: Vec::new(),
+            store: library,
+            first: None,
             listeners: Vec::new(),
             hint: format!(
-                "tap a surface, then drag over it{long}; space begins and ends by hand, q ends"
+                "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
             ),
             json: args.station.json,
             serve: args.station.serve.clone(),

@@ -81,12 +81,12 @@ impl ServeArgs {
         let address = address.unwrap_or(default);
         let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
         let settings = Settings { address, token, proxies, enrolls, ..Settings::default() };
-        let started: Result<(Server, Reporter), _> = Server::start(&settings, station.orders());
+        let started: Result<(Server, Reporter), _> = Server::start(&settings, station.commands());
         let (server, reporter) = started.map_err(|error| match error {
             ServeError::Open(_) => usage(error),
             _ => error.into(),
         })?;
-        eprintln!("http://{}", server.address());
+        say!("http://{}", server.address());
         Ok((station.listener(reporter), Some(server)))
     }
 }

@@ -5,16 +5,18 @@ use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::evaluate::LeftOut;
 use crate::library::Library;
 use crate::station::Answer;
 
-/// Says what a library holds, and what was passed over.
+/// Says what a library holds, and what was skipped.
 pub fn library(library: &Library) {
-    let surfaces = library.surfaces().len();
+    let trials = counted(library.entries.len(), "trial");
+    let surfaces = counted(library.surfaces().len(), "surface");
     let mark = if library.synthetic { " (synthetic)" } else { "" };
-    eprintln!("{}{mark}: {} trials of {surfaces} surfaces", library.name, library.entries.len());
+    say!("{}{mark}: {trials} of {surfaces}", library.name);
     for remark in &library.remarks {
-        eprintln!("  {remark}");
+        say!("  {remark}");
     }
 }
 
@@ -22,23 +24,37 @@ pub fn library(library: &Library) {
 ///
 /// A reader that has gone away (`| head`) wants no more: the program ends there.
 pub fn json(value: &impl serde::Serialize) {
-    // Plain structs, numbers and text: nothing here that JSON cannot express.
-    let text = serde_json::to_string(value).expect("plain data");
-    if writeln!(std::io::stdout(), "{text}").is_err() {
+    if try_json(value).is_err() {
         std::process::exit(1);
     }
 }
 
-/// What the journal reads at the begin of a line as its priority, where stderr is the journal's.
-pub fn priority(text: &str) -> &'static str {
-    if std::env::var_os("JOURNAL_STREAM").is_none() {
-        return "";
+/// As [`json`].
+///
+/// # Errors
+/// If stdout takes no more.
+pub fn try_json(value: &impl serde::Serialize) -> std::io::Result<()> {
+    // Plain structs, numbers and text: nothing here that JSON cannot express.
+    let text = serde_json::to_string(value).expect("plain data");
+    writeln!(std::io::stdout(), "{text}")
+}
+
+/// Says which sources were left out of queries, and why.
+pub fn left_out(left_out: &LeftOut) {
+    for (remark, trials) in left_out {
+        let more = match trials.len() {
+            0 | 1 => String::new(),
+            several => format!(" and {} more", several - 1),
+        };
+        if let Some(first) = trials.first() {
+            say!("warning: {remark} ({first}{more})");
+        }
     }
-    match text.split(':').next() {
-        Some("error") => "<3>",
-        Some("warning" | "refused") => "<4>",
-        _ => "<6>",
-    }
+}
+
+/// A number of things: `1 trial`, `2 trials`.
+pub fn counted(number: usize, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 /// A fraction as a percentage.
@@ -46,9 +62,9 @@ pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
 }
 
-/// How sure an answer is: by its probability where the method states one, else by how far the next
-/// surface lies behind.
-pub fn sureness(answer: &Answer) -> String {
+/// How certain an answer is: its probability where the method states one, else the margin to the
+/// next surface.
+pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {
         Some(probability) if probability > 0.999 => "over 99.9 %".into(),
         Some(probability) => percent(probability),
@@ -56,7 +72,7 @@ pub fn sureness(answer: &Answer) -> String {
     }
 }
 
-/// A progress bar on stderr that appears where a person looks at it, one for each step of a work.
+/// A progress bar on stderr, one for each step of some work; it appears only on a terminal.
 pub struct Steps(Mutex<Option<(&'static str, ProgressBar)>>);
 
 impl Steps {
@@ -65,8 +81,8 @@ impl Steps {
         Self(Mutex::new(None))
     }
 
-    /// Tells how much of a step is done.
-    pub fn tell(&self, step: &'static str, done: usize, of: usize) {
+    /// Shows how much of a step is done.
+    pub fn show(&self, step: &'static str, done: usize, of: usize) {
         // A thread that panicked while it held the lock left a bar that can still be drawn.
         let mut bar = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if bar.as_ref().is_none_or(|(name, _)| *name != step) {

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
-use super::method::{MethodArgs, at_least_one};
+use super::method::{MethodArg, at_least_one};
 use super::{Done, Failure, show, shown};
 use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
-use crate::recognise::MethodName;
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::SourceSpec;
 
 /// Disturb queries, and the library, until each method breaks
@@ -31,7 +31,7 @@ pub struct Args {
     figure: FigureArgs,
     /// Methods, with commas between them (default: all)
     #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
-    methods: Vec<MethodName>,
+    methods: Vec<MethodArg>,
     /// Disturbances, with commas between them (default: all that the data can show)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     only: Vec<String>,
@@ -62,7 +62,7 @@ pub fn run(args: &Args) -> Done {
         report.join(other, &whose).map_err(refused)?;
     }
     keep(args, &report)?;
-    eprintln!("\n{}", report.markdown());
+    say!("\n{}", report.markdown());
     if args.figure.json {
         show::json(&report);
     }
@@ -98,19 +98,32 @@ fn measured(args: &Args) -> Result<Report, Failure> {
         keep_flawed: args.keep_flawed,
         methods: Vec::new(),
     };
-    let methods: &[MethodName] =
-        if args.methods.is_empty() { MethodName::all() } else { &args.methods };
+    let methods: Vec<MethodName> = match args.methods.as_slice() {
+        [] => MethodName::ALL.to_vec(),
+        named => named.iter().map(|MethodArg(name)| *name).collect(),
+    };
     for (done, method) in methods.iter().enumerate() {
-        eprintln!("{}/{}  {}", done + 1, methods.len(), method.name());
-        let method = MethodArgs::quick(*method).method(&scene)?;
+        say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
+        let method = quick(*method).build(&scene);
         let steps = show::Steps::new();
-        let told = stress::run(&method, &plan, &|step, done, of| steps.tell(step, done, of))?;
+        let measured = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
         drop(steps);
-        report.methods.push(told);
+        report.methods.push(measured);
         // What is done stays, should a later method fail or a person lose patience.
         keep(args, &report)?;
     }
     Ok(report)
+}
+
+/// A method with its usual settings, but for `reference` the quick way.
+fn quick(method: MethodName) -> MethodSpec {
+    match method {
+        MethodName::Reference => MethodSpec::Reference(ReferenceOptions {
+            halving: STAGES.to_vec(),
+            ..ReferenceOptions::default()
+        }),
+        other => other.into(),
+    }
 }
 
 fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Failure> {

@@ -1,47 +1,47 @@
-//! What systemd is told: that the station is ready, that its loop still turns, that it ends.
+//! Reports to systemd: the station is ready, its loop still runs, it ends.
 //!
-//! The watchdog is fed by the station's own loop: a thread asks for a sign of life, and only the
-//! answer is passed on. Without systemd, nothing of this happens.
+//! The watchdog is fed by the station's own loop: a thread pings it, and only its answer is passed
+//! on. Without systemd, none of this happens.
 
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
-use crate::station::{Listener, Notice, Order};
+use crate::station::{Command, Listener, StationEvent};
 
-/// Tells systemd, where it listens.
+/// Reports to systemd, where it is there.
 pub struct Supervisor(());
 
 impl Supervisor {
-    /// Asks the station that takes `orders` for signs of life, as often as the unit wants them.
+    /// Pings the station that takes `commands` as often as the watchdog of the unit demands.
     ///
     /// # Errors
     /// If there is no thread to be had.
-    pub fn new(orders: Sender<Order>) -> std::io::Result<Self> {
+    pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
         if let Some(limit) = sd_notify::watchdog_enabled() {
-            // Thrice as often as need be: two may come late.
+            // Three times as often as necessary: two may come late.
             let every = (limit / 3).max(Duration::from_millis(10));
-            let ask = move || {
-                while orders.send(Order::Ping).is_ok() {
+            let ping = move || {
+                while commands.send(Command::Ping).is_ok() {
                     std::thread::sleep(every);
                 }
             };
-            std::thread::Builder::new().name("watchdog".into()).spawn(ask)?;
+            std::thread::Builder::new().name("watchdog".into()).spawn(ping)?;
         }
         Ok(Self(()))
     }
 }
 
 impl Listener for Supervisor {
-    fn notice(&mut self, notice: &Notice) {
-        let state = match notice {
-            Notice::Streams(_) => NotifyState::Ready,
-            Notice::Alive => NotifyState::Watchdog,
-            Notice::Finished(_) => NotifyState::Stopping,
+    fn on_event(&mut self, event: &StationEvent) {
+        let state = match event {
+            StationEvent::Streams(_) => NotifyState::Ready,
+            StationEvent::Alive => NotifyState::Watchdog,
+            StationEvent::Finished(_) => NotifyState::Stopping,
             _ => return,
         };
-        // Where nobody listens, nobody misses it.
+        // Fails only without systemd.
         let _ = sd_notify::notify(&[state]);
     }
 }

@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
     /// Length of a drag
-    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::eval::seconds)]
+    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::parse::seconds)]
     seconds: f64,
     /// About as hard as LMT108, source by source, instead of easier
     #[arg(long)]
@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Done {
     let options = TrialOptions { about: About::default(), durable: false };
     library.entries.par_iter().try_for_each(|entry| {
         record::write_trial(&args.out, &entry.load()?, &library.scene, &options)?;
-        steps.tell("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
+        steps.show("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
         Ok::<_, crate::library::LibraryError>(())
     })?;
     drop(steps);
@@ -89,7 +89,7 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        eprintln!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
+        say!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
     }
     Ok(())
 }

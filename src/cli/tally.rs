@@ -1,18 +1,19 @@
-//! What came of a replay, scan by scan and in all, for people.
+//! The results of a replay, scan by scan and in total, for people.
 
 use std::collections::BTreeMap;
 
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
-use crate::station::{Answer, Listener, Notice};
+use crate::scene::SourceId;
+use crate::station::{Answer, Listener, Remark, RemarkKind, StationEvent};
 
 /// What has been named so far.
 pub struct Tally {
-    /// Whether each answer is told.
+    /// Whether each answer is shown.
     each: bool,
     total: usize,
-    /// Warnings about a sensor are said once, and counted.
-    said: BTreeMap<String, usize>,
+    /// How often each kind of remark on a source was made; only the first is shown.
+    remarks: BTreeMap<(RemarkKind, SourceId), usize>,
     answers: usize,
     with_truth: usize,
     right: usize,
@@ -35,27 +36,27 @@ struct ByThen {
 }
 
 impl Listener for Tally {
-    fn notice(&mut self, notice: &Notice) {
-        match notice {
-            Notice::Guess(guess) if guess.settled => {
+    fn on_event(&mut self, event: &StationEvent) {
+        match event {
+            StationEvent::Guess(guess) if guess.settled => {
                 if let Some(first) = guess.named.first() {
                     self.settled.entry(guess.scan).or_insert_with(|| first.surface.clone());
                 }
             }
-            Notice::Answer(answer) => self.answer(answer),
-            Notice::Warning(text) => self.damage(text),
+            StationEvent::Answer(answer) => self.answer(answer),
+            StationEvent::Warning(text) => self.damage(text),
             _ => {}
         }
     }
 }
 
 impl Tally {
-    /// Nothing yet, of `total` scans; whether people are told of `each`.
+    /// Nothing yet, of `total` scans; whether `each` answer is shown.
     pub fn new(each: bool, total: usize) -> Self {
         Self {
             each,
             total,
-            said: BTreeMap::new(),
+            remarks: BTreeMap::new(),
             answers: 0,
             with_truth: 0,
             right: 0,
@@ -76,13 +77,13 @@ impl Tally {
         self.right += usize::from(right == Some(true));
         self.settled_answer(answer);
         for reason in &answer.spoiled {
-            eprintln!("warning: scan {}: {reason}", answer.scan);
+            say!("warning: scan {}: {reason}", answer.scan);
         }
         for remark in &answer.remarks {
-            self.say(remark, answer.scan);
+            self.remark(remark, answer.scan);
         }
         if self.each {
-            self.tell(answer, right);
+            self.show(answer, right);
         }
     }
 
@@ -98,45 +99,43 @@ impl Tally {
         }
     }
 
-    fn tell(&self, answer: &Answer, right: Option<bool>) {
+    fn show(&self, answer: &Answer, right: Option<bool>) {
         let verdict = match (right, &answer.truth) {
-            (Some(true), _) => "right".to_string(),
+            (Some(true), _) => "correct".to_string(),
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => String::new(),
         };
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
-        eprintln!(
+        say!(
             "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,
             self.total,
             answer.surface.as_deref().unwrap_or("unknown"),
-            show::sureness(answer),
+            show::certainty(answer),
             answer.latency_ms,
             longer.unwrap_or_default()
         );
     }
 
-    fn say(&mut self, text: &str, scan: u32) {
-        // The same flaw with other numbers is the same flaw.
-        let kind: String = text.chars().filter(|c| !c.is_ascii_digit() && *c != '.').collect();
-        let count = self.said.entry(kind).or_insert(0);
+    fn remark(&mut self, remark: &Remark, scan: u32) {
+        let count = self.remarks.entry((remark.kind, remark.source.clone())).or_insert(0);
         *count += 1;
         if *count == 1 {
-            eprintln!("warning: scan {scan}: {text}");
+            say!("warning: scan {scan}: {}", remark.text);
         }
     }
 
     /// Something in use was lost or damaged.
     fn damage(&mut self, text: &str) {
         self.damages += 1;
-        eprintln!("warning: {text}");
+        say!("warning: {text}");
     }
 
-    /// Tells people what it came to.
+    /// Shows the totals.
     pub fn sum_up(&mut self, synthetic: bool) {
-        let again: usize = self.said.values().map(|count| count - 1).sum();
+        let again: usize = self.remarks.values().map(|count| count - 1).sum();
         if again > 0 {
-            eprintln!("({again} more warning(s) of these kinds)");
+            say!("({} of these kinds not shown)", show::counted(again, "more warning"));
         }
         if self.answers == 0 {
             return;
@@ -145,9 +144,9 @@ impl Tally {
         let (low, high) = wilson_interval(self.right, self.with_truth);
         self.latencies_ms.sort_by(f64::total_cmp);
         let median = self.latencies_ms[self.latencies_ms.len() / 2];
-        eprintln!();
+        say!();
         if self.with_truth > 0 {
-            eprintln!(
+            say!(
                 "accuracy {} of {} scans (95 % interval {} to {}){mark}",
                 show::percent(self.right as f64 / self.with_truth as f64),
                 self.with_truth,
@@ -155,20 +154,20 @@ impl Tally {
                 show::percent(high)
             );
         }
-        eprintln!("latency  {median:.1} ms from the end of a scan to its name (median)");
+        say!("latency  {median:.1} ms from the end of a scan to its answer (median)");
         let then = &self.by_then;
         if then.settled > 0 {
             let n = self.answers as f64;
-            eprintln!(
-                "settled  {} of {} scans before their end; {:.2} s of scan used in the mean, of \
-                 {:.2} s{}",
+            say!(
+                "settled  {} of {} scans before their end; on average {:.2} s of {:.2} s of scan \
+                 used{}",
                 then.settled,
                 self.answers,
                 then.used_s / n,
                 then.whole_s / n,
                 if then.with_truth > 0 {
                     let share = then.right as f64 / then.with_truth as f64;
-                    format!("; {} right by then", show::percent(share))
+                    format!("; {} correct by then", show::percent(share))
                 } else {
                     String::new()
                 }
@@ -183,7 +182,7 @@ impl Tally {
         }
         if self.damages + self.spoiled > 0 || lost > 0 {
             return Err(Failure::Damaged(format!(
-                "{} of {} scans named; {} warning(s), {} scan(s) spoiled, {lost} sample(s) lost",
+                "{} of {} scans named; warnings: {}, spoiled scans: {}, lost samples: {lost}",
                 self.answers, self.total, self.damages, self.spoiled
             )));
         }

@@ -1,24 +1,24 @@
-//! The terminal of a station: one calm line of what goes on, and above it what is to be kept.
+//! The terminal of a station: a status line, and above it the lines that stay.
 //!
-//! Without a terminal (a log file, a pipe) there is no such line, only what is to be kept.
+//! Without a terminal there is no status line, and the rest goes to the log.
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal, Read, Write};
+use std::io::IsTerminal;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock, mpsc};
 
-use crossbeam_channel::Sender;
-use rustix::termios::{self, LocalModes, OptionalActions, Termios};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
+use rustix::termios;
+use tracing::Level;
 
-use super::{Failure, show, shown};
+use super::{log, say, show, shown};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolled, Guess, LibraryState, Listener, Notice, Order};
+use crate::station::{
+    Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent,
+};
 
-/// Who is told on stderr.
+/// Shows a station to people, on stderr.
 pub struct Terminal {
     /// Answers are on stdout, as JSON.
     json: bool,
@@ -27,17 +27,19 @@ pub struct Terminal {
     hint: String,
     scanning: Arc<AtomicBool>,
     devices: BTreeMap<String, DeviceState>,
-    /// The scan that goes on: its part, and how it looks so far.
+    /// The scan in progress: its part, and what it looks like so far.
     scan: Option<(Phase, Option<Guess>)>,
     last: Option<String>,
 }
 
 impl Terminal {
-    /// Nothing told yet. `hint` stands where nothing else is to be said.
+    /// Nothing shown yet. `hint` says what to do, and stands where there is nothing else to show.
     pub fn new(json: bool, hint: String) -> Self {
         let draws = std::io::stderr().is_terminal();
+        say::never_wait();
+        say::keep_status_line(draws);
         if !draws {
-            eprintln!("{hint}");
+            tracing::info!("{hint}");
         }
         Self {
             json,
@@ -50,26 +52,36 @@ impl Terminal {
         }
     }
 
-    /// Whether a scan goes on, for the key that ends it.
+    /// Whether a scan is in progress, for the key that ends it.
     pub fn scanning(&self) -> Arc<AtomicBool> {
         self.scanning.clone()
     }
 
-    /// Prints a line that stays.
-    fn say(&self, text: &str) {
-        let clear = if self.draws { "\r\x1b[2K" } else { "" };
-        let priority = show::priority(text);
-        eprintln!("{clear}{priority}{text}");
+    /// Shows a line that stays, or logs it.
+    fn say(&self, level: Level, text: &str) {
+        match level {
+            _ if self.draws => say!("{}{text}", log::word(level)),
+            Level::WARN => tracing::warn!("{text}"),
+            _ => tracing::info!("{text}"),
+        }
     }
 
-    /// Draws the line that changes.
+    fn info(&self, text: &str) {
+        self.say(Level::INFO, text);
+    }
+
+    fn warn(&self, text: &str) {
+        self.say(Level::WARN, text);
+    }
+
+    /// Draws the status line.
     fn draw(&self) {
         if !self.draws {
             return;
         }
         let now = match (&self.scan, &self.last) {
             (Some((Phase::Drag, Some(guess))), _) => so_far(guess),
-            (Some(_), _) => "a scan begins".into(),
+            (Some(_), _) => "scan begins".into(),
             (None, Some(last)) => format!("last: {last}"),
             (None, None) => self.hint.clone(),
         };
@@ -78,44 +90,44 @@ impl Terminal {
         let line = format!("{now} │ {}", devices.join(", "));
         let columns = termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| size.ws_col);
         let fits: String = line.chars().take(usize::from(columns.max(20)) - 1).collect();
-        let mut stderr = std::io::stderr();
-        // A terminal that is gone needs no line.
-        let _ = write!(stderr, "\r\x1b[2K{fits}").and_then(|()| stderr.flush());
+        say::status(&fits);
     }
 
     fn answer(&mut self, answer: &Answer) {
         let name = answer.surface.as_deref().unwrap_or("unknown");
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         if !self.json {
-            self.say(&format!(
+            self.info(&format!(
                 "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
                 answer.scan,
-                show::sureness(answer),
+                show::certainty(answer),
                 answer.scan_s,
                 longer.unwrap_or_default()
             ));
         }
         for why in &answer.spoiled {
-            self.say(&format!("warning: scan {}: {why}", answer.scan));
+            self.warn(&format!("scan {}: {why}", answer.scan));
         }
         if !self.json {
-            answer.remarks.iter().for_each(|remark| self.say(&format!("  {remark}")));
+            answer.remarks.iter().for_each(|remark| self.info(&format!("  {}", remark.text)));
         }
         self.last = Some(name.to_string());
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {
-        let Enrolled { scan, surface, trial, folder, remarks, wanted } = enrolled;
-        match (trial, folder) {
-            (Some(trial), Some(folder)) => {
-                self.say(&format!("kept: trial {trial} of {surface} in {}", shown(folder)));
+        let Enrolled { scan, surface, outcome, trial, folder, remarks, wanted } = enrolled;
+        match (outcome, trial, folder) {
+            (_, Some(trial), Some(folder)) => {
+                self.info(&format!("kept: trial {trial} of {surface} in {}", shown(folder)));
             }
-            _ => self.say(&format!("refused: scan {scan}; once more, please")),
+            (EnrolledOutcome::Refused, ..) => self.warn(&format!("scan {scan} refused; repeat it")),
+            // A warning says the rest.
+            _ => return,
         }
-        remarks.iter().for_each(|remark| self.say(&format!("  {remark}")));
+        remarks.iter().for_each(|remark| self.info(&format!("  {remark}")));
         self.last = Some(match wanted {
             0 => format!("{surface} is complete"),
-            // Nobody counts down from all that there is.
+            // Recording without an end is not counted down.
             wanted if *wanted > u32::MAX / 2 => format!("{surface} kept"),
             wanted => format!("{surface}, {wanted} to go; tap, then drag"),
         });
@@ -124,54 +136,58 @@ impl Terminal {
     fn library(&self, library: &LibraryState) {
         let LibraryState { name, surfaces, synthetic, problem, remarks, .. } = library;
         if let Some(problem) = problem {
-            return self.say(&format!("warning: scans cannot be named: {problem}"));
+            return self.warn(&format!("scans cannot be named: {problem}"));
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();
         let mark = if *synthetic { " (synthetic)" } else { "" };
-        self.say(&format!("{name}{mark}: {trials} trials of {} surfaces", surfaces.len()));
-        remarks.iter().for_each(|remark| self.say(remark));
+        let surfaces = show::counted(surfaces.len(), "surface");
+        self.info(&format!("{name}{mark}: {} of {surfaces}", show::counted(trials, "trial")));
+        remarks.iter().for_each(|remark| self.info(remark));
     }
 }
 
 impl Listener for Terminal {
-    fn notice(&mut self, notice: &Notice) {
-        match notice {
-            Notice::Device { device, state, detail } => {
+    fn on_event(&mut self, event: &StationEvent) {
+        match event {
+            StationEvent::Device { device, state, detail } => {
                 let why = if detail.is_empty() { String::new() } else { format!(": {detail}") };
-                self.say(&format!("{device} is {state}{why}"));
+                self.info(&format!("{device} is {state}{why}"));
                 self.devices.insert(device.clone(), *state);
             }
-            Notice::Phase { phase, .. } => {
+            StationEvent::Phase { phase, .. } => {
                 self.scan = phase.map(|phase| (phase, None));
                 self.scanning.store(phase.is_some(), Ordering::Release);
             }
-            Notice::Guess(guess) => {
+            StationEvent::Guess(guess) => {
                 if let Some((_, so_far)) = &mut self.scan {
                     *so_far = Some(guess.clone());
                 }
             }
-            Notice::Answer(answer) => self.answer(answer),
-            Notice::Enrolled(enrolled) => self.enrolled(enrolled),
-            Notice::Library(library) => self.library(library),
-            Notice::Warning(text) => self.say(&format!("warning: {text}")),
-            Notice::Trace(_) | Notice::Streams(_) | Notice::Reading | Notice::Alive => return,
-            Notice::Finished(totals) => {
+            StationEvent::Answer(answer) => self.answer(answer),
+            StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
+            StationEvent::Library(library) => self.library(library),
+            StationEvent::Warning(text) => self.warn(text),
+            StationEvent::Trace(_)
+            | StationEvent::Streams(_)
+            | StationEvent::Reading
+            | StationEvent::Alive => return,
+            StationEvent::Finished(totals) => {
                 let stream = |(id, counts): (&SourceId, &Counts)| {
                     format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)
                 };
                 let streams: Vec<_> = totals.streams.iter().map(stream).collect();
-                return self.say(&format!("received: {}", streams.join(", ")));
+                return self.info(&format!("received: {}", streams.join(", ")));
             }
         }
         self.draw();
     }
 }
 
-/// How a scan that goes on looks.
+/// What a scan in progress looks like.
 fn so_far(guess: &Guess) -> String {
     let best = guess.named.first().map(|best| {
-        let sure = if guess.settled { ", settled" } else { "" };
-        format!(": {} {:.0} %{sure}", best.surface, best.probability * 100.0)
+        let settled = if guess.settled { ", settled" } else { "" };
+        format!(": {} {:.0} %{settled}", best.surface, best.probability * 100.0)
     });
     let more_s = guess.needed_s.map(|needed_s| needed_s - guess.scan_s).filter(|s| *s > 0.0);
     let more = more_s.map(|s| format!(" (T*: {s:.1} s more)"));
@@ -181,88 +197,4 @@ fn so_far(guess: &Guess) -> String {
         best.unwrap_or_default(),
         more.unwrap_or_default()
     )
-}
-
-/// How the terminal was before keys were read one by one.
-static BEFORE: OnceLock<Termios> = OnceLock::new();
-
-/// Keys that are read one by one, until it is dropped.
-pub struct Keys;
-
-impl Keys {
-    /// Reads keys where there is someone to press them: `space` begins or ends a scan, `q` quits.
-    pub fn listen(orders: Sender<Order>, scanning: Arc<AtomicBool>) -> Option<Self> {
-        let stdin = std::io::stdin();
-        let in_front =
-            termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
-        if !in_front || !std::io::stderr().is_terminal() {
-            return None;
-        }
-        let before = termios::tcgetattr(&stdin).ok()?;
-        let mut single = before.clone();
-        // Signals stay: Ctrl-C is one of the ways to end.
-        single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-        termios::tcsetattr(&stdin, OptionalActions::Now, &single).ok()?;
-        let keys = Self;
-        let _ = BEFORE.set(before);
-        let read = move || {
-            // One that has a lock and a buffer of its own.
-            for key in std::io::stdin().lock().bytes() {
-                let order = match key {
-                    Ok(b' ') if scanning.load(Ordering::Acquire) => Order::Stop,
-                    Ok(b' ') => Order::Start,
-                    Ok(b'q' | b'Q') => Order::Quit,
-                    Ok(_) => continue,
-                    Err(_) => return,
-                };
-                if orders.send(order).is_err() {
-                    return;
-                }
-            }
-        };
-        // It waits for a key for ever, and ends with the process.
-        std::thread::Builder::new().name("keys".into()).spawn(read).ok()?;
-        Some(keys)
-    }
-}
-
-impl Drop for Keys {
-    fn drop(&mut self) {
-        restore();
-    }
-}
-
-fn restore() {
-    if let Some(before) = BEFORE.get() {
-        // If this fails, the terminal is gone.
-        let _ = termios::tcsetattr(std::io::stdin(), OptionalActions::Now, before);
-    }
-}
-
-/// Tells when a signal has come.
-pub struct Signalled(mpsc::Receiver<()>);
-
-impl Signalled {
-    /// Waits for the first signal, if it has not come yet.
-    pub fn wait(self) {
-        let _ = self.0.recv();
-    }
-}
-
-/// Makes the first signal to end an order to quit; the second ends the process on the spot, as does
-/// the first when nobody waits for either.
-pub fn watch_signals(orders: Sender<Order>) -> Result<Signalled, Failure> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
-    let (tell, told) = mpsc::channel();
-    let watch = move || {
-        for (count, signal) in signals.forever().enumerate() {
-            let heard = [orders.send(Order::Quit).is_ok(), tell.send(()).is_ok()];
-            if count > 0 || heard == [false; 2] {
-                restore();
-                std::process::exit(128 + signal);
-            }
-        }
-    };
-    std::thread::Builder::new().name("signals".into()).spawn(watch)?;
-    Ok(Signalled(told))
 }

@@ -2,7 +2,7 @@
 //!
 //! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
 //! the device's thread watches over it, judges the light of each frame, and makes pictures. When
-//! the reader hangs, the state is "stalled" until it comes back; nobody waits for it to end. What
+//! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
 //! needs V4L2 is behind [`Video`]; the crate's feature `camera` brings the real one.
 
 mod flash;
@@ -26,7 +26,7 @@ pub use upright::{Turn, upright};
 pub use v4l::{V4l, cameras};
 
 use self::flash::{Cycle, Light};
-use self::reader::{News, Order};
+use self::reader::{ControlRequest, News};
 use super::open::{OpenError, RETRY, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Sink, Stop};
@@ -34,11 +34,11 @@ use crate::scene::SourceId;
 
 /// How often the device's thread looks around, at least.
 const LOOK: Duration = Duration::from_millis(50);
-/// No picture for so long is a stall; cameras take their time to start.
+/// No picture for this long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
 /// How long a stop waits for the reader to give the camera back.
-const FAREWELL: Duration = Duration::from_millis(300);
-/// Damaged frames are summed up, and told this often at most.
+const STOP_TIMEOUT: Duration = Duration::from_millis(300);
+/// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
 
 /// A camera, as one stream of pictures, and a second one with flash if it has any.
@@ -111,7 +111,7 @@ impl Camera {
         self
     }
 
-    /// Asks for pictures with flash, from any thread.
+    /// Requests pictures with flash, from any thread.
     pub fn shutter(&self) -> Shutter {
         self.shutter.clone()
     }
@@ -141,7 +141,7 @@ impl Device for Camera {
             damaged: 0,
             summed_up: None,
         };
-        let mut told = None;
+        let mut reported = None;
         while !control.stopped() {
             let stop = Stop::default();
             let (orders, news) = reader::start(watch.camera.video.clone(), stop.clone())?;
@@ -150,15 +150,15 @@ impl Device for Camera {
             stop.request();
             drop(orders);
             // It gives the camera back at its next frame. One that hangs is left to itself.
-            let farewell = Instant::now() + FAREWELL;
+            let farewell = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(farewell).is_ok() {}
             match end {
                 End::Stop => break,
                 End::Failed(error) => {
-                    failed(error, watch.seen, &mut told, control)?;
+                    failed(error, watch.seen, &mut reported, control)?;
                 }
                 End::Lost(why) => {
-                    told = None;
+                    reported = None;
                     control.state(DeviceState::Lost, why);
                     control.sleep_until(Instant::now() + RETRY);
                 }
@@ -170,7 +170,7 @@ impl Device for Camera {
 
 impl Watch<'_> {
     /// Makes pictures of what the reader sends, until it ends.
-    fn follow(&mut self, orders: &Sender<Order>, news: &Receiver<News>) -> End {
+    fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> End {
         let mut last = Instant::now();
         while !self.control.stopped() {
             match news.recv_timeout(LOOK) {
@@ -192,7 +192,8 @@ impl Watch<'_> {
                 }
             }
             if last.elapsed() > STALLED {
-                let why = "no good frame arrives; if that goes on, unplug it and plug it in again";
+                let why =
+                    "no usable frame arrives; if this persists, unplug it and plug it in again";
                 self.control.state(DeviceState::Stalled, why);
             }
         }
@@ -200,7 +201,7 @@ impl Watch<'_> {
     }
 
     /// Deals with one frame; whether it was good, or good for nothing but not to blame.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
+    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<ControlRequest>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
         let verdict = self.cycle.judge(at, || has_flash && shutter.take());
@@ -251,13 +252,13 @@ impl Watch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
+    fn switch(&mut self, on: bool, orders: &Sender<ControlRequest>) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
             Some((_, Flash::Line(line))) => line.switch(on),
             Some((_, Flash::Control(control))) => {
                 let value = if on { control.on } else { control.off };
-                let order = Order { control: control.id, value };
+                let order = ControlRequest { control: control.id, value };
                 orders.try_send(order).map_err(|_| "the camera does not take orders".into())
             }
         };
@@ -273,7 +274,7 @@ impl Watch<'_> {
     }
 
     /// Leaves no light on behind.
-    fn light_off(&mut self, orders: &Sender<Order>) {
+    fn light_off(&mut self, orders: &Sender<ControlRequest>) {
         if self.cycle.lit() {
             self.switch(false, orders);
             self.cycle.cancel();

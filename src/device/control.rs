@@ -1,4 +1,4 @@
-//! A device's line to its session: asks whether to stop, and reports states, marks and warnings.
+//! A device's line to its session: the request to stop, and reports of states, marks and warnings.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -37,18 +37,18 @@ impl fmt::Display for DeviceState {
     }
 }
 
-/// What a device tells its session.
+/// A report of a device to its session.
 #[derive(Debug)]
-pub struct Report {
+pub struct DeviceReport {
     /// Which device, counted from 0 in the order in which the session got them.
     pub device: usize,
-    /// What it tells.
-    pub kind: ReportKind,
+    /// What it reports.
+    pub kind: DeviceReportKind,
 }
 
 /// The kinds of report.
 #[derive(Debug)]
-pub enum ReportKind {
+pub enum DeviceReportKind {
     /// It has changed its state.
     State {
         /// how it is now
@@ -58,7 +58,7 @@ pub enum ReportKind {
     },
     /// A mark of a scan.
     Mark(Mark),
-    /// For people: something was wrong, and it went on.
+    /// For people: something was wrong, and it continues.
     Warning(String),
     /// Its thread has ended; sent by the session.
     Ended(Result<(), DeviceError>),
@@ -69,13 +69,13 @@ pub enum ReportKind {
 pub struct Control {
     device: usize,
     stop: Stop,
-    reports: Sender<Report>,
+    reports: Sender<DeviceReport>,
     last: RefCell<Option<DeviceState>>,
 }
 
 impl Control {
     /// A line for device number `device`.
-    pub fn new(device: usize, stop: Stop, reports: Sender<Report>) -> Self {
+    pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
     }
 
@@ -102,27 +102,27 @@ impl Control {
         false
     }
 
-    /// Reports a state; only a change is told.
+    /// Reports a state; only changes are sent.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
         if self.last.replace(Some(state)) != Some(state) {
-            self.send(ReportKind::State { state, detail: detail.into() });
+            self.send(DeviceReportKind::State { state, detail: detail.into() });
         }
     }
 
     /// Reports a mark.
     pub fn mark(&self, mark: Mark) {
-        self.send(ReportKind::Mark(mark));
+        self.send(DeviceReportKind::Mark(mark));
     }
 
     /// Reports something that was wrong but does not end the device. What may go wrong a thousand
-    /// times a second is to be summed up by the device, not told each time.
+    /// times a second is to be summed up by the device, not reported each time.
     pub fn warn(&self, text: impl Into<String>) {
-        self.send(ReportKind::Warning(text.into()));
+        self.send(DeviceReportKind::Warning(text.into()));
     }
 
     /// Sends what must arrive, waiting for room unless it is time to stop.
-    fn send(&self, kind: ReportKind) {
-        let mut report = Report { device: self.device, kind };
+    fn send(&self, kind: DeviceReportKind) {
+        let mut report = DeviceReport { device: self.device, kind };
         loop {
             match self.reports.send_timeout(report, Duration::from_millis(20)) {
                 Ok(()) => return,
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_state_is_told_once_a_change() {
+    fn a_state_is_reported_once_a_change() {
         let (sender, reports) = crossbeam_channel::bounded(8);
         let control = Control::new(0, Stop::default(), sender);
         control.state(DeviceState::Opening, "");

@@ -26,7 +26,7 @@ pub struct Listed {
 /// The serial ports of this machine.
 ///
 /// # Errors
-/// If the system cannot be asked.
+/// If the system refuses the list.
 pub fn serial_ports() -> Result<Vec<Listed>, serialport::Error> {
     // The crate relies on this folder.
     if !Path::new("/sys/class/tty").is_dir() {

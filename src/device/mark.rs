@@ -23,12 +23,12 @@ pub enum Mark {
         /// index of the first frame after it
         end: u64,
     },
-    /// The scan goes on, but should not be trusted.
+    /// The scan continues, but should not be trusted.
     Spoil {
         /// for people
         why: String,
     },
-    /// The scan is none, and forgotten.
+    /// This is no scan; forget it.
     GiveUp {
         /// for people
         why: String,

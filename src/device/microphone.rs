@@ -1,14 +1,14 @@
-//! The microphone: 44.1 kHz, one channel, whatever the sound device delivers.
+//! The microphone: 44.1 kHz and one channel, from any sound device.
 //!
 //! The sound system calls back on a thread of its own, which must never wait: it mixes to one
 //! channel and puts that into a ring, in which losses keep their place. The device's thread
-//! carries it on to the session, watches level and pace, and opens the stream anew when it is
+//! carries it on to the session, watches level and pace, and reopens the stream when it is
 //! lost. What needs the sound system is behind [`Sound`]; the crate's feature `microphone` brings
 //! the real one.
 
 #[cfg(feature = "microphone")]
 mod alsa;
-mod intake;
+mod callback_sink;
 mod level;
 mod mono;
 mod pace;
@@ -20,14 +20,14 @@ use crossbeam_channel::{Receiver, Sender};
 
 #[cfg(feature = "microphone")]
 pub use alsa::{Alsa, microphones};
-pub use intake::Intake;
+pub use callback_sink::CallbackSink;
 pub use level::{Level, LevelWatch};
 pub use mono::{Pcm, Pick, mix};
 pub use pace::Pace;
 
 use super::open::{OpenError, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
-use crate::ring::{Bell, Piece, SeriesSink, SeriesTap, Sink, series};
+use crate::ring::{Piece, SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
 
 /// The rate of every microphone in Hz, which is that of LMT108.
@@ -38,15 +38,15 @@ pub const RATE_HZ: u32 = 44_100;
 const BUFFER_S: f64 = 1.0;
 /// How often the device's thread looks around, at least.
 const LOOK: Duration = Duration::from_millis(20);
-/// No sound for so long is a stall.
+/// No sound for this long is a stall.
 const STALLED: Duration = Duration::from_millis(700);
-/// No sound for so long, and the stream is opened anew.
+/// No sound for this long, and the stream is reopened.
 const GIVE_UP: Duration = Duration::from_secs(4);
 
 /// What goes wrong with a stream that runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Trouble {
-    /// Samples were lost before they could be read; the stream goes on.
+pub enum StreamError {
+    /// Samples were lost before they could be read; the stream continues.
     Overrun,
     /// The stream has ended, or delivers nothing that can be used any more: why.
     Gone(String),
@@ -57,16 +57,16 @@ pub trait Sound: Send {
     /// For people: the microphone that it opens.
     fn device(&self) -> String;
 
-    /// Opens the microphone at [`RATE_HZ`]. From then on `intake` is fed from a callback, and
-    /// `troubles` told (by `try_send`, as nothing may wait there), until what is returned is
+    /// Opens the microphone at [`RATE_HZ`]. From then on `sink` is fed from a callback, and
+    /// `errors` sent to (by `try_send`, as nothing may wait there), until what is returned is
     /// dropped.
     ///
     /// # Errors
     /// If the microphone cannot be opened.
     fn open(
         &mut self,
-        intake: Intake,
-        troubles: Sender<Trouble>,
+        sink: CallbackSink,
+        errors: Sender<StreamError>,
     ) -> Result<Box<dyn Any>, OpenError>;
 }
 
@@ -93,8 +93,8 @@ struct Listening<'a> {
     pace: Pace,
     level: LevelWatch,
     begin: Instant,
-    /// Sound was heard at least once.
-    heard: bool,
+    /// Whether sound has ever arrived.
+    received: bool,
 }
 
 impl Microphone {
@@ -133,25 +133,25 @@ impl Device for Microphone {
             pace: Pace::new(rate_hz),
             level: LevelWatch::new(rate_hz),
             begin: Instant::now(),
-            heard: false,
+            received: false,
         };
-        let mut told = None;
+        let mut reported = None;
         while !control.stopped() {
-            let (bell, woken) = Bell::new();
+            let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * rate_hz) as usize;
-            let (enter, mut leave) = series(1, buffer, bell.clone());
-            let (trouble, troubles) = crossbeam_channel::bounded(16);
-            let intake = Intake::new(enter, bell, self.pick);
-            let broken = intake.broken();
-            let stream = match self.sound.open(intake, trouble) {
+            let (enter, mut leave) = series(1, buffer, waker.clone());
+            let (trouble, errors) = crossbeam_channel::bounded(16);
+            let sink = CallbackSink::new(enter, waker, self.pick);
+            let broken = sink.broken();
+            let stream = match self.sound.open(sink, trouble) {
                 Ok(stream) => stream,
-                Err(error) => match failed(error, listening.heard, &mut told, control)? {
+                Err(error) => match failed(error, listening.received, &mut reported, control)? {
                     true => continue,
                     false => break,
                 },
             };
-            told = None;
-            let end = listening.follow(&mut leave, &woken, &troubles);
+            reported = None;
+            let end = listening.follow(&mut leave, &woken, &errors);
             drop(stream);
             if broken.get() > 0 {
                 let count = broken.get();
@@ -176,26 +176,26 @@ impl Listening<'_> {
         &mut self,
         tap: &mut SeriesTap,
         woken: &Receiver<()>,
-        troubles: &Receiver<Trouble>,
+        errors: &Receiver<StreamError>,
     ) -> End {
         self.pace.reopened();
         let mut last = Instant::now();
         // Whether the next frames come after an interruption.
-        let mut interrupted = self.heard;
+        let mut interrupted = self.received;
         while !self.control.stopped() {
             let _ = woken.recv_timeout(LOOK);
             // Before the ring is looked at: what follows an overrun is in the ring after it.
-            let trouble = troubles.try_iter().fold(None, |worst, next| match (&worst, &next) {
-                (Some(Trouble::Gone(_)), _) => worst,
+            let trouble = errors.try_iter().fold(None, |worst, next| match (&worst, &next) {
+                (Some(StreamError::Gone(_)), _) => worst,
                 _ => Some(next),
             });
-            interrupted |= trouble == Some(Trouble::Overrun);
+            interrupted |= trouble == Some(StreamError::Overrun);
             if self.carry(tap, &mut interrupted) {
                 last = Instant::now();
-                self.heard = true;
+                self.received = true;
                 self.control.state(DeviceState::Streaming, "");
             }
-            if let Some(Trouble::Gone(why)) = trouble {
+            if let Some(StreamError::Gone(why)) = trouble {
                 return End::Lost(why);
             }
             if self.pace.unpaced(self.now_s(), self.sink.position()) {
@@ -206,7 +206,7 @@ impl Listening<'_> {
                 );
             }
             if last.elapsed() > GIVE_UP {
-                return End::Lost("no sound arrives; it is opened anew".into());
+                return End::Lost("no sound arrives; reopening it".into());
             }
             if last.elapsed() > STALLED {
                 let why = "open, but no sound arrives; check that nothing has suspended it";
@@ -240,7 +240,7 @@ impl Listening<'_> {
         }
         match change {
             None => {}
-            Some(Level::Heard) => self.control.warn("the microphone is heard well again"),
+            Some(Level::Normal) => self.control.warn("the microphone's level is normal again"),
             Some(Level::Silent) => self.control.warn(
                 "the microphone is silent, without even a noise; check that it is plugged in, \
                  switched on and not muted",

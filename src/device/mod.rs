@@ -2,7 +2,7 @@
 //!
 //! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
 //! one ring a stream, and reports its state and the marks of scans through its [`Control`].
-//! Nothing downstream can tell a recording from a sensor.
+//! Nothing downstream can distinguish a recording from a sensor.
 
 pub mod camera;
 mod control;
@@ -14,7 +14,7 @@ mod replay;
 pub mod serial;
 
 pub use camera::Camera;
-pub use control::{Control, DeviceState, Report, ReportKind};
+pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
 pub use mark::{Begin, Mark, Open};
 pub use microphone::Microphone;
 pub use open::OpenError;
@@ -28,11 +28,11 @@ pub trait Device: Send {
     /// For people: which device this is.
     fn name(&self) -> &str;
 
-    /// What it will push, in the order of the sinks that [`Device::run`] gets. Asked once, before
+    /// What it will push, in the order of the sinks that [`Device::run`] gets. Called once, before
     /// it runs; names are unique in a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
-    /// Whether it can wait for whoever listens. One that cannot loses what does not fit; when all
+    /// Whether it can wait for its reader. One that cannot loses what does not fit; when all
     /// can, nothing in the session is lost or dropped anywhere.
     fn waits(&self) -> bool {
         false
@@ -43,7 +43,7 @@ pub trait Device: Send {
     /// reports its state and tries again.
     ///
     /// # Errors
-    /// If it cannot go on at all.
+    /// If it cannot continue at all.
     fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError>;
 }
 
@@ -63,17 +63,17 @@ pub enum StreamKind {
     Series {
         /// samples a frame
         channels: usize,
-        /// nominal rate in Hz, which sizes the ring; the mark of each scan tells the actual one
+        /// nominal rate in Hz, which sizes the ring; the marks of each scan give the actual one
         rate_hz: f64,
     },
     /// Pictures.
     Images,
 }
 
-/// Why a device cannot go on.
+/// Why a device cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
-    /// it was asked to stop while it waited; no failure
+    /// a stop was requested while it waited; no failure
     #[error(transparent)]
     Stopped(#[from] Stopped),
     /// what is wrong, and what to do

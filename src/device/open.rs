@@ -24,7 +24,7 @@ pub enum OpenError {
         /// what to do
         hint: String,
     },
-    /// it will never do what is needed; trying again is of no use
+    /// it can never do what is needed, so trying again is useless
     #[error("{0}")]
     Unfit(String),
     /// anything else that the system said
@@ -39,14 +39,14 @@ impl OpenError {
     }
 }
 
-/// What is left to do after a failure to open: tells it, then waits. False if it is time to stop.
+/// Reports a failure to open, then waits. False if it is time to stop.
 ///
 /// # Errors
 /// If trying again is of no use.
 pub(super) fn failed(
     error: OpenError,
     was_there: bool,
-    told: &mut Option<OpenError>,
+    reported: &mut Option<OpenError>,
     control: &Control,
 ) -> Result<bool, DeviceError> {
     if !error.may_pass() {
@@ -55,9 +55,9 @@ pub(super) fn failed(
     let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
     control.state(state, error.to_string());
     // The state stays, but the reason is another one: busy instead of absent, say.
-    if told.as_ref().is_some_and(|before| *before != error) {
+    if reported.as_ref().is_some_and(|before| *before != error) {
         control.warn(error.to_string());
     }
-    *told = Some(error);
+    *reported = Some(error);
     Ok(control.sleep_until(std::time::Instant::now() + RETRY))
 }

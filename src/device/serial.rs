@@ -1,4 +1,5 @@
-//! The stylus on its serial line: finds it, starts it, follows it through resets and replugs.
+//! The stylus on its serial line: finds it, starts it, and keeps track of it through resets and
+//! replugs.
 //!
 //! [`Intake`] turns bytes into frames, without I/O; [`OpenPort`] is where the bytes come from, a
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
@@ -7,18 +8,18 @@
 //! Values are fractions of the converter's full scale (see [`Value`]) except for metal, which is
 //! 0 or 1.
 
+mod connection;
 mod intake;
 mod light;
 mod port;
-mod talk;
 
 use std::time::Instant;
 
-pub use intake::{Heard, Intake, LEAST_RESTART_S, Unused, Value, Wanted};
+pub use intake::{Intake, IntakeEvent, LEAST_RESTART_S, Unused, Value, Wanted};
 pub use light::Light;
 pub use port::{BAUD, OpenPort, Port, Selector};
 
-use self::talk::{End, Talk, Trouble};
+use self::connection::{Connection, End, LinkErrors};
 use super::open::{RETRY, failed};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
@@ -101,15 +102,15 @@ impl Device for Stylus {
     fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
         let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
         let begin = Instant::now();
-        let (mut was_there, mut told) = (false, None);
+        let (mut was_there, mut reported) = (false, None);
         while !control.stopped() {
             match self.port.open() {
                 Ok((port, path)) => {
-                    told = None;
+                    reported = None;
                     control.state(DeviceState::Opening, path.clone());
                     intake.reopened();
                     let now = Instant::now();
-                    let mut talk = Talk {
+                    let mut connection = Connection {
                         port,
                         path,
                         intake: &mut intake,
@@ -117,15 +118,15 @@ impl Device for Stylus {
                         control,
                         light: &self.light,
                         begin,
-                        heard_at: now,
-                        asked_at: None,
-                        light_asked_at: None,
+                        samples_at: now,
+                        start_sent_at: None,
+                        light_sent_at: None,
                         status: None,
                         refused: None,
-                        trouble: Trouble::new(now),
+                        errors: LinkErrors::new(now),
                     };
-                    let end = talk.run();
-                    talk.trouble.tell(control);
+                    let end = connection.run();
+                    connection.errors.report(control);
                     match end {
                         End::Stop => return Ok(()),
                         End::Lost(why) => {
@@ -135,7 +136,7 @@ impl Device for Stylus {
                     }
                 }
                 Err(error) => {
-                    failed(error, was_there, &mut told, control)?;
+                    failed(error, was_there, &mut reported, control)?;
                     continue;
                 }
             }

@@ -61,6 +61,16 @@ impl ScanNeed {
     }
 }
 
+/// What `samples` samples, equally far apart over a scan that is worth `effective` independent
+/// ones, are worth themselves: n·tanh(n_eff/n).
+///
+/// Exact for an Ornstein–Uhlenbeck process, whose variance inflation is 2τ for all its samples and
+/// coth(Δ/2τ) for samples Δ apart: never more than n, and never more than the scan is worth.
+pub fn worth(samples: usize, effective: f64) -> f64 {
+    let n = samples as f64;
+    n * (effective / n).tanh()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -83,5 +93,16 @@ mod tests {
         assert_eq!(need.independent_samples(4.8), 64);
         assert!(need.warning("ir", 4.8).is_some_and(|w| w.contains("64 of them")));
         assert!((need.remaining_s(4.8) - (0.0552 + 399.0 * 0.075 - 4.8)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn samples_are_worth_no_more_than_they_are_and_no_more_than_the_scan() {
+        assert!((worth(400, 1e6) - 400.0).abs() < 1e-6);
+        assert!((worth(400, 10.0) - 10.0).abs() < 0.01);
+        // Variance of the mean of 50 samples of an AR(1), 30 apart, τ = 20.
+        let rho = |lag: f64| (-lag / 20.0f64).exp();
+        let sum = (1..50).map(|k| 2.0 * (1.0 - f64::from(k) / 50.0) * rho(30.0 * f64::from(k)));
+        let want = 50.0 / (1.0 + sum.sum::<f64>());
+        assert!((worth(50, 50.0 * 30.0 / 40.0) / want - 1.0).abs() < 0.03);
     }
 }

@@ -37,8 +37,13 @@ pub enum DurationError {
         expected: usize,
     },
     /// recordings too short for any lag
-    #[error("the shortest trial has {0} samples; expected at least {FEWEST_FRAMES}")]
-    TooShort(usize),
+    #[error("the shortest trial has {frames} samples; expected at least {expected}")]
+    TooShort {
+        /// its samples
+        frames: usize,
+        /// the fewest that do
+        expected: usize,
+    },
     /// nothing changes
     #[error(
         "the source is constant: nothing moves, so there is no time after which it is independent"
@@ -72,8 +77,10 @@ pub enum DurationError {
     Hsic(#[from] HsicError),
 }
 
-/// Fewest samples of a trial.
+/// Fewest samples of a trial for Algorithm 1.
 pub const FEWEST_FRAMES: usize = 100;
+/// Fewest samples of a trial for `pooled`, which looks at lags up to a quarter of it.
+const FEWEST_POOLED: usize = 40;
 
 /// Q trials of one surface and source: one rate, one shape, cropped to the shortest.
 #[derive(Clone, Debug)]
@@ -85,7 +92,7 @@ pub struct Trials {
 }
 
 impl Trials {
-    /// Trials, each an independent recording of the same surface.
+    /// Trials for Algorithm 1, each an independent recording of the same surface.
     ///
     /// # Errors
     /// If there are fewer than five, if they differ in rate or channels, if they are too short,
@@ -95,6 +102,32 @@ impl Trials {
         if series.len() < FEWEST_PAIRS {
             return Err(DurationError::TooFewTrials(series.len()));
         }
+        let mut trials = Self::of_one_shape(series, FEWEST_FRAMES)?;
+        trials.check_values(true)?;
+        if trials.count() < 30 {
+            trials.remarks.push(format!(
+                "{} trials have little power: a weak dependence is not seen, so T* is rather too \
+                 short than too long",
+                trials.count()
+            ));
+        }
+        Ok(trials)
+    }
+
+    /// Trials for `pooled`, one or more.
+    ///
+    /// # Errors
+    /// As [`Self::new`], but for the number of trials.
+    pub fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
+        if series.is_empty() {
+            return Err(DurationError::TooFewTrials(0));
+        }
+        let mut trials = Self::of_one_shape(series, FEWEST_POOLED)?;
+        trials.check_values(false)?;
+        Ok(trials)
+    }
+
+    fn of_one_shape(series: Vec<Series>, fewest_frames: usize) -> Result<Self, DurationError> {
         let (rate_hz, channels) = (series[0].rate_hz(), series[0].channels());
         for (i, s) in series.iter().enumerate() {
             let trial = i + 1;
@@ -108,12 +141,15 @@ impl Trials {
             }
         }
         let frames = series.iter().map(Series::frames).min().unwrap_or(0);
-        if frames < FEWEST_FRAMES {
-            return Err(DurationError::TooShort(frames));
+        if frames < fewest_frames {
+            return Err(DurationError::TooShort { frames, expected: fewest_frames });
         }
-        let mut trials = Self { series, frames, remarks: Vec::new() };
-        trials.check_values()?;
-        Ok(trials)
+        Ok(Self { series, frames, remarks: Vec::new() })
+    }
+
+    /// The trials, of which only the first [`Self::frames`] frames are common to all.
+    pub fn series(&self) -> &[Series] {
+        &self.series
     }
 
     /// Number of trials.
@@ -143,14 +179,15 @@ impl Trials {
         &self.series[trial].samples()[frame * channels..(frame + 1) * channels]
     }
 
-    fn check_values(&mut self) -> Result<(), DurationError> {
+    /// Refuses what holds nothing, and remarks what holds little. Ties matter to a κ alone.
+    fn check_values(&mut self, has_kappa: bool) -> Result<(), DurationError> {
         let channels = self.channels();
         let ranges: Vec<_> = (0..channels).map(|c| self.range(c)).collect();
         if ranges.iter().all(|range| range.low == range.high) {
             return Err(DurationError::Constant);
         }
         let share = self.agreement();
-        if share > 0.5 {
+        if self.count() > 1 && share > 0.5 {
             return Err(DurationError::MostlyOneValue { share });
         }
         for (i, range) in ranges.iter().enumerate() {
@@ -158,10 +195,12 @@ impl Trials {
             if range.low == range.high {
                 self.remarks.push(format!("channel {channel} is constant and adds nothing"));
             } else if range.binary {
-                self.remarks.push(format!(
-                    "channel {channel} has two values only: ties make κ coarse, and rare changes \
-                     are easily missed"
-                ));
+                if has_kappa {
+                    self.remarks.push(format!(
+                        "channel {channel} has two values only: ties make κ coarse, and rare \
+                         changes are easily missed"
+                    ));
+                }
             } else if range.at_an_end > SATURATED {
                 return Err(DurationError::Saturated { channel, share: range.at_an_end });
             } else if range.at_an_end > WORTH_SAYING {
@@ -170,13 +209,6 @@ impl Trials {
                     range.at_an_end * 100.0
                 ));
             }
-        }
-        if self.count() < 30 {
-            self.remarks.push(format!(
-                "{} trials have little power: a weak dependence is not seen, so T* is rather too \
-                 short than too long",
-                self.count()
-            ));
         }
         Ok(())
     }

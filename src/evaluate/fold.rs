@@ -6,7 +6,7 @@ use super::EvaluateError;
 use crate::trial::{EXPERT, TrialKey};
 
 /// How queries and library are split.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// The expert's trials are the library; each other user is a fold of queries (1 vs 10).
     ExpertVsUsers,
@@ -17,14 +17,25 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Users against the expert where there are both, else each trial against the same person's
-    /// other trials.
+    /// All of them, the one to prefer first.
+    pub const ALL: [Self; 3] = [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser];
+
+    /// The protocol that fits some trials: users against the expert where there are both, else each
+    /// trial against the same person's other trials, else each user against the others.
     pub fn natural(keys: &[TrialKey]) -> Self {
-        let has = |of_expert: bool| keys.iter().any(|key| (key.user == EXPERT) == of_expert);
-        if has(true) && has(false) { Self::ExpertVsUsers } else { Self::LeaveOneTrialOut }
+        Self::fitting(keys).unwrap_or(Self::LeaveOneTrialOut)
     }
 
-    /// The name on the command line.
+    fn fitting(keys: &[TrialKey]) -> Option<Self> {
+        Self::ALL.into_iter().find(|protocol| enough(&protocol.split(keys), keys))
+    }
+
+    /// Whether each of its folds is a user.
+    pub fn folds_are_users(self) -> bool {
+        self != Self::LeaveOneTrialOut
+    }
+
+    /// The name, the same everywhere.
     pub fn name(self) -> &'static str {
         match self {
             Self::ExpertVsUsers => "expert-vs-users",
@@ -45,46 +56,62 @@ pub struct Fold {
     pub queries: Vec<usize>,
 }
 
+impl Protocol {
+    fn split(self, keys: &[TrialKey]) -> Vec<Fold> {
+        let groups = match self {
+            Self::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
+            Self::AllVsOneUser => by_user(keys, |key, user| key.user != user),
+            Self::LeaveOneTrialOut => by_trial(keys),
+        };
+        groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
+    }
+
+    fn needs(self) -> &'static str {
+        match self {
+            Self::ExpertVsUsers => {
+                "trials of at least two surfaces by `expert`, and trials of them by other users"
+            }
+            Self::LeaveOneTrialOut => {
+                "at least two surfaces with at least two trials each by one person"
+            }
+            Self::AllVsOneUser => {
+                "trials of at least two surfaces by at least two people, one of them not `expert`"
+            }
+        }
+    }
+}
+
+/// Whether there are folds, each with something to choose between.
+fn enough(folds: &[Fold], keys: &[TrialKey]) -> bool {
+    let surfaces =
+        |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
+    !folds.is_empty() && folds.iter().all(|fold| surfaces(fold) >= 2)
+}
+
 /// Splits trials into folds. A query whose surface is not in its library is left out: it is no
 /// test of the method. Folds without queries are left out.
 ///
 /// # Errors
 /// If no fold remains, or a library has fewer than two surfaces.
 pub fn folds(protocol: Protocol, keys: &[TrialKey]) -> Result<Vec<Fold>, EvaluateError> {
-    let groups = match protocol {
-        Protocol::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
-        Protocol::AllVsOneUser => by_user(keys, |key, user| key.user != user),
-        Protocol::LeaveOneTrialOut => by_trial(keys),
-    };
-    let folds: Vec<Fold> = groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect();
-    let surfaces =
-        |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
-    if folds.is_empty() || folds.iter().any(|fold| surfaces(fold) < 2) {
-        let needs = match protocol {
-            Protocol::ExpertVsUsers => {
-                "trials of at least two surfaces by `expert`, and trials of them by other users"
-            }
-            Protocol::LeaveOneTrialOut => {
-                "at least two surfaces with at least two trials each by one person"
-            }
-            Protocol::AllVsOneUser => {
-                "trials of at least two surfaces by at least two people, one of them not `expert`"
-            }
-        };
-        return Err(EvaluateError::Protocol {
-            protocol: protocol.name(),
-            needs,
-            found: found(keys),
-        });
+    let folds = protocol.split(keys);
+    if enough(&folds, keys) {
+        return Ok(folds);
     }
-    Ok(folds)
+    let fits = Protocol::fitting(keys).map(|other| format!("; {} fits them", other.name()));
+    Err(EvaluateError::Protocol {
+        protocol: protocol.name(),
+        needs: protocol.needs(),
+        found: found(keys),
+        fits: fits.unwrap_or_default(),
+    })
 }
 
 fn found(keys: &[TrialKey]) -> String {
     let count = |of: fn(&TrialKey) -> &str| keys.iter().map(of).collect::<BTreeSet<_>>().len();
     let experts = keys.iter().filter(|key| key.user == EXPERT).count();
     format!(
-        "{} trial(s) of {} surface(s) by {} user(s), {experts} of them by `expert`",
+        "{} trial(s) of {} surface(s) by {} user(s), {experts} trial(s) by `expert`",
         keys.len(),
         count(|key| &key.surface),
         count(|key| &key.user)
@@ -183,6 +210,24 @@ mod tests {
         keys.push(TrialKey::new("stray", "user1", 1));
         let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
         assert!(folds.iter().all(|f| f.queries.len() == 2));
+    }
+
+    #[test]
+    fn the_protocol_that_fits_is_chosen_and_named_where_another_does_not() {
+        let natural = |keys: &[(&str, &str, u32)]| {
+            let key =
+                |&(surface, user, number): &(&str, &str, u32)| TrialKey::new(surface, user, number);
+            let keys: Vec<TrialKey> = keys.iter().map(key).collect();
+            (Protocol::natural(&keys), folds(Protocol::ExpertVsUsers, &keys))
+        };
+        assert_eq!(Protocol::natural(&keys()), Protocol::ExpertVsUsers);
+        let alone = [("a", EXPERT, 1), ("a", EXPERT, 2), ("b", EXPERT, 1), ("b", EXPERT, 2)];
+        let (protocol, refused) = natural(&alone);
+        assert_eq!(protocol, Protocol::LeaveOneTrialOut);
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.ends_with("; leave-one-trial-out fits them"), "{refused}");
+        let users = [("a", "user1", 1), ("b", "user1", 1), ("a", "user2", 1), ("b", "user2", 1)];
+        assert_eq!(natural(&users).0, Protocol::AllVsOneUser);
     }
 
     #[test]

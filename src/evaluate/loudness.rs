@@ -2,13 +2,16 @@
 //!
 //! What it gets right, a session's gain or a hand's pressure may give away as well as a surface.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::library::Entry;
-use crate::recognise::{Candidate, Method, Ranking, RecogniseError, rank};
+use crate::recognise::features::{FeatureVector, SourceFeatures};
+use crate::recognise::{
+    Candidate, LibraryShape, Method, Model, Prepared, Ranking, RecogniseError, rank,
+};
 use crate::scene::{Domain, Scene, SourceId};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::seed;
+use crate::trial::{Signal, Trial};
 
 /// Level of silence: far below a 16-bit step, and its logarithm is a number.
 const SILENCE: f64 = 1e-12;
@@ -23,71 +26,97 @@ pub struct Loudness {
 impl Loudness {
     /// The control for a scene. `None` if no source has a spectrum.
     pub fn new(scene: &Scene) -> Option<Self> {
-        let heard = |spec: &&_| is_heard(spec);
-        let ids: Vec<SourceId> = scene.sources().filter(heard).map(|s| s.id.clone()).collect();
+        let ids: Vec<SourceId> =
+            scene.sources().filter(|s| has_spectrum(s)).map(|s| s.id.clone()).collect();
         // The scene's own sources, so there is no error to be had.
         let scene = scene.clone().only(&ids).ok()?;
         (!ids.is_empty()).then_some(Self { scene })
     }
 
-    /// The sources that are heard.
+    /// The sources with a spectrum.
     pub fn sources(&self) -> impl Iterator<Item = &SourceId> {
         self.scene.sources().map(|spec| &spec.id)
     }
 }
 
-fn is_heard(spec: &crate::scene::SourceSpec) -> bool {
+fn has_spectrum(spec: &crate::scene::SourceSpec) -> bool {
     matches!(spec.domain, Domain::Spectrum { .. })
 }
 
-/// A trial's levels.
-#[derive(Clone, Debug)]
-pub struct Levels {
-    key: TrialKey,
-    levels: BTreeMap<SourceId, f64>,
-}
+const NAME: &str = "control";
 
-impl Method for Loudness {
-    type Prepared = Levels;
-    type Model = Vec<Arc<Levels>>;
-
-    fn name(&self) -> &'static str {
-        "control"
-    }
-
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Levels, RecogniseError> {
+impl Loudness {
+    /// The level of each source, as its one feature.
+    fn levels(&self, entry: &Entry, trial: &Trial) -> Prepared {
         let level = |(id, signal): (&SourceId, &Signal)| {
             let Signal::Series(series) = signal else { return None };
             self.scene.get(id.as_str())?;
-            Some((id.clone(), level_of(series.samples(), series.channels())))
+            let values = vec![level_of(series.samples(), series.channels())];
+            Some((id.clone(), SourceFeatures { values, rate_hz: series.rate_hz() }))
         };
-        Ok(Levels {
-            key: entry.key.clone(),
-            levels: trial.signals.iter().filter_map(level).collect(),
-        })
+        let sources = trial.signals.iter().filter_map(level).collect();
+        Prepared::Features(Arc::new(FeatureVector { key: entry.key.clone(), sources }))
+    }
+}
+
+impl Method for Loudness {
+    fn name(&self) -> &'static str {
+        NAME
     }
 
-    fn fit(&self, library: Vec<Arc<Levels>>) -> Result<Self::Model, RecogniseError> {
-        Ok(library)
+    fn settings_key(&self, _: &LibraryShape) -> u64 {
+        let sources: Vec<_> = self.sources().map(|id| id.as_str().as_bytes()).collect();
+        seed::stable_hash(&sources)
     }
 
-    fn rank(&self, model: &Self::Model, query: &Levels) -> Result<Ranking, RecogniseError> {
-        let candidate = |y: &Arc<Levels>| {
-            let apart = query.levels.iter().map(|(id, z)| match y.levels.get(id) {
-                Some(y) => (z - y).abs(),
+    fn prepare(
+        &self,
+        entry: &Entry,
+        trial: &Trial,
+        _: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError> {
+        Ok(self.levels(entry, trial))
+    }
+
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        _: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        let levels = library.iter().map(|trial| trial.features(NAME).cloned());
+        Ok(Arc::new(Levels { method: self.clone(), library: levels.collect::<Result<_, _>>()? }))
+    }
+}
+
+/// The levels of a library.
+struct Levels {
+    method: Loudness,
+    library: Vec<Arc<FeatureVector>>,
+}
+
+impl Model for Levels {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        Ok(self.method.levels(entry, trial))
+    }
+
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        let query = query.features(NAME)?;
+        let candidate = |y: &Arc<FeatureVector>| {
+            let apart = query.sources.iter().map(|(id, z)| match y.sources.get(id) {
+                Some(y) => (z.values[0] - y.values[0]).abs(),
                 None => f64::MAX.ln(),
             });
             Candidate { key: y.key.clone(), log_ds: apart.sum() }
         };
-        let sources: Vec<SourceId> = query.levels.keys().cloned().collect();
+        let sources: Vec<SourceId> = query.sources.keys().cloned().collect();
         let nothing = || RecogniseError::NothingInCommon {
             query: "no series with a spectrum".into(),
-            library: self.sources().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
+            library: self.method.sources().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
         };
         if sources.is_empty() {
             return Err(nothing());
         }
-        rank(model.iter().map(candidate).collect(), 1, sources).ok_or_else(nothing)
+        rank(self.library.iter().map(candidate).collect(), 1, sources).ok_or_else(nothing)
     }
 }
 
@@ -120,8 +149,8 @@ mod tests {
     #[test]
     fn a_scene_without_spectra_has_no_loudness() {
         let scene = Scene::lmt108();
-        let heard: Vec<_> = Loudness::new(&scene).unwrap().sources().cloned().collect();
-        assert_eq!(heard.iter().map(SourceId::as_str).collect::<Vec<_>>(), ["ac", "mi1", "mi2"]);
+        let sounds: Vec<_> = Loudness::new(&scene).unwrap().sources().cloned().collect();
+        assert_eq!(sounds.iter().map(SourceId::as_str).collect::<Vec<_>>(), ["ac", "mi1", "mi2"]);
         let images = scene.only(&[SourceId::new("ca1").unwrap()]).unwrap();
         assert!(Loudness::new(&images).is_none());
     }

@@ -1,27 +1,29 @@
 //! How well a method names surfaces: protocols, folds, accuracies.
+//!
+//! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
+//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolledOutcome`] measure
+//! what else there is to know of a run; [`chart`], [`plan`], [`stress`] and [`paper`] are studies of
+//! many runs.
 
-mod chart;
-mod chart_figure;
+pub mod chart;
+mod enrolled;
+mod evaluation;
 mod fold;
 mod loudness;
 mod outcome;
 pub mod paper;
 pub mod plan;
-mod run;
 mod settled;
 pub mod stress;
 mod unknown;
 
-pub use chart::{Chart, Point, pareto};
-pub use chart_figure::figure;
+pub use enrolled::{EnrolledOutcome, enrol};
+pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
 pub use fold::{Fold, Protocol, folds};
 pub use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
-pub use run::{
-    Progress, first_seconds, prepare, prepare_folds, run, run_features, run_prepared, run_variants,
-};
-pub use settled::{SettledOutcome, follow, run_settled};
-pub use unknown::{UnknownOutcome, run_unknown};
+pub use settled::{SettledOutcome, follow};
+pub use unknown::UnknownOutcome;
 
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;
@@ -30,7 +32,7 @@ use crate::scene::SceneError;
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
     /// the data do not hold what the protocol needs
-    #[error("the protocol {protocol} needs {needs}; the data hold {found}")]
+    #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
     Protocol {
         /// its name
         protocol: &'static str,
@@ -38,6 +40,14 @@ pub enum EvaluateError {
         needs: &'static str,
         /// what was found
         found: String,
+        /// the protocol that fits the data, if one does
+        fits: String,
+    },
+    /// every query was enrolled
+    #[error("no user has more than {count} trial(s) of a surface, so none is left to name")]
+    AllEnrolled {
+        /// trials of each surface that were to be enrolled
+        count: usize,
     },
     /// a trial cannot be compared
     #[error(transparent)]
@@ -45,11 +55,11 @@ pub enum EvaluateError {
     /// a source that the data do not describe
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// unknown surfaces cannot be told
+    /// unknown surfaces cannot be recognised
     #[error(transparent)]
     Rejection(#[from] RejectionError),
     /// a method that says nothing before the end of a scan
-    #[error("the method {method} cannot follow a scan while it goes on; use --method embedding")]
+    #[error("the method {method} cannot follow a scan in progress")]
     Follow {
         /// the method
         method: &'static str,

@@ -1,6 +1,6 @@
-//! What came of an evaluation: accuracies, precision, confusion, latencies.
+//! The result of an evaluation: accuracies, precision, confusion, latencies.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
@@ -52,18 +52,22 @@ pub struct Confusion {
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
+    /// Share of all queries named right.
+    pub accuracy: f64,
+    /// Lower end of its 95 % Wilson interval.
+    pub accuracy_low: f64,
+    /// Upper end of that interval.
+    pub accuracy_high: f64,
     /// Mean over folds of the share of queries named right.
     pub accuracy_mean: f64,
     /// Sample standard deviation over folds (n − 1); 0 for a single fold.
     pub accuracy_std: f64,
-    /// Lower end of the 95 % Wilson interval over queries.
-    pub accuracy_low: f64,
-    /// Upper end of the 95 % Wilson interval over queries.
-    pub accuracy_high: f64,
     /// Mean over classes of TP/(TP+FP), 0 where a class is never the answer.
     pub precision_mean: f64,
     /// Number of surfaces that could be the answer.
     pub classes: usize,
+    /// Surfaces that could be the answer, but of which there is no query.
+    pub never_queried: Vec<String>,
     /// Number of queries.
     pub queries: usize,
     /// Number of trials in the library of one fold (the largest, where they differ).
@@ -111,13 +115,18 @@ impl Outcome {
         let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
         sources.sort();
         sources.dedup();
+        let queried: BTreeSet<&str> = predictions.iter().map(|p| p.key.surface.as_str()).collect();
+        let never_queried =
+            confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
         Some(Self {
-            accuracy_mean,
-            accuracy_std,
+            accuracy: right as f64 / predictions.len() as f64,
             accuracy_low,
             accuracy_high,
+            accuracy_mean,
+            accuracy_std,
             precision_mean: confusion.precision_mean(),
             classes: confusion.labels.len(),
+            never_queried: never_queried.cloned().collect(),
             queries: predictions.len(),
             library_trials,
             query_ms_p50: percentile(&times, 0.50),
@@ -127,6 +136,11 @@ impl Outcome {
             folds,
             confusion,
         })
+    }
+
+    /// How many queries were named right.
+    pub fn right(&self) -> usize {
+        (self.accuracy * self.queries as f64).round() as usize
     }
 }
 
@@ -230,6 +244,19 @@ mod tests {
         // a: 1 of 2, b: never the answer, c: 1 of 1.
         assert_eq!(outcome.precision_mean, 0.5);
         assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
+    }
+
+    #[test]
+    fn the_headline_is_the_share_of_all_queries_and_surfaces_without_any_are_named() {
+        let mut predictions = vec![prediction("b", "a", 1)];
+        predictions.extend((0..12).map(|_| prediction("a", "a", 0)));
+        let labels = ["a", "b", "c"].map(String::from).to_vec();
+        let names = ["user1", "user2"].map(String::from);
+        let outcome = Outcome::new(&predictions, &names, labels, 9, "svm").unwrap();
+        assert_eq!((outcome.accuracy, outcome.right()), (12.0 / 13.0, 12));
+        assert_eq!((outcome.accuracy_low, outcome.accuracy_high), wilson_interval(12, 13));
+        assert_eq!(outcome.accuracy_mean, 0.5);
+        assert_eq!(outcome.never_queried, ["c"]);
     }
 
     #[test]

@@ -1,14 +1,11 @@
 //! Accuracy of answers given as soon as they are settled, and the scan time they take.
 
-use std::sync::Arc;
-
 use rustix::time::{ClockId, clock_gettime};
 
-use super::run::Progress;
-use super::{EvaluateError, Fold, wilson_interval};
-use crate::library::Entry;
+use super::evaluation::Run;
+use super::{EvaluateError, wilson_interval};
 use crate::recognise::{
-    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, Method, RecogniseError, Settling,
+    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
 use crate::scene::{Phase, Scene};
 use crate::trial::{Series, Signal, Trial};
@@ -16,7 +13,7 @@ use crate::trial::{Series, Signal, Trial};
 /// Answers by the stop rule against answers by the whole scan. Shares are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SettledOutcome {
-    /// Loss of accuracy that was stated.
+    /// Permitted loss of accuracy.
     pub stated_loss: f64,
     /// Share of queries named right where the rule stopped (or by the whole scan, if it did not).
     pub accuracy: f64,
@@ -55,47 +52,41 @@ struct Stopped {
     scan_s: f64,
 }
 
-/// Follows every query of every fold. Its frames come in pieces of one look, as from a live scan.
-///
-/// # Errors
-/// If a trial cannot be read or compared, or if the method cannot follow scans.
-pub fn run_settled<M: Method>(
-    method: &M,
-    scene: &Scene,
-    entries: &[Entry],
-    folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
-    (loss, false_rejections): (f64, Option<f64>),
-    progress: Progress<'_>,
-) -> Result<SettledOutcome, EvaluateError> {
-    let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
-    let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
-    for fold in folds {
-        let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let model = Arc::new(method.fit(library)?);
-        let rejection = false_rejections.map(|rate| method.rejection(&model, rate)).transpose()?;
-        let mut follower = method
-            .follow(&model, &FollowOptions { loss, rejection })
-            .ok_or(EvaluateError::Follow { method: method.name() })?;
-        rules.push(follower.settling().clone());
-        for &query in &fold.queries {
-            let entry = &entries[query];
-            let trial = entry.load().map_err(RecogniseError::from)?;
-            let scan_s = drag_s(&trial, scene);
-            let begun_s = processor_s();
-            let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
-            busy_s += processor_s() - begun_s;
-            let whole = method.rank(&model, &method.prepare(entry, &trial)?)?;
-            all.push(Stopped {
-                truth: entry.key.surface.clone(),
-                whole: whole.surface().into(),
-                settled: settled.and_then(|guess| guess.settled),
-                scan_s,
-            });
-            progress("following queries", all.len(), total);
+impl SettledOutcome {
+    /// Follows every query of every fold, for a permitted loss of accuracy. Frames come in pieces of
+    /// one look, as from a live scan.
+    ///
+    /// # Errors
+    /// If a trial cannot be read or compared, or if the method cannot follow scans.
+    pub fn of(run: &Run<'_, '_>, loss: f64) -> Result<Self, EvaluateError> {
+        let (scene, folds) = (run.on().scene, run.on().folds);
+        let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
+        let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
+        for fold in folds {
+            let model = run.fit(&fold.library)?;
+            let mut follower = (model.clone())
+                .follow(&FollowOptions { loss, rejection: None })
+                .ok_or(EvaluateError::Follow { method: run.method().name() })?;
+            rules.push(follower.settling().clone());
+            for &query in &fold.queries {
+                let trial = run.recording(query)?;
+                let truth = run.on().trials.key(query).surface.clone();
+                let scan_s = drag_s(&trial, scene);
+                let start_s = processor_s();
+                let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
+                busy_s += processor_s() - start_s;
+                let whole = model.rank(&run.query_of(&*model, trial, None)?.prepared)?;
+                all.push(Stopped {
+                    truth,
+                    whole: whole.surface().into(),
+                    settled: settled.and_then(|guess| guess.settled),
+                    scan_s,
+                });
+                (run.on().progress)("following queries", all.len(), total);
+            }
         }
+        Ok(sum_up(&all, rules, busy_s, loss))
     }
-    Ok(sum_up(&all, rules, busy_s, loss))
 }
 
 fn sum_up(all: &[Stopped], rules: Vec<Settling>, busy_s: f64, loss: f64) -> SettledOutcome {

@@ -1,12 +1,11 @@
-//! How well a method tells surfaces that are not in the library: whole surfaces are left out.
+//! How many queries of surfaces that the library lacks a method calls unknown: whole surfaces are
+//! left out.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
-use super::run::Progress;
-use super::{EvaluateError, Fold, wilson_interval};
-use crate::library::Entry;
-use crate::recognise::{Method, RecogniseError, Rejection};
+use super::evaluation::Run;
+use super::{EvaluateError, wilson_interval};
+use crate::recognise::{RecogniseError, Rejection};
 
 /// Queries of surfaces that were left out of the library, and of those that were not. Shares are
 /// fractions from 0 to 1, with 95 % Wilson intervals.
@@ -14,7 +13,7 @@ use crate::recognise::{Method, RecogniseError, Rejection};
 pub struct UnknownOutcome {
     /// False rejections as stated, with the interval that the smallest library leaves.
     pub stated: Rejection,
-    /// The surfaces were left out in so many groups, in turn.
+    /// Number of groups of surfaces that were left out in turn.
     pub groups: usize,
     /// Queries of surfaces that had been left out.
     pub unknown_queries: usize,
@@ -34,73 +33,86 @@ pub struct UnknownOutcome {
     pub false_rejections_high: f64,
 }
 
-/// Names every query of every fold against the fold's library without each group of surfaces in
-/// turn. Surface k, in alphabetical order, is in group k mod `groups`, so that look-alikes with
-/// like names are in different ones.
-///
-/// # Errors
-/// If a trial cannot be compared, or if the method or a library cannot tell unknown surfaces at
-/// `rate` false rejections.
-pub fn run_unknown<M: Method>(
-    method: &M,
-    entries: &[Entry],
-    folds: &[Fold],
-    prepared: &[Option<Arc<M::Prepared>>],
-    as_query: impl Fn(&Entry) -> Entry,
-    (groups, rate): (usize, f64),
-    progress: Progress<'_>,
-) -> Result<UnknownOutcome, EvaluateError> {
-    let surfaces: BTreeSet<&str> = folds
-        .iter()
-        .flat_map(|fold| fold.library.iter().map(|&i| entries[i].key.surface.as_str()))
-        .collect();
-    let surfaces: Vec<&str> = surfaces.into_iter().collect();
-    let groups = groups.min(surfaces.len());
-    // Every surface of a fold's queries is in its library.
-    let group = |i: usize| {
-        surfaces.binary_search(&entries[i].key.surface.as_str()).unwrap_or(0) % groups.max(1)
-    };
-    let (mut unknown, mut caught, mut known, mut rejected) = (0, 0, 0, 0);
-    let mut stated: Option<Rejection> = None;
-    for (index, fold) in folds.iter().enumerate() {
-        let query = |&i: &usize| -> Result<_, RecogniseError> {
-            let entry = as_query(&entries[i]);
-            Ok((i, method.prepare(&entry, &entry.load()?)?))
-        };
-        let queries: Vec<_> = fold.queries.iter().map(query).collect::<Result<_, _>>()?;
-        for left_out in 0..groups {
-            let kept = fold.library.iter().filter(|&&i| group(i) != left_out);
-            let model = method.fit(kept.filter_map(|&i| prepared[i].clone()).collect())?;
-            let rejection = method.rejection(&model, rate)?;
-            for (i, query) in &queries {
-                let fit = method.rank(&model, query)?.fit;
-                let is_unknown = usize::from(fit.is_some_and(|fit| rejection.rejects(fit)));
-                if group(*i) == left_out {
-                    (unknown, caught) = (unknown + 1, caught + is_unknown);
-                } else {
-                    (known, rejected) = (known + 1, rejected + is_unknown);
+/// How many of how many.
+#[derive(Clone, Copy, Default)]
+struct Count {
+    hits: usize,
+    of: usize,
+}
+
+impl Count {
+    fn add(&mut self, hit: bool) {
+        *self = Self { hits: self.hits + usize::from(hit), of: self.of + 1 };
+    }
+
+    fn share(self) -> f64 {
+        self.hits as f64 / self.of.max(1) as f64
+    }
+}
+
+impl UnknownOutcome {
+    /// Names every query of every fold by the fold's library without each group of surfaces in
+    /// turn, at a stated `rate` of false rejections. Surface k, in alphabetical order, is in group
+    /// k mod `groups`, so that look-alikes with similar names are in different ones.
+    ///
+    /// # Errors
+    /// If a trial cannot be compared, or if the method or a library cannot recognise unknown
+    /// surfaces at this rate.
+    pub fn of(run: &Run<'_, '_>, groups: usize, rate: f64) -> Result<Self, EvaluateError> {
+        let folds = run.on().folds;
+        let surface = |i: usize| run.on().trials.key(i).surface.as_str();
+        let surfaces: BTreeSet<&str> =
+            folds.iter().flat_map(|fold| &fold.library).map(|&i| surface(i)).collect();
+        let surfaces: Vec<&str> = surfaces.into_iter().collect();
+        let groups = groups.min(surfaces.len());
+        // Every surface of a fold's queries is in its library.
+        let group = |i: usize| surfaces.binary_search(&surface(i)).unwrap_or(0) % groups.max(1);
+        let (mut unknown, mut known) = (Count::default(), Count::default());
+        let mut stated: Option<Rejection> = None;
+        for (index, fold) in folds.iter().enumerate() {
+            let mut queries = Vec::new();
+            for left_out in 0..groups {
+                let model = run.fit(fold.library.iter().filter(|&&i| group(i) != left_out))?;
+                let rejection = model.rejection(rate)?;
+                if queries.is_empty() {
+                    // The libraries have one shape, so what one model prepares serves all.
+                    let query = |&i: &usize| {
+                        Ok((i, run.query(&*model, i, run.on().query_seconds)?.prepared))
+                    };
+                    queries =
+                        fold.queries.iter().map(query).collect::<Result<_, RecogniseError>>()?;
                 }
+                for (i, query) in &queries {
+                    let p_value = model.rank(query)?.p_value;
+                    let count = if group(*i) == left_out { &mut unknown } else { &mut known };
+                    count.add(p_value.is_some_and(|p| rejection.rejects(p)));
+                }
+                if stated.as_ref().is_none_or(|stated| rejection.trials < stated.trials) {
+                    stated = Some(rejection);
+                }
+                let done = index * groups + left_out + 1;
+                (run.on().progress)("leaving surfaces out", done, folds.len() * groups);
             }
-            if stated.as_ref().is_none_or(|stated| rejection.trials < stated.trials) {
-                stated = Some(rejection);
-            }
-            progress("leaving surfaces out", index * groups + left_out + 1, folds.len() * groups);
+        }
+        // `folds` gives at least one fold, and a fold at least two surfaces.
+        let stated = stated.expect("at least one model");
+        Ok(Self::new(stated, groups, unknown, known))
+    }
+
+    fn new(stated: Rejection, groups: usize, unknown: Count, known: Count) -> Self {
+        let of_unknown = wilson_interval(unknown.hits, unknown.of);
+        let of_known = wilson_interval(known.hits, known.of);
+        Self {
+            stated,
+            groups,
+            unknown_queries: unknown.of,
+            unknown_caught: unknown.share(),
+            unknown_caught_low: of_unknown.0,
+            unknown_caught_high: of_unknown.1,
+            known_queries: known.of,
+            false_rejections: known.share(),
+            false_rejections_low: of_known.0,
+            false_rejections_high: of_known.1,
         }
     }
-    let share = |k: usize, n: usize| k as f64 / n.max(1) as f64;
-    let of_unknown = wilson_interval(caught, unknown);
-    let of_known = wilson_interval(rejected, known);
-    Ok(UnknownOutcome {
-        // `folds` gives at least one fold, and a fold at least two surfaces.
-        stated: stated.expect("at least one model"),
-        groups,
-        unknown_queries: unknown,
-        unknown_caught: share(caught, unknown),
-        unknown_caught_low: of_unknown.0,
-        unknown_caught_high: of_unknown.1,
-        known_queries: known,
-        false_rejections: share(rejected, known),
-        false_rejections_low: of_known.0,
-        false_rejections_high: of_known.1,
-    })
 }

@@ -13,98 +13,7 @@
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;
 
-/// Values that are worked on together.
-pub(super) const LANES: usize = 16;
-
-/// Points for [`lane_sum`]: channel after channel, each filled up to whole lanes.
-#[derive(Clone, Debug, Default)]
-pub struct Lanes {
-    points: usize,
-    channels: usize,
-    /// Channel-major, `points` rounded up to whole lanes a channel.
-    values: Vec<f32>,
-    /// −‖x‖², filled up with zeros.
-    minus_norms: Vec<f32>,
-    /// The least of these.
-    farthest: f32,
-}
-
-/// A coordinate so far away that the kernel vanishes; its square still is a number.
-const FAR: f32 = 1e18;
-/// Points lie no farther than this from the centre, so none meets the filling.
-const FARTHEST: f64 = 1e17;
-
-impl Lanes {
-    /// Refills with points of 1 to 4 channels: `of_channel` gives the unscaled, centred coordinates
-    /// of all points in one channel, and `scale` is that of [`lane_scale`].
-    ///
-    /// # Panics
-    /// If `channels` is not 1, 2, 3 or 4, or the channels differ in length.
-    pub fn fill<I: ExactSizeIterator<Item = f64>>(
-        &mut self,
-        channels: usize,
-        scale: f64,
-        mut of_channel: impl FnMut(usize) -> I,
-    ) {
-        assert!((1..=4).contains(&channels), "lanes take 1 to 4 channels, not {channels}");
-        self.channels = channels;
-        self.values.clear();
-        for channel in 0..channels {
-            let coordinates = of_channel(channel);
-            if channel == 0 {
-                self.points = coordinates.len();
-            }
-            assert_eq!(self.points, coordinates.len(), "channels of one length");
-            let start = self.values.len();
-            let scaled = |x: f64| (x * scale).clamp(-FARTHEST, FARTHEST) as f32;
-            self.values.extend(coordinates.map(scaled));
-            self.values.resize(start + self.points.next_multiple_of(LANES), FAR);
-        }
-        self.minus_norms.clear();
-        self.minus_norms.resize(self.points.next_multiple_of(LANES), 0.0);
-        let norms = &mut self.minus_norms[..self.points];
-        self.farthest = minus_norms(&self.values, norms);
-    }
-
-    fn channels<const C: usize>(&self) -> [&[f32]; C] {
-        let padded = self.points.next_multiple_of(LANES);
-        std::array::from_fn(|c| &self.values[c * padded..(c + 1) * padded])
-    }
-
-    /// Whether no point lies far out, and none is filling.
-    fn is_near(&self) -> bool {
-        #[cfg(target_arch = "x86_64")]
-        return self.points.is_multiple_of(LANES) && -self.farthest <= super::simd::NEAREST;
-        #[cfg(not(target_arch = "x86_64"))]
-        false
-    }
-}
-
-/// −‖x‖² of points, whose channels are padded to whole lanes; returns the least.
-#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2+fma", "aarch64+neon"))]
-fn minus_norms(values: &[f32], norms: &mut [f32]) -> f32 {
-    let padded = norms.len().next_multiple_of(LANES);
-    let mut least = 0f32;
-    // In f64, block by block, and rounded once.
-    for (block, norms) in norms.chunks_mut(LANES).enumerate() {
-        let mut sums = [0f64; LANES];
-        for channel in values.chunks_exact(padded) {
-            for (sum, &x) in sums.iter_mut().zip(&channel[block * LANES..]) {
-                *sum -= f64::from(x) * f64::from(x);
-            }
-        }
-        for (norm, sum) in norms.iter_mut().zip(sums) {
-            *norm = sum as f32;
-            least = if *norm < least { *norm } else { least };
-        }
-    }
-    least
-}
-
-/// The factor on coordinates that turns exp(−d²/(2σ²)) into 2^(−d²/16).
-pub fn lane_scale(sigma: f64) -> f64 {
-    (8.0 * std::f64::consts::LOG2_E).sqrt() / sigma
-}
+use super::padded_points::{LANES, PaddedPoints};
 
 /// How well each kernel value is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,27 +50,37 @@ impl InstructionSet {
 ///
 /// # Panics
 /// If the sets differ in their number of channels.
-pub fn lane_sum(a: &Lanes, b: &Lanes, quality: Quality) -> f64 {
+pub fn lane_sum(a: &PaddedPoints, b: &PaddedPoints, quality: Quality) -> f64 {
     lane_sum_with(InstructionSet::available()[0], a, b, quality)
 }
 
 /// The same over all pairs of one set's points, for little more than half the work.
-pub fn lane_self_sum(a: &Lanes, quality: Quality) -> f64 {
+pub fn lane_self_sum(a: &PaddedPoints, quality: Quality) -> f64 {
     lane_self_sum_with(InstructionSet::available()[0], a, quality)
 }
 
 /// [`lane_sum`] with given instructions; those that the machine lacks are replaced.
-pub fn lane_sum_with(set: InstructionSet, a: &Lanes, b: &Lanes, quality: Quality) -> f64 {
+pub fn lane_sum_with(
+    set: InstructionSet,
+    a: &PaddedPoints,
+    b: &PaddedPoints,
+    quality: Quality,
+) -> f64 {
     assert_eq!(a.channels, b.channels, "points of equal channels");
     dispatch::<false>(set, a, b, quality)
 }
 
 /// [`lane_self_sum`] with given instructions; those that the machine lacks are replaced.
-pub fn lane_self_sum_with(set: InstructionSet, a: &Lanes, quality: Quality) -> f64 {
+pub fn lane_self_sum_with(set: InstructionSet, a: &PaddedPoints, quality: Quality) -> f64 {
     dispatch::<true>(set, a, a, quality)
 }
 
-fn dispatch<const SELF: bool>(set: InstructionSet, a: &Lanes, b: &Lanes, quality: Quality) -> f64 {
+fn dispatch<const SELF: bool>(
+    set: InstructionSet,
+    a: &PaddedPoints,
+    b: &PaddedPoints,
+    quality: Quality,
+) -> f64 {
     match a.channels {
         1 => of_channels::<1, SELF>(set, a, b, quality),
         2 => of_channels::<2, SELF>(set, a, b, quality),
@@ -172,10 +91,16 @@ fn dispatch<const SELF: bool>(set: InstructionSet, a: &Lanes, b: &Lanes, quality
     }
 }
 
+/// Whether no point lies far out, and none is filling.
+#[cfg(target_arch = "x86_64")]
+fn is_near(points: &PaddedPoints) -> bool {
+    points.points.is_multiple_of(LANES) && -points.farthest <= super::simd::NEAREST
+}
+
 fn of_channels<const C: usize, const SELF: bool>(
     set: InstructionSet,
-    a: &Lanes,
-    b: &Lanes,
+    a: &PaddedPoints,
+    b: &PaddedPoints,
     quality: Quality,
 ) -> f64 {
     let (rows, from, to) = (a.points, a.channels::<C>(), b.channels::<C>());
@@ -184,7 +109,7 @@ fn of_channels<const C: usize, const SELF: bool>(
         use super::simd::{FAR, FINE, NEAR, Points, sum};
         let of_a = Points { channels: from, minus_norms: &a.minus_norms };
         let of_b = Points { channels: to, minus_norms: &b.minus_norms };
-        let is_near = !SELF && a.is_near() && b.is_near();
+        let is_near = !SELF && is_near(a) && is_near(b);
         // SAFETY: the machine has what `sum` asks for, as `is_available` has just found.
         return unsafe {
             match quality {

@@ -1,8 +1,8 @@
 use super::*;
 
 /// Points on a lattice or spread out, `C` channels, deterministic.
-fn lanes(points: usize, channels: usize, spread: f64, step: f64) -> Lanes {
-    let mut lanes = Lanes::default();
+fn lanes(points: usize, channels: usize, spread: f64, step: f64) -> PaddedPoints {
+    let mut lanes = PaddedPoints::default();
     lanes.fill(channels, 1.0, |c| {
         (0..points).map(move |i| {
             let x = ((i * (7 + 2 * c) + 3 * c) as f64 * 0.618_033_988_7).fract() * spread;
@@ -13,8 +13,8 @@ fn lanes(points: usize, channels: usize, spread: f64, step: f64) -> Lanes {
 }
 
 /// The definition, in f64, on the very coordinates that were filled in.
-fn plain_sum(a: &Lanes, b: &Lanes) -> f64 {
-    let padded = |l: &Lanes| l.points.next_multiple_of(LANES);
+fn plain_sum(a: &PaddedPoints, b: &PaddedPoints) -> f64 {
+    let padded = |l: &PaddedPoints| l.points.next_multiple_of(LANES);
     let mut total = 0.0;
     for i in 0..a.points {
         for j in 0..b.points {
@@ -45,7 +45,7 @@ fn every_single_value_is_good_to_its_quality() {
     for &set in InstructionSet::available() {
         for (quality, bound) in [(Quality::Quick, 9e-7), (Quality::Fine, 3e-7)] {
             for i in 0..40_000 {
-                let (mut a, mut b) = (Lanes::default(), Lanes::default());
+                let (mut a, mut b) = (PaddedPoints::default(), PaddedPoints::default());
                 let x = f64::from(i as f32 * 1.1e-3);
                 // 16 points: no filling, so that both ways of bounding the distance are met.
                 a.fill(1, 1.0, |_| [0.0].into_iter());
@@ -68,7 +68,7 @@ fn with_several_channels_every_value_is_good_to_what_its_distance_from_the_centr
                     let x = ((i * (3 + 2 * c) + k) as f64 * 0.618_033_988_7).fract() - 0.5;
                     x * (i % 40) as f64
                 };
-                let (mut a, mut b) = (Lanes::default(), Lanes::default());
+                let (mut a, mut b) = (PaddedPoints::default(), PaddedPoints::default());
                 a.fill(channels, 1.0, |c| [place(0, c); 16].into_iter());
                 b.fill(channels, 1.0, |c| [place(0, c) + 0.4 * place(7, c); 16].into_iter());
                 let error = lane_sum_with(set, &a, &b, Quality::Quick) / plain_sum(&a, &b) - 1.0;
@@ -122,7 +122,7 @@ fn intrinsics_agree_with_plain_rust_on_lattices_and_outliers() {
         for step in [0.1, 0.5, 1.0] {
             let mut a = lanes(400, channels, 20.0, step);
             let b = lanes(399, channels, 20.0, step);
-            let all = |a: &Lanes| {
+            let all = |a: &PaddedPoints| {
                 let sum = |&set| lane_sum_with(set, a, &b, Quality::Quick);
                 InstructionSet::available().iter().map(sum).collect::<Vec<f64>>()
             };

@@ -11,7 +11,7 @@
 
 use std::arch::x86_64::*;
 
-use super::lanes::LANES;
+use super::padded_points::LANES;
 
 /// Constant `PATH` of [`sum`]: no ‖x‖² is above [`NEAREST`], and a square will do.
 pub(super) const NEAR: u8 = 0;

@@ -7,8 +7,8 @@
 //! "surfaced cache"  version u16   key u64
 //! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
 //! ```
-//! `key` stands for the settings that the trials were prepared with, `stamp` for sizes and times of
-//! a trial's files. Whatever is wrong with the file, the answer is that it holds less: never an
+//! `key` stands for the settings that the trials were prepared with, `stamp` for the files of a
+//! trial: device, inode, size and times of change. Whatever is wrong with the file, the answer is that it holds less: never an
 //! error, at most a remark.
 
 use std::borrow::Cow;
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 14] = b"surfaced cache";
 /// Raised whenever what prepared trials hold, or how they are stored, changes.
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 const HEADER: usize = MAGIC.len() + 2 + 8;
 
 /// What a cache file held.
@@ -195,7 +195,7 @@ mod tests {
         bytes[14] += 1;
         fs::write(&path, &bytes).unwrap();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
-        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 2"));
+        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 3"));
         fs::write(&path, "something else").unwrap();
         assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("no cache of surfaced"));
     }

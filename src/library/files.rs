@@ -2,11 +2,14 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
+use std::os::unix::fs::MetadataExt;
 #[cfg(unix)]
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use super::LibraryError;
+use crate::scene::SourceId;
+use crate::seed;
 
 impl LibraryError {
     /// A file that does not hold what it should.
@@ -190,4 +193,22 @@ mod tests {
         assert!(read_bytes(&path, 10).unwrap_err().to_string().contains("larger than"));
         assert_eq!(read_bytes(&path, 11).unwrap(), [7; 11]);
     }
+}
+
+/// A number for what files hold, by their device, inode, size and times of change, source by
+/// source; `None` if one of them is not there.
+pub(crate) fn stamp<'a>(
+    sources: impl Iterator<Item = (&'a SourceId, &'a [PathBuf])>,
+) -> Option<u64> {
+    let mut parts: Vec<Vec<u8>> = Vec::new();
+    for (id, paths) in sources {
+        parts.push(id.as_str().as_bytes().to_vec());
+        for path in paths {
+            let about = std::fs::metadata(path).ok()?;
+            parts.push([about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat());
+            let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
+            parts.push(times.map(i64::to_le_bytes).concat());
+        }
+    }
+    Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
 }

@@ -2,12 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
 use super::wav::{self, Header};
-use super::{LibraryError, LoadTrial, picture, text};
+use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
 use crate::scene::{Domain, SourceId, SourceSpec};
-use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// Where the data of one source of one trial are.
@@ -39,20 +37,17 @@ impl LoadTrial for FileTrial {
         Ok(Trial { key: self.key.clone(), signals })
     }
 
-    /// Names, sizes and times of the files.
-    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
-        let mut parts: Vec<Vec<u8>> = Vec::new();
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+        let mut outlines = Outlines::new();
         for (id, files) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
-            parts.push(id.as_str().as_bytes().to_vec());
-            for path in files.paths() {
-                let about = std::fs::metadata(path).ok()?;
-                let changed = about.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
-                parts.push(path.file_name()?.as_encoded_bytes().to_vec());
-                parts.push(about.len().to_le_bytes().to_vec());
-                parts.push(changed.as_nanos().to_le_bytes().to_vec());
-            }
+            outlines.extend(files.outline()?.map(|outline| (id.clone(), outline)));
         }
-        Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
+        Ok(Some(outlines))
+    }
+
+    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
+        let known = self.sources.iter().filter(|(id, _)| wanted.contains(id));
+        files::stamp(known.map(|(id, files)| (id, files.paths())))
     }
 }
 
@@ -64,12 +59,24 @@ impl SourceFiles {
         }
     }
 
+    fn outline(&self) -> Result<Option<Outline>, LibraryError> {
+        Ok(match self {
+            Self::Wav { header: Header { rate_hz, channels, frames }, .. } => {
+                Some(Outline { rate_hz: *rate_hz, channels: *channels, frames: *frames })
+            }
+            Self::Picture(_) => None,
+            Self::Columns { paths, rate_hz } => {
+                let frames = text::frames(paths)?;
+                Some(Outline { rate_hz: *rate_hz, channels: paths.len(), frames })
+            }
+        })
+    }
+
     fn read(&self) -> Result<Signal, LibraryError> {
         match self {
             Self::Wav { path, header } => {
                 let series = wav::read(path)?;
-                let found = Header { rate_hz: series.rate_hz(), channels: series.channels() };
-                if found != *header {
+                if (series.rate_hz(), series.channels()) != (header.rate_hz, header.channels) {
                     let problem = "it changed since the library was opened; open it again";
                     return Err(LibraryError::file(path, problem));
                 }

@@ -13,12 +13,13 @@ mod wav;
 pub(crate) use about::FILE as ABOUT_FILE;
 pub use about::{About, ScanMarks};
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::scene::{Scene, SceneError, SourceId};
-use crate::trial::{SignalError, Trial, TrialKey};
+use crate::trial::{Signal, SignalError, Trial, TrialKey};
 
 /// Why a trial or a library cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +69,34 @@ pub enum LibraryError {
     },
 }
 
+/// What is known of a series before its samples are read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outline {
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Samples a frame.
+    pub channels: usize,
+    /// Length in frames.
+    pub frames: usize,
+}
+
+/// The outline of each source of a trial that is a series.
+pub type Outlines = BTreeMap<SourceId, Outline>;
+
+impl Outline {
+    /// That of a signal; `None` for a picture.
+    fn of(signal: &Signal) -> Option<Self> {
+        let Signal::Series(series) = signal else { return None };
+        let (rate_hz, channels) = (series.rate_hz(), series.channels());
+        Some(Self { rate_hz, channels, frames: series.frames() })
+    }
+
+    fn all(trial: &Trial) -> Outlines {
+        let outline = |(id, signal): (&SourceId, _)| Some((id.clone(), Self::of(signal)?));
+        trial.signals.iter().filter_map(outline).collect()
+    }
+}
+
 /// All errors, a line each.
 fn list(errors: &[LibraryError]) -> String {
     let lines = errors.iter().map(|error| format!("\n  {error}"));
@@ -110,6 +139,14 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     /// # Errors
     /// If one of them cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
+
+    /// The outlines of those sources that are wanted; `None` if reading the trial is no dearer.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    fn outlines(&self, _wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+        Ok(None)
+    }
 
     /// A number that changes whenever what would be loaded does, if that can be known without
     /// reading it.
@@ -189,6 +226,17 @@ impl Entry {
     /// If one of its sources cannot be read.
     pub fn load(&self) -> Result<Trial, LibraryError> {
         self.loader.load(&self.sources)
+    }
+
+    /// The outline of each source that is a series.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn outlines(&self) -> Result<Outlines, LibraryError> {
+        match self.loader.outlines(&self.sources)? {
+            Some(outlines) => Ok(outlines),
+            None => Ok(Outline::all(&self.load()?)),
+        }
     }
 
     /// A number that changes whenever the trial does, if that can be known without reading it.

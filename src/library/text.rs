@@ -21,6 +21,20 @@ pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryErr
         .map_err(|error| LibraryError::Signal { path, error })
 }
 
+/// How many frames [`read`] would give, by the lines that are not blank.
+///
+/// # Errors
+/// If a file cannot be read or is empty.
+pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
+    let lines = |path: &PathBuf| -> Result<usize, LibraryError> {
+        let bytes = files::read_bytes(path, files::MOST_TEXT)?;
+        let lines = bytes.split(|&byte| byte == b'\n');
+        Ok(lines.filter(|line| !line.trim_ascii().is_empty()).count())
+    };
+    let lengths = paths.iter().map(lines).collect::<Result<Vec<_>, _>>()?;
+    Ok(lengths.into_iter().min().unwrap_or(0))
+}
+
 fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
     let bytes = files::read_bytes(path, files::MOST_TEXT)?;
     parse(&bytes).map_err(|(line, problem)| {

@@ -19,6 +19,7 @@ use crate::trial::Series;
 pub(crate) struct Header {
     pub rate_hz: f64,
     pub channels: usize,
+    pub frames: usize,
 }
 
 /// Reads a header and checks that the file is long enough to hold what it promises.
@@ -44,7 +45,7 @@ pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
         // The file became shorter since its header was read.
         _ => truncated(path, None),
     })?;
-    let Header { rate_hz, channels } = data.header();
+    let Header { rate_hz, channels, .. } = data.header();
     Series::new(rate_hz, channels, samples)
         .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
 }
@@ -82,7 +83,13 @@ struct Data {
 
 impl Data {
     fn header(self) -> Header {
-        Header { rate_hz: f64::from(self.rate_hz), channels: usize::from(self.channels) }
+        let channels = usize::from(self.channels);
+        let frame = channels.max(1) as u64 * u64::from(self.container);
+        Header {
+            rate_hz: f64::from(self.rate_hz),
+            channels,
+            frames: (self.length / frame.max(1)) as usize,
+        }
     }
 
     /// The header of a plain WAV file with the same samples.
@@ -297,7 +304,7 @@ mod tests {
         // A quarter and minus a half, in the upper 24 of 32 bits.
         let data = chunk(b"data", &[0, 0, 0, 0x20, 0, 0, 0, 0xC0]);
         assert_eq!(
-            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), &[data.clone()])).unwrap(),
+            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), std::slice::from_ref(&data))).unwrap(),
             [0.25, -0.5]
         );
         let error = read_bytes(&file(PCM, 4, 24, None, &[data])).unwrap_err();

@@ -4,11 +4,10 @@ use std::sync::Arc;
 
 use ndarray::{Array2, Axis};
 
-use super::RecogniseError;
-use super::domain::DomainSamples;
-use super::prepared::{Cut, PreparedTrial, shared_sources};
-use super::sampling::keyed_positions;
-use super::score::{log_score, score_samples};
+use super::error::RecogniseError;
+use super::reference::{
+    Cut, DomainSamples, PreparedTrial, keyed_positions, log_score, score_samples, shared_sources,
+};
 use crate::kernel::pair_test;
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId, SourceSpec};

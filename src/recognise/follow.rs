@@ -4,9 +4,9 @@
 //! so that neither the size of the pieces in which samples come nor the speed at which they are
 //! played changes what is said.
 
-use super::RecogniseError;
-use super::settle::Settling;
-use super::unknown::Rejection;
+use super::decide::conformal::Rejection;
+use super::decide::settle::Settling;
+use super::error::RecogniseError;
 use crate::scene::SourceId;
 use crate::trial::Image;
 
@@ -49,8 +49,8 @@ pub struct GuessSoFar {
     pub scan_s: f64,
     /// The most probable surfaces and their probabilities, at most five, the first one first.
     pub named: Vec<(String, f64)>,
-    /// As [`super::Ranking::fit`].
-    pub fit: Option<f64>,
+    /// As [`super::Ranking::p_value`].
+    pub p_value: Option<f64>,
     /// Since when the answer is settled, if it is: the surface, and the scan time of that look.
     pub settled: Option<(String, f64)>,
 }

@@ -1,200 +1,110 @@
-//! A trial made ready for the method `reference`: its sources cut to length and sampled.
+//! What is kept of a trial, by whichever method, and how it lies in a cache.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use rayon::prelude::*;
-
-use super::RecogniseError;
-use super::domain::{DomainSamples, check_signal};
-use super::samples::SampleSet;
+use super::error::RecogniseError;
+use super::features::{FeatureVector, FrameFeatures};
+use super::reference::prepared_trial::PreparedTrial;
+use super::reference::storage::{decode, encode};
 use crate::library::Entry;
-use crate::scene::{Scene, SourceId, SourceSpec};
-use crate::seed;
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::TrialKey;
 
-/// One source of a trial, cut to some length and ready to be compared.
-pub(super) struct Cut {
-    /// One set a repetition; empty where positions are drawn for each pair.
-    pub sets: Vec<SampleSet>,
-    /// Kept only where positions are drawn for each pair.
-    pub domain: Option<DomainSamples>,
+/// Changes whenever the bytes of [`Prepared::encode`] mean something else.
+pub(super) const FORMAT: u64 = 1;
+
+/// A trial, ready to be compared. A copy is cheap.
+#[derive(Clone)]
+pub enum Prepared {
+    /// Samples, for `reference`.
+    Samples(Arc<PreparedTrial>),
+    /// Frames, for `embedding`.
+    Frames(Arc<FrameFeatures>),
+    /// Fixed lists of numbers, for the comparison classifiers. Of a feature table no more is known.
+    Features(Arc<FeatureVector>),
 }
 
-/// A source, its rate and frames if it is a series, and its sets.
-pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
+const SAMPLES: u8 = 0;
+const FRAMES: u8 = 1;
+const FEATURES: u8 = 2;
 
-/// How many lengths of one source stay in memory beside the trial's own; `chart` asks for as many.
-const KEPT_LENGTHS: usize = 3;
-
-/// Each source at the lengths that were asked for, in frames.
-type Cuts = BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>;
-
-/// A trial, ready to be compared.
-pub struct PreparedTrial {
-    entry: Entry,
-    /// Rate and frames of each source that the scene describes; an image has neither.
-    shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
-    content: u64,
-    /// By length in frames; the trial's own length first.
-    cuts: Mutex<Cuts>,
-}
-
-impl PreparedTrial {
-    /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
-    /// says that [`PreparedTrial::content`] will be asked for.
-    pub(super) fn new(
-        entry: &Entry,
-        trial: &Trial,
-        scene: &Scene,
-        hashed: bool,
-        cut: impl Fn(&SourceSpec, &Signal, usize) -> Cut + Sync,
-    ) -> Result<Self, RecogniseError> {
-        let known: Vec<(&SourceId, &Signal, &SourceSpec)> = (trial.signals.iter())
-            .filter_map(|(id, signal)| Some((id, signal, scene.get(id.as_str())?)))
-            .collect();
-        let made = (known.par_iter())
-            .map(|(_, signal, spec)| {
-                check_signal(spec, signal, &entry.key)?;
-                let shape = match signal {
-                    Signal::Image(_) => None,
-                    Signal::Series(series) => Some((series.rate_hz(), series.frames())),
-                };
-                let frames = shape.map_or(0, |(_, frames)| frames);
-                let content = if hashed { signal.content_hash() } else { 0 };
-                Ok((shape, content, (frames, Arc::new(cut(spec, signal, frames)))))
-            })
-            .collect::<Result<Vec<_>, RecogniseError>>()?;
-        let (mut shapes, mut cuts, mut all) = (BTreeMap::new(), BTreeMap::new(), 0);
-        for ((id, ..), (shape, content, cut)) in known.into_iter().zip(made) {
-            let parts = [all, content].map(u64::to_le_bytes);
-            all = seed::stable_hash(&[&parts[0], id.as_str().as_bytes(), &parts[1]]);
-            shapes.insert(id.clone(), shape);
-            cuts.insert(id.clone(), vec![cut]);
-        }
-        Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
-    }
-
-    /// A trial from what was stored of one: for each source its shape and its sets at that length.
-    pub(super) fn from_parts(entry: &Entry, parts: Vec<StoredSource>) -> Self {
-        let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
-        for (id, shape, sets) in parts {
-            let frames = shape.map_or(0, |(_, frames)| frames);
-            shapes.insert(id.clone(), shape);
-            cuts.insert(id, vec![(frames, Arc::new(Cut { sets, domain: None }))]);
-        }
-        Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) }
-    }
-
-    /// Calls `tell` with each source, its shape, and what it holds at the trial's own length.
-    pub(super) fn each_source(
-        &self,
-        mut tell: impl FnMut(&SourceId, Option<(f64, usize)>, &[SampleSet]),
-    ) {
-        let cuts = self.lock();
-        for (id, shape) in &self.shapes {
-            if let Some((_, cut)) = cuts.get(id).and_then(|of_source| of_source.first()) {
-                tell(id, *shape, &cut.sets);
-            }
-        }
-    }
-
+impl Prepared {
     /// Which trial this is.
     pub fn key(&self) -> &TrialKey {
-        &self.entry.key
-    }
-
-    /// Hash of all raw samples (0 unless it was asked for), so that what is drawn for a pair depends neither on names nor on
-    /// order.
-    pub(super) fn content(&self) -> u64 {
-        self.content
-    }
-
-    /// Sample rate of a source, if the trial has it and it is no image.
-    fn rate_hz(&self, id: &SourceId) -> Option<f64> {
-        self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
-    }
-
-    /// Frames that two trials both have of a source: the shorter's; 0 for images; `None` if one
-    /// lacks the source.
-    pub(super) fn common_frames(&self, other: &Self, id: &SourceId) -> Option<usize> {
-        match (self.shapes.get(id)?, other.shapes.get(id)?) {
-            (Some((_, mine)), Some((_, others))) => Some(*mine.min(others)),
-            _ => Some(0),
+        match self {
+            Self::Samples(trial) => trial.key(),
+            Self::Frames(trial) => &trial.key,
+            Self::Features(trial) => &trial.key,
         }
     }
 
-    /// The source cut to `frames`: kept, or made by `cut` from the trial, loaded again.
-    pub(super) fn at_length(
-        &self,
-        id: &SourceId,
-        frames: usize,
-        cut: impl Fn(&Signal) -> Cut,
-    ) -> Result<Arc<Cut>, RecogniseError> {
-        if let Some(cuts) = self.lock().get(id)
-            && let Some((_, cut)) = cuts.iter().find(|(at, _)| *at == frames)
-        {
-            return Ok(cut.clone());
+    /// The samples.
+    ///
+    /// # Errors
+    /// If these are not what `method` works with, as for the two that follow.
+    pub fn samples(&self, method: &'static str) -> Result<&Arc<PreparedTrial>, RecogniseError> {
+        match self {
+            Self::Samples(trial) => Ok(trial),
+            other => Err(other.is_not_for(method)),
         }
-        let trial = self.entry.load()?;
-        let made = Arc::new(cut(&trial.signals[id]));
-        let mut cuts = self.lock();
-        let kept = cuts.entry(id.clone()).or_default();
-        // Another thread may have been first. Waiting for it instead could wait for ever: what it
-        // does may be taken over by a thread that asks for the same.
-        if !kept.iter().any(|(at, _)| *at == frames) {
-            if kept.len() > KEPT_LENGTHS {
-                kept.remove(1);
+    }
+
+    /// The frames.
+    ///
+    /// # Errors
+    /// If these are not what `method` works with.
+    pub fn frames(&self, method: &'static str) -> Result<&Arc<FrameFeatures>, RecogniseError> {
+        match self {
+            Self::Frames(trial) => Ok(trial),
+            other => Err(other.is_not_for(method)),
+        }
+    }
+
+    /// The features.
+    ///
+    /// # Errors
+    /// If these are not what `method` works with.
+    pub fn features(&self, method: &'static str) -> Result<&Arc<FeatureVector>, RecogniseError> {
+        match self {
+            Self::Features(trial) => Ok(trial),
+            other => Err(other.is_not_for(method)),
+        }
+    }
+
+    fn is_not_for(&self, method: &'static str) -> RecogniseError {
+        let by = match self {
+            Self::Features(_) => return RecogniseError::NeedsRecordings(method),
+            Self::Samples(_) => "reference",
+            Self::Frames(_) => "embedding",
+        };
+        RecogniseError::PreparedByAnother { method, by, trial: self.key().to_string() }
+    }
+
+    /// The trial as bytes; `None` if that would be as large as the recording.
+    pub(super) fn encode(&self) -> Option<Vec<u8>> {
+        let (kind, bytes) = match self {
+            Self::Samples(trial) => (SAMPLES, encode(trial)),
+            Self::Frames(trial) => (FRAMES, postcard::to_allocvec(&trial.sources).ok()),
+            Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
+        };
+        let mut bytes = bytes?;
+        bytes.push(kind);
+        Some(bytes)
+    }
+
+    /// The trial of an entry from bytes, if they are those of one.
+    pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
+        let key = entry.key.clone();
+        Some(match bytes.split_last()? {
+            (&SAMPLES, bytes) => Self::Samples(Arc::new(decode(entry, bytes)?)),
+            (&FRAMES, bytes) => {
+                let sources = postcard::from_bytes(bytes).ok()?;
+                Self::Frames(Arc::new(FrameFeatures { key, sources }))
             }
-            kept.push((frames, made.clone()));
-        }
-        Ok(made)
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, Cuts> {
-        // A thread that panicked while it held the lock left at most a cut unsaved.
-        self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// The sources that a query shares with a library, sorted by name.
-///
-/// # Errors
-/// If there is none, or if the rates of one differ.
-pub(super) fn shared_sources<'a>(
-    scene: &'a Scene,
-    query: &PreparedTrial,
-    library: &[Arc<PreparedTrial>],
-) -> Result<Vec<&'a SourceSpec>, RecogniseError> {
-    let sources: Vec<&SourceSpec> = (scene.sources())
-        .filter(|s| query.shapes.contains_key(&s.id))
-        .filter(|s| library.iter().any(|trial| trial.shapes.contains_key(&s.id)))
-        .collect();
-    if sources.is_empty() {
-        return Err(RecogniseError::NothingInCommon {
-            query: names(query.shapes.keys()),
-            library: names(library.iter().flat_map(|trial| trial.shapes.keys())),
-        });
-    }
-    for spec in &sources {
-        let Some(query_hz) = query.rate_hz(&spec.id) else { continue };
-        for trial in library {
-            if let Some(library_hz) = trial.rate_hz(&spec.id)
-                && library_hz != query_hz
-            {
-                return Err(RecogniseError::Rates {
-                    source_name: spec.id.clone(),
-                    query_hz,
-                    library_hz,
-                    trial: trial.entry.key.to_string(),
-                });
+            (&FEATURES, bytes) => {
+                let sources = postcard::from_bytes(bytes).ok()?;
+                Self::Features(Arc::new(FeatureVector { key, sources }))
             }
-        }
+            _ => return None,
+        })
     }
-    Ok(sources)
-}
-
-fn names<'a>(ids: impl IntoIterator<Item = &'a SourceId>) -> String {
-    let ids: BTreeSet<_> = ids.into_iter().map(SourceId::as_str).collect();
-    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
 }

@@ -38,7 +38,8 @@ pub struct Ranking {
     pub confidence: Option<f64>,
     /// Share of left-out library trials that fit their nearest surface no better than the query
     /// fits the first (a conformal p-value), by a method and a library that can tell.
-    pub fit: Option<f64>,
+    #[serde(rename = "fit")]
+    pub p_value: Option<f64>,
 }
 
 impl Ranking {
@@ -82,7 +83,7 @@ pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) ->
             score: log_ds.exp().min(f64::MAX),
         })
         .collect();
-    Some(Ranking { ranked, margin, sources, nearest, confidence: None, fit: None })
+    Some(Ranking { ranked, margin, sources, nearest, confidence: None, p_value: None })
 }
 
 /// ln(eᵃ + eᵇ) without overflow.

@@ -20,7 +20,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moments_are_dates_of_the_calendar() {
+    fn moments_become_calendar_dates() {
         let at = |seconds| utc(UNIX_EPOCH + Duration::from_secs_f64(seconds));
         // `date -u -d @SECONDS`
         assert_eq!(at(0.0), "1970-01-01T00:00:00Z");

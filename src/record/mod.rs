@@ -1,7 +1,7 @@
 //! Writing the recording format, version 1; `library::recording` reads it.
 //!
-//! A trial is written into a folder that readers pass over and renamed when it is whole: after a
-//! crash there are whole trials and perhaps an unfinished folder, never half a trial.
+//! A trial is written into a folder that readers skip, and renamed when it is complete: after a
+//! crash there are complete trials and perhaps an unfinished folder, never half a trial.
 
 mod date;
 mod folder_name;
@@ -38,7 +38,7 @@ impl Default for TrialOptions {
 }
 
 /// Writes `library.toml` of a library: its name, its sources, and whether it is synthetic. The
-/// folder is made if need be; a `library.toml` that is there is replaced.
+/// folder is made if need be; an existing `library.toml` is replaced.
 ///
 /// # Errors
 /// If the folder or the file cannot be written.
@@ -51,11 +51,28 @@ pub fn write_library_toml(
     fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
     let mut named = scene.clone();
     named.name = name.to_string();
-    let text = named.to_library_toml(synthetic);
-    let (path, unfinished) =
-        (dir.join(DESCRIPTION), dir.join(format!(".{DESCRIPTION}{UNFINISHED}")));
-    write_file(&unfinished, text.as_bytes(), true)?;
-    fs::rename(&unfinished, &path).map_err(|error| failed(&path, error))
+    let (path, text) = (dir.join(DESCRIPTION), named.to_library_toml(synthetic));
+    let mut file = unfinished(&format!(".{DESCRIPTION}."))
+        .permissions(mode(0o666))
+        .tempfile_in(dir)
+        .map_err(|error| failed(dir, error))?;
+    file.write_all(text.as_bytes())
+        .and_then(|()| file.as_file().sync_all())
+        .map_err(|error| failed(file.path(), error))?;
+    file.persist(&path).map_err(|error| failed(&path, error.error))?;
+    Ok(())
+}
+
+/// Makes sure that trials can be written into a library, making its folder if need be.
+///
+/// # Errors
+/// If the folder cannot be made, or nothing can be written there; why, and what to do.
+pub fn check_writable(dir: &Path) -> Result<(), LibraryError> {
+    fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
+    // A byte, since a full disk still takes empty files.
+    let mut probe = unfinished(".probe.").tempfile_in(dir).map_err(|error| failed(dir, error))?;
+    let written = probe.write_all(b"0").and_then(|()| probe.as_file().sync_all());
+    written.map_err(|error| failed(dir, error))
 }
 
 /// Writes one trial into the library `dir` and gives its folder, `SURFACE/USER-NUMBER`.
@@ -73,51 +90,134 @@ pub fn write_trial(
     scene: &Scene,
     options: &TrialOptions,
 ) -> Result<PathBuf, LibraryError> {
-    let key = &trial.key;
-    if key.surface.is_empty() || key.user.is_empty() {
-        let problem = "a trial needs the name of its surface and of its user; one of them is empty";
-        return Err(LibraryError::file(dir, problem));
-    }
-    let folder = trial_folder(dir, key);
-    let surface = dir.join(folder_name::encode(&key.surface));
-    let name = trial_name(key);
+    let folder = trial_folder(dir, &trial.key);
     let taken = || {
-        LibraryError::file(
-            &folder,
-            format!("there is a recording of {key} already; choose another number, or remove it"),
-        )
+        let problem = format!(
+            "there is a recording of {} already; choose another number, or remove it",
+            trial.key
+        );
+        LibraryError::file(&folder, problem)
     };
+    // Looked at first, so that nothing is written in vain.
     if folder.exists() {
         return Err(taken());
     }
-    if trial.signals.is_empty() {
-        return Err(LibraryError::file(
-            &folder,
-            format!("{key} holds no signals; nothing to write"),
-        ));
-    }
-    fs::create_dir_all(&surface).map_err(|error| failed(&surface, error))?;
-    let unfinished = surface.join(format!(".{name}.{}{UNFINISHED}", std::process::id()));
-    if unfinished.exists() {
-        fs::remove_dir_all(&unfinished).map_err(|error| failed(&unfinished, error))?;
-    }
-    fs::create_dir(&unfinished).map_err(|error| failed(&unfinished, error))?;
-    let written = write_files(&unfinished, trial, scene, options).and_then(|()| {
-        fs::rename(&unfinished, &folder).map_err(|error| match error.kind() {
-            std::io::ErrorKind::DirectoryNotEmpty | std::io::ErrorKind::AlreadyExists => taken(),
-            _ => failed(&folder, error),
-        })
-    });
-    if let Err(error) = written {
-        // The error at hand matters more than one from tidying up.
-        let _ = fs::remove_dir_all(&unfinished);
-        return Err(error);
-    }
-    if options.durable {
-        sync_folder(&surface)?;
-        sync_folder(dir)?;
+    let unfinished = UnfinishedTrial::write(dir, trial, scene, options)?;
+    if !unfinished.finish(&folder)? {
+        return Err(taken());
     }
     Ok(folder)
+}
+
+/// Writes one trial into the library `dir`, like [`write_trial`], but under the next free number
+/// if its own is taken, also by another process that writes at the same time. Gives the number and
+/// the folder.
+///
+/// # Errors
+/// As [`write_trial`], but for a number that is taken.
+pub fn append_trial(
+    dir: &Path,
+    trial: &Trial,
+    scene: &Scene,
+    options: &TrialOptions,
+) -> Result<(u32, PathBuf), LibraryError> {
+    let mut key = trial.key.clone();
+    let unfinished = UnfinishedTrial::write(dir, trial, scene, options)?;
+    loop {
+        let folder = trial_folder(dir, &key);
+        if !folder.exists() && unfinished.finish(&folder)? {
+            return Ok((key.number, folder));
+        }
+        key.number = key.number.checked_add(1).ok_or_else(|| {
+            LibraryError::file(&folder, format!("no number is left for trials of {}", key.surface))
+        })?;
+        unfinished.describe(&key)?;
+    }
+}
+
+/// A trial that is complete but for its name.
+struct UnfinishedTrial<'a> {
+    library: &'a Path,
+    /// The folder of the surface.
+    surface: PathBuf,
+    options: &'a TrialOptions,
+    /// A folder of a random name, created for this trial alone; removed with this.
+    folder: tempfile::TempDir,
+}
+
+impl<'a> UnfinishedTrial<'a> {
+    fn write(
+        library: &'a Path,
+        trial: &Trial,
+        scene: &Scene,
+        options: &'a TrialOptions,
+    ) -> Result<Self, LibraryError> {
+        let key = &trial.key;
+        if key.surface.is_empty() || key.user.is_empty() {
+            let problem =
+                "a trial needs the name of its surface and of its user; one of them is empty";
+            return Err(LibraryError::file(library, problem));
+        }
+        if trial.signals.is_empty() {
+            let problem = format!("{key} holds no signals; nothing to write");
+            return Err(LibraryError::file(&trial_folder(library, key), problem));
+        }
+        let surface = library.join(folder_name::encode(&key.surface));
+        fs::create_dir_all(&surface).map_err(|error| failed(&surface, error))?;
+        let folder = unfinished(&format!(".{}.", trial_name(key)))
+            .permissions(mode(0o777))
+            .tempdir_in(&surface)
+            .map_err(|error| failed(&surface, error))?;
+        let unfinished = Self { library, surface, options, folder };
+        write_signals(unfinished.folder.path(), trial, scene, options)?;
+        unfinished.describe(key)?;
+        Ok(unfinished)
+    }
+
+    /// Writes its `trial.toml`.
+    fn describe(&self, key: &TrialKey) -> Result<(), LibraryError> {
+        let about = About {
+            surface: Some(key.surface.clone()),
+            user: Some(key.user.clone()),
+            trial: Some(key.number),
+            ..self.options.about.clone()
+        };
+        let (dir, durable) = (self.folder.path(), self.options.durable);
+        write_file(&dir.join(crate::library::ABOUT_FILE), about.to_toml().as_bytes(), durable)?;
+        if durable { sync_folder(dir) } else { Ok(()) }
+    }
+
+    /// Gives it its name. False if another trial has it.
+    fn finish(&self, folder: &Path) -> Result<bool, LibraryError> {
+        use std::io::ErrorKind::{AlreadyExists, DirectoryNotEmpty, NotADirectory};
+        // Nothing that exists is replaced, since a trial's folder is never empty.
+        match fs::rename(self.folder.path(), folder) {
+            Ok(()) => {}
+            Err(error)
+                if matches!(error.kind(), DirectoryNotEmpty | AlreadyExists | NotADirectory) =>
+            {
+                return Ok(false);
+            }
+            Err(error) => return Err(failed(folder, error)),
+        }
+        if self.options.durable {
+            sync_folder(&self.surface)?;
+            sync_folder(self.library)?;
+        }
+        Ok(true)
+    }
+}
+
+/// Creates files and folders of random names, which readers skip and no other writer has.
+fn unfinished(prefix: &str) -> tempfile::Builder<'_, 'static> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix).rand_bytes(16).suffix(UNFINISHED);
+    builder
+}
+
+/// What the user's own mask leaves of these permissions.
+fn mode(bits: u32) -> fs::Permissions {
+    std::os::unix::fs::PermissionsExt::from_mode(bits)
 }
 
 /// The folder that a trial of this name is written into.
@@ -129,7 +229,7 @@ fn trial_name(key: &TrialKey) -> String {
     format!("{}-{:02}", folder_name::encode(&key.user), key.number)
 }
 
-fn write_files(
+fn write_signals(
     dir: &Path,
     trial: &Trial,
     scene: &Scene,
@@ -149,14 +249,7 @@ fn write_files(
         };
         write_file(&path, &bytes, options.durable)?;
     }
-    let about = About {
-        surface: Some(trial.key.surface.clone()),
-        user: Some(trial.key.user.clone()),
-        trial: Some(trial.key.number),
-        ..options.about.clone()
-    };
-    write_file(&dir.join(crate::library::ABOUT_FILE), about.to_toml().as_bytes(), options.durable)?;
-    if options.durable { sync_folder(dir) } else { Ok(()) }
+    Ok(())
 }
 
 /// Refuses what a reader with the same scene would refuse.

@@ -6,7 +6,7 @@ use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::ledger::{Ledger, Reckoning, half_full, pair};
-use super::{Bell, Meter, Stop, Stopped};
+use super::{Meter, Stop, Stopped, Waker};
 use crate::trial::Image;
 
 /// The device's end of a ring of images.
@@ -22,10 +22,10 @@ pub struct ImageTap {
 }
 
 /// A ring of `capacity` images; at least 1, and taken as 1 if 0.
-pub fn images(capacity: usize, bell: Bell) -> (ImageSink, ImageTap) {
+pub fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
     let capacity = capacity.max(1);
     let (enter, leave) = HeapRb::new(capacity).split();
-    let (ledger, reckoning) = pair(capacity, bell);
+    let (ledger, reckoning) = pair(capacity, waker);
     (ImageSink { ring: enter, ledger }, ImageTap { ring: leave, reckoning })
 }
 
@@ -48,7 +48,7 @@ impl ImageSink {
             self.ledger.lose(1);
         }
         if half_full(&self.ring) {
-            self.ledger.ring_bell();
+            self.ledger.wake_collector();
         }
         entered
     }
@@ -96,7 +96,7 @@ impl ImageTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, telling `on` of each image and its index; an index that
+    /// Takes all that the ring holds now, passing `on` each image and its index; an index that
     /// is passed over was lost. Returns whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(u64, Arc<Image>)) -> bool {
         let before = self.position();
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_picture_that_does_not_fit_leaves_its_index_empty() {
-        let (mut sink, mut tap) = images(1, Bell::new().0);
+        let (mut sink, mut tap) = images(1, Waker::new().0);
         assert!(sink.push(picture(0)));
         assert!(!sink.push(picture(1)));
         let mut seen = Vec::new();

@@ -13,7 +13,7 @@ use crossbeam_channel::{Receiver, Sender};
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
-use super::{Bell, Meter, NAP, Stop, Stopped};
+use super::{Meter, NAP, Stop, Stopped, Waker};
 
 /// Stretches under way at once; when they are more, the latest one grows instead.
 const STRETCHES: usize = 256;
@@ -25,7 +25,7 @@ pub(super) struct Ledger {
     /// The stretch that nothing follows yet.
     open: Option<Range<u64>>,
     head: u64,
-    bell: Bell,
+    waker: Waker,
     room: Receiver<()>,
 }
 
@@ -37,12 +37,12 @@ pub(super) struct Reckoning {
     room: Sender<()>,
 }
 
-pub(super) fn pair(capacity: usize, bell: Bell) -> (Ledger, Reckoning) {
+pub(super) fn pair(capacity: usize, waker: Waker) -> (Ledger, Reckoning) {
     let meter = Meter::new(capacity);
     let (enter, read) = HeapRb::new(STRETCHES).split();
     let (made, room) = crossbeam_channel::bounded(1);
     (
-        Ledger { meter: meter.clone(), stretches: enter, open: None, head: 0, bell, room },
+        Ledger { meter: meter.clone(), stretches: enter, open: None, head: 0, waker, room },
         Reckoning { meter, stretches: read, position: 0, room: made },
     )
 }
@@ -84,8 +84,8 @@ impl Ledger {
         self.meter.head.store(self.head, Ordering::Release);
     }
 
-    pub(super) fn ring_bell(&self) {
-        self.bell.ring();
+    pub(super) fn wake_collector(&self) {
+        self.waker.wake();
     }
 
     /// Waits until the consumer has made room, or for a short time.
@@ -94,7 +94,7 @@ impl Ledger {
             return Err(Stopped);
         }
         self.meter.waiting.store(true, Ordering::Release);
-        self.bell.ring();
+        self.waker.wake();
         // A wake-up that got lost between the two costs one nap.
         let _ = self.room.recv_timeout(NAP);
         self.meter.waiting.store(false, Ordering::Release);
@@ -105,7 +105,7 @@ impl Ledger {
 impl Drop for Ledger {
     fn drop(&mut self) {
         self.meter.closed.store(true, Ordering::Release);
-        self.bell.ring();
+        self.waker.wake();
     }
 }
 

@@ -6,7 +6,7 @@
 //! of the tap, or the tap says that it is missing, at its place and in its order.
 //!
 //! A producer pushes in one of two manners:
-//! - `push` never blocks, for what goes on whether or not anybody listens: what does not fit is
+//! - `push` never blocks, for sensors that do not stop for anybody: what does not fit is
 //!   lost, and counted;
 //! - `push_waiting` waits for room, for what can wait: nothing is lost.
 
@@ -26,41 +26,41 @@ pub use series::{Piece, SeriesSink, SeriesTap, series};
 /// The longest time for which a waiting producer relies on being woken.
 const NAP: Duration = Duration::from_millis(2);
 
-/// Asks threads to end; clones share one request.
+/// A request that threads end; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Asks for the end; there is no way back.
+    /// Requests the end; there is no way back.
     pub fn request(&self) {
         self.0.store(true, Ordering::Release);
     }
 
-    /// Whether the end was asked for.
+    /// Whether the end was requested.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
 
-/// The wait ended because the end was asked for.
+/// The wait ended because the end was requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("stopped")]
 pub struct Stopped;
 
 /// Wakes the thread that empties the rings; clones wake the same one.
 #[derive(Clone, Debug)]
-pub struct Bell(Sender<()>);
+pub struct Waker(Sender<()>);
 
-impl Bell {
-    /// A bell, and what its listener waits on.
+impl Waker {
+    /// A waker, and what its thread waits on.
     pub fn new() -> (Self, Receiver<()>) {
         let (sender, receiver) = crossbeam_channel::bounded(1);
         (Self(sender), receiver)
     }
 
-    /// Wakes the listener, now or when it next waits. Never blocks.
-    pub fn ring(&self) {
-        // Full means that it is about to wake; disconnected, that nobody listens any more.
+    /// Wakes the thread, now or when it next waits. Never blocks.
+    pub fn wake(&self) {
+        // Full means that it is about to wake; disconnected, that the thread has ended.
         let _ = self.0.try_send(());
     }
 }

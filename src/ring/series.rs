@@ -6,7 +6,7 @@ use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::ledger::{Ledger, Reckoning, half_full, pair};
-use super::{Bell, Meter, Stop, Stopped};
+use super::{Meter, Stop, Stopped, Waker};
 
 /// The device's end of a ring of samples.
 pub struct SeriesSink {
@@ -32,10 +32,10 @@ pub enum Piece<'a> {
 }
 
 /// A ring of `capacity` frames of `channels` samples each; both at least 1, and taken as 1 if 0.
-pub fn series(channels: usize, capacity: usize, bell: Bell) -> (SeriesSink, SeriesTap) {
+pub fn series(channels: usize, capacity: usize, waker: Waker) -> (SeriesSink, SeriesTap) {
     let (channels, capacity) = (channels.max(1), capacity.max(1));
     let (enter, leave) = HeapRb::new(channels * capacity).split();
-    let (ledger, reckoning) = pair(capacity, bell);
+    let (ledger, reckoning) = pair(capacity, waker);
     (SeriesSink { ring: enter, channels, ledger }, SeriesTap { ring: leave, channels, reckoning })
 }
 
@@ -66,7 +66,7 @@ impl SeriesSink {
         let lost = (frames - entered) as u64;
         self.ledger.lose(lost);
         if half_full(&self.ring) {
-            self.ledger.ring_bell();
+            self.ledger.wake_collector();
         }
         lost
     }
@@ -136,7 +136,7 @@ impl SeriesTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, telling `on` of samples and gaps in their order. Returns
+    /// Takes all that the ring holds now, passing `on` samples and gaps in their order. Returns
     /// whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(Piece<'_>)) -> bool {
         let before = self.position();
@@ -172,7 +172,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn ring(channels: usize, capacity: usize) -> (SeriesSink, SeriesTap) {
-        series(channels, capacity, Bell::new().0)
+        series(channels, capacity, Waker::new().0)
     }
 
     /// All that comes out; missing frames as NaN.

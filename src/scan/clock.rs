@@ -14,15 +14,15 @@ use std::collections::VecDeque;
 /// Seconds of the daemon's time base.
 pub type Second = f64;
 
-/// Of each so many seconds, the point with the least delay is kept.
+/// In each bin of this length, the point with the least delay is kept.
 const BIN_S: Second = 0.5;
-/// So many are kept: a minute.
+/// Bins that are kept: a minute.
 const BINS: usize = 120;
 /// A span of less says nothing of the drift: at 1 ms of noise, 10 s leave 100 ppm.
 const LEAST_SPAN_S: Second = 10.0;
 /// No clock is worse; the stylus without its crystal is good to 1 %.
 const WORST_DRIFT: f64 = 0.02;
-/// So many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
+/// This many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
 const STEP_BINS: usize = 3;
 const STEP_S: Second = 0.01;
 
@@ -33,7 +33,7 @@ pub struct Clock {
     period_s: Second,
     /// Finished bins, oldest first, as points (nominal time, delay).
     bins: VecDeque<Point>,
-    /// The bin that goes on: when it began, and its point so far.
+    /// The bin in progress: when it began, and its point so far.
     current: Option<(Second, Point)>,
     line: Option<Line>,
 }

@@ -1,4 +1,4 @@
-//! The collector: one thread that empties the rings, follows the marks and tells of scans.
+//! The collector: one thread that empties the rings, follows the marks and sends scans on.
 //!
 //! A turn of its loop: take all that the rings hold, *then* read the reports. A device reports the
 //! begin of a source before it pushes the source's first frame, so frames that were taken have
@@ -10,34 +10,35 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Select};
 
 use super::cut::cut;
-use super::live::{Cue, Live};
+use super::event_queue::EventQueue;
+use super::layout::ScanCommand;
 use super::mark::Marked;
-use super::outbox::Outbox;
-use super::progress::{self, Told};
+use super::progress::{self, SnapshotLengths};
+use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Options, Totals};
-use crate::device::{DeviceError, DeviceState, Mark, Report, ReportKind};
+use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
 /// The longest time between two looks at the rings.
 const TURN: Duration = Duration::from_millis(5);
-/// Stands for the detector where a mark's device is asked for.
+/// The device of the marks that the detector sets.
 const DETECTOR: usize = usize::MAX;
 
 pub(super) struct Collector {
     pub options: Options,
     pub streams: Vec<Stream>,
-    pub reports: Receiver<Report>,
+    pub reports: Receiver<DeviceReport>,
     pub woken: Receiver<()>,
     pub stop: Stop,
-    pub outbox: Outbox,
+    pub event_queue: EventQueue,
     /// Names of the devices, and whether each has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
     pub begun: u32,
     /// Sets marks where the devices set none.
-    pub live: Option<Live>,
-    pub cues: Receiver<Cue>,
+    pub detector: Option<ScanDetector>,
+    pub commands: Receiver<ScanCommand>,
 }
 
 impl Collector {
@@ -51,24 +52,23 @@ impl Collector {
             let mut moved = self.drain();
             while let Ok(report) = self.reports.try_recv() {
                 moved = true;
-                self.heed(report);
+                self.on_report(report);
             }
-            self.listen(Live::listen);
-            while let Ok(cue) = self.cues.try_recv() {
-                self.cue(cue);
+            self.detect(ScanDetector::update);
+            while let Ok(command) = self.commands.try_recv() {
+                self.command(command);
             }
-            self.tell_scans(looked, false);
+            self.send_scans(looked, false);
             if let Some(every_s) = self.options.trace_every_s
                 && looked >= next_trace
             {
-                // From when it was due, so that late turns do not add up; one that was missed is not
-                // made up for.
+                // From when it was due, so that late turns do not add up; a missed one is skipped.
                 let every = Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
                 next_trace = (next_trace + every).max(looked);
-                self.trace();
+                self.send_trace();
             }
             self.forget();
-            self.outbox.flush();
+            self.event_queue.flush();
             if over && self.reports.is_empty() {
                 break;
             }
@@ -90,7 +90,7 @@ impl Collector {
     }
 
     fn drain(&mut self) -> bool {
-        let longest_s = self.options.longest_scan_s;
+        let longest_s = self.options.longest_scan_s + self.options.deliver_limit.as_secs_f64();
         let mut any = false;
         for stream in &mut self.streams {
             any |= stream.drain(longest_s);
@@ -98,21 +98,21 @@ impl Collector {
         any
     }
 
-    fn heed(&mut self, Report { device, kind }: Report) {
+    fn on_report(&mut self, DeviceReport { device, kind }: DeviceReport) {
         let name = self.devices[device].0.clone();
         match kind {
-            ReportKind::Warning(text) => self.outbox.warn(format!("{name}: {text}")),
-            ReportKind::State { state, detail } => {
-                self.outbox.tell(Event::Device { device: name, state, detail });
+            DeviceReportKind::Warning(text) => self.event_queue.warn(format!("{name}: {text}")),
+            DeviceReportKind::State { state, detail } => {
+                self.event_queue.push(Event::Device { device: name, state, detail });
             }
-            ReportKind::Mark(mark) => self.mark(device, &name, mark),
-            ReportKind::Ended(result) => {
+            DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
+            DeviceReportKind::Ended(result) => {
                 self.devices[device].1 = true;
                 self.abandon(|scan| scan.device == device, "its device ended");
                 if let Err(DeviceError::Failed(problem)) = result {
-                    self.outbox.totals.failed.push((name.clone(), problem.clone()));
+                    self.event_queue.totals.failed.push((name.clone(), problem.clone()));
                     let state = DeviceState::Lost;
-                    self.outbox.tell(Event::Device { device: name, state, detail: problem });
+                    self.event_queue.push(Event::Device { device: name, state, detail: problem });
                 }
             }
         }
@@ -130,7 +130,7 @@ impl Collector {
             _ => {}
         }
         let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
-            return self.outbox.warn(format!("{name}: a mark outside of any scan"));
+            return self.event_queue.warn(format!("{name}: a mark outside of any scan"));
         };
         let number = scan.number;
         let part = match &mark {
@@ -139,77 +139,79 @@ impl Collector {
         };
         let over = matches!(mark, Mark::End { .. });
         if let Err(problem) = scan.follow(mark, &self.streams) {
-            return self.outbox.warn(format!("{name}: scan {number}: {problem}"));
+            return self.event_queue.warn(format!("{name}: scan {number}: {problem}"));
         }
         if over || part.is_some() {
             scan.phase = part.or(scan.phase);
-            self.outbox.tell(Event::Phase { scan: number, phase: part });
+            self.event_queue.push(Event::Phase { scan: number, phase: part });
         }
     }
 
-    fn cue(&mut self, cue: Cue) {
-        match &mut self.live {
-            Some(live) => {
-                let marks = live.cue(cue, &self.streams);
+    fn command(&mut self, command: ScanCommand) {
+        match &mut self.detector {
+            Some(detector) => {
+                let marks = detector.command(command, &self.streams);
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
-            None => self.outbox.warn("a recording says itself when its scans begin and end".into()),
+            None => {
+                self.event_queue.warn("a recording itself says when its scans begin and end".into())
+            }
         }
     }
 
     /// Follows the marks that a detector sets, where there is one.
-    fn listen(&mut self, to: impl Fn(&mut Live, &[Stream]) -> Vec<Mark>) {
-        let Some(live) = &mut self.live else { return };
-        for mark in to(live, &self.streams) {
-            self.mark(DETECTOR, "the detector", mark);
-        }
+    fn detect(&mut self, step: impl Fn(&mut ScanDetector, &[Stream]) -> Vec<Mark>) {
+        let Some(detector) = &mut self.detector else { return };
+        let (marks, warnings) = (step(detector, &self.streams), detector.take_warnings());
+        marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the detector", mark));
+        warnings.into_iter().for_each(|text| self.event_queue.warn(text));
     }
 
-    /// Gives up the scan that goes on, if it is `of` the kind in question.
+    /// Gives up the scan in progress, if it is `of` the kind in question.
     fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;
             self.scans.pop_back();
-            self.outbox.warn(format!("scan {number} was cut off: {why}"));
-            self.outbox.tell(Event::Phase { scan: number, phase: None });
+            self.event_queue.warn(format!("scan {number} was cut off: {why}"));
+            self.event_queue.push(Event::Phase { scan: number, phase: None });
         }
     }
 
-    /// Tells how the first scan goes on and, once it is whole, the scan; then the next one.
+    /// Sends the progress of the first scan and, once it is complete, the scan; then the next one.
     ///
-    /// A scan whose data do not come is told without them once the rings were `looked` at long
-    /// enough after its end (by then, not by now: telling may have waited for a slow reader), or
+    /// A scan whose data do not come is sent without them once the rings were `looked` at long
+    /// enough after its end (by then, not by now: sending may have waited for a slow reader), or
     /// when all is `over`.
-    fn tell_scans(&mut self, looked: Instant, over: bool) {
+    fn send_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
-            self.tell_progress(&mut scan);
-            let told_late = |(_, learnt): (Instant, Instant)| {
+            self.send_progress(&mut scan);
+            let overdue = |(_, learnt): (Instant, Instant)| {
                 over || looked.saturating_duration_since(learnt) > self.options.deliver_limit
             };
-            if !(scan.complete(&self.streams) || scan.ended.is_some_and(told_late)) {
+            if !(scan.complete(&self.streams) || scan.ended.is_some_and(overdue)) {
                 return self.scans.push_front(scan);
             }
             if let Some(scan) = cut(scan, &self.streams) {
-                self.outbox.tell(Event::Scan(Box::new(scan)));
+                self.event_queue.push(Event::Scan(Box::new(scan)));
             }
         }
     }
 
-    fn tell_progress(&mut self, scan: &mut Marked) {
+    fn send_progress(&mut self, scan: &mut Marked) {
         let Some(every_s) = self.options.progress_every_s else { return };
-        let exact = self.outbox.waits;
+        let exact = self.event_queue.waits;
         while let Some((step, snapshot)) = progress::next(scan, &self.streams, every_s, exact) {
-            let told = Told::of(&snapshot);
-            if !self.outbox.tell_snapshot(Event::Progress(snapshot)) {
+            let lengths = SnapshotLengths::of(&snapshot);
+            if !self.event_queue.offer(Event::Progress(snapshot)) {
                 return;
             }
-            progress::told(scan, step, &told);
+            progress::sent(scan, step, &lengths);
         }
     }
 
-    fn trace(&mut self) {
+    fn send_trace(&mut self) {
         let (ends, trace) = progress::trace(&self.streams);
-        if !trace.fresh.is_empty() && self.outbox.tell_snapshot(Event::Trace(trace)) {
+        if !trace.fresh.is_empty() && self.event_queue.offer(Event::Trace(trace)) {
             for (stream, end) in self.streams.iter_mut().zip(ends) {
                 stream.traced = end;
             }
@@ -217,32 +219,34 @@ impl Collector {
     }
 
     fn forget(&mut self) {
+        // A scan of the longest duration is still complete when its last data arrive.
+        let kept_s = self.options.longest_scan_s + self.options.deliver_limit.as_secs_f64();
         for (index, stream) in self.streams.iter_mut().enumerate() {
             let cuts = self.scans.iter().flat_map(|scan| scan.cuts.values());
             let needed = cuts
                 .filter(|cut| cut.stream == index)
                 .map(|cut| (cut.start, cut.rate_hz))
                 .min_by_key(|(start, _)| *start);
-            stream.forget(needed, self.options.lookback_s, self.options.longest_scan_s);
+            stream.forget(needed, self.options.lookback_s, kept_s);
         }
     }
 
     fn finish(mut self) -> Totals {
         self.drain();
-        self.listen(Live::listen);
-        self.listen(Live::finish);
+        self.detect(ScanDetector::update);
+        self.detect(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
-        // Whatever a device that hangs still owes will not come.
+        // What a device that hangs has not delivered will not come.
         self.drain();
-        self.tell_scans(Instant::now(), true);
+        self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {
             if !ended {
-                self.outbox.warn(format!("{name} did not stop in time and is left to itself"));
-                self.outbox.totals.abandoned.push(name);
+                self.event_queue.warn(format!("{name} did not stop in time and was abandoned"));
+                self.event_queue.totals.abandoned.push(name);
             }
         }
         let counts = |stream: &Stream| (stream.id().clone(), stream.meter().counts());
-        self.outbox.totals.streams = self.streams.iter().map(counts).collect();
-        self.outbox.finish()
+        self.event_queue.totals.streams = self.streams.iter().map(counts).collect();
+        self.event_queue.finish()
     }
 }

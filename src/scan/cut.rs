@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Scan;
 use super::history::SeriesHistory;
 use super::mark::{Cut, Marked};
-use super::stream::{Intake, Stream};
+use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
@@ -65,9 +65,9 @@ fn duration_s(signals: &BTreeMap<SourceId, Signal>, of: impl Fn(&SourceId) -> bo
 
 fn cut_source(source: &SourceId, cut: &Cut, stream: &Stream) -> Piece {
     let end = cut.end.unwrap_or(cut.start);
-    match stream.intake() {
-        Intake::Series { history, .. } => cut_series(source, cut, end, history),
-        Intake::Images { history, .. } => match history.get(cut.start) {
+    match stream.buffer() {
+        StreamBuffer::Series { history, .. } => cut_series(source, cut, end, history),
+        StreamBuffer::Images { history, .. } => match history.get(cut.start) {
             Some(image) => {
                 let image = Arc::unwrap_or_clone(image.clone());
                 Piece { signal: Some(Signal::Image(image)), lost: 0, spoiled: None }

@@ -1,34 +1,34 @@
-//! Finds taps and drags in levels of force and vibration: pure, a state machine fed hop by hop.
+//! Detects taps and drags in levels of force and vibration: pure, a state machine fed hop by hop.
 //!
-//! Contact begins where any stream reaches [`Limits::onset`] and ends once all are below
-//! [`Limits::quiet`]; the two differ so that a level near one of them does not flutter. A short
+//! Contact begins where any stream reaches [`DetectorConfig::onset`] and ends once all are below
+//! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not flutter. A short
 //! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
 //! limits of level are multiples of each stream's own noise floor, see [`Level`].
 
 mod level;
 
-pub use level::{Feel, HOP_S, Level};
+pub use level::{HOP_S, Level, SensorKind};
 
-/// When what is a tap, and what a drag.
+/// What is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct DetectorConfig {
     /// Level at which contact begins, in multiples of the noise floor.
     pub onset: f64,
     /// Level below which it is quiet, in the same.
     pub quiet: f64,
-    /// A tap that is quiet for so long is over, in seconds.
+    /// A tap is over once it is quiet for this long, in seconds.
     pub tap_hold_s: f64,
-    /// A contact that is longer is no tap but a drag, in seconds.
+    /// A longer contact is a drag and no tap, in seconds.
     pub longest_tap_s: f64,
-    /// A drag comes at most so long after its tap, in seconds.
+    /// A drag begins at most this long after its tap, in seconds.
     pub longest_pause_s: f64,
-    /// A drag that is quiet for so long is over, and ended when it became quiet, in seconds.
+    /// A drag is over once it is quiet for this long, in seconds; it ended when it became quiet.
     pub drag_hold_s: f64,
-    /// What stirs for longer is no drag but the room, in seconds.
+    /// A longer contact is noise and no drag, in seconds.
     pub longest_drag_s: f64,
 }
 
-impl Default for Limits {
+impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
             onset: 6.0,
@@ -42,10 +42,10 @@ impl Default for Limits {
     }
 }
 
-/// What was found; hops are counted from the begin of the streams, and so are half-open spans.
+/// What was detected; hops are counted from the start of the streams, spans are half-open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Found {
-    /// A drag goes on.
+pub enum DetectorEvent {
+    /// A drag is in progress.
     Drag {
         /// the tap before it
         tap: Option<(u64, u64)>,
@@ -57,8 +57,8 @@ pub enum Found {
         /// the first hop after it
         end: u64,
     },
-    /// The drag was none: learn the floor anew.
-    Room,
+    /// The contact did not end: it was noise, and the floor is to be learnt again.
+    NoiseTimeout,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -71,41 +71,41 @@ enum State {
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct Detector {
-    limits: Limits,
+    config: DetectorConfig,
     state: State,
     hop: u64,
 }
 
 impl Detector {
-    /// Nothing found yet.
-    pub fn new(limits: Limits) -> Self {
-        Self { limits, state: State::Quiet { tap: None }, hop: 0 }
+    /// Nothing detected yet.
+    pub fn new(config: DetectorConfig) -> Self {
+        Self { config, state: State::Quiet { tap: None }, hop: 0 }
     }
 
-    /// What it goes by.
-    pub fn limits(&self) -> Limits {
-        self.limits
+    /// Its settings.
+    pub fn config(&self) -> DetectorConfig {
+        self.config
     }
 
-    /// Whether there is contact, so that noise floors are to be held.
+    /// Whether there is contact, during which noise floors are held.
     pub fn in_contact(&self) -> bool {
         !matches!(self.state, State::Quiet { .. })
     }
 
     /// Takes the next hop: the highest level among the streams.
-    pub fn hop(&mut self, level: f64) -> Option<Found> {
+    pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
-        let limits = self.limits;
+        let config = self.config;
         let lasted = |since: u64, seconds: f64| (at + 1 - since) as f64 * HOP_S >= seconds - 1e-9;
-        // A level that is no number is not quiet, and begins nothing either.
-        let is_quiet = level < limits.quiet;
+        // A level that is not a number is not quiet, and begins nothing either.
+        let is_quiet = level < config.quiet;
         match &mut self.state {
             State::Quiet { tap } => {
-                if tap.is_some_and(|(_, end)| lasted(end, limits.longest_pause_s)) {
+                if tap.is_some_and(|(_, end)| lasted(end, config.longest_pause_s)) {
                     *tap = None;
                 }
-                if level >= limits.onset {
+                if level >= config.onset {
                     self.state = State::Contact { tap: *tap, start: at, quiet_at: None };
                 }
                 None
@@ -113,14 +113,14 @@ impl Detector {
             State::Contact { tap, start, quiet_at } => {
                 *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
                 match *quiet_at {
-                    Some(end) if lasted(end, limits.tap_hold_s) => {
+                    Some(end) if lasted(end, config.tap_hold_s) => {
                         self.state = State::Quiet { tap: Some((*start, end)) };
                         None
                     }
-                    None if lasted(*start, limits.longest_tap_s) => {
-                        let found = Found::Drag { tap: *tap, start: *start };
+                    None if lasted(*start, config.longest_tap_s) => {
+                        let event = DetectorEvent::Drag { tap: *tap, start: *start };
                         self.state = State::Drag { start: *start, quiet_at: None };
-                        Some(found)
+                        Some(event)
                     }
                     _ => None,
                 }
@@ -128,13 +128,13 @@ impl Detector {
             State::Drag { start, quiet_at } => {
                 *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
                 match *quiet_at {
-                    Some(end) if lasted(end, limits.drag_hold_s) => {
+                    Some(end) if lasted(end, config.drag_hold_s) => {
                         self.state = State::Quiet { tap: None };
-                        Some(Found::End { end })
+                        Some(DetectorEvent::End { end })
                     }
-                    _ if lasted(*start, limits.longest_drag_s) => {
+                    _ if lasted(*start, config.longest_drag_s) => {
                         self.state = State::Quiet { tap: None };
-                        Some(Found::Room)
+                        Some(DetectorEvent::NoiseTimeout)
                     }
                     _ => None,
                 }
@@ -142,11 +142,13 @@ impl Detector {
         }
     }
 
-    /// The streams have ended or stalled: a drag that goes on ends here.
-    pub fn finish(&mut self) -> Option<Found> {
+    /// The streams have ended or stalled: a drag in progress ends here.
+    pub fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, State::Quiet { tap: None });
         match state {
-            State::Drag { quiet_at, .. } => Some(Found::End { end: quiet_at.unwrap_or(self.hop) }),
+            State::Drag { quiet_at, .. } => {
+                Some(DetectorEvent::End { end: quiet_at.unwrap_or(self.hop) })
+            }
             _ => None,
         }
     }

@@ -1,10 +1,9 @@
-//! The streams of one device that show contact, heard together on their one sample counter.
+//! The streams of one device that show contact, on their one sample counter.
 
 use std::collections::VecDeque;
 
-use super::detect::{Detector, Feel, Found, HOP_S, Level};
-use super::live::Detection;
-use super::stream::{Intake, Stream};
+use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, Level, SensorKind};
+use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
 /// Levels that are kept: 10 s.
@@ -13,13 +12,13 @@ const KEPT_HOPS: usize = 2_000;
 /// The streams of one device that show contact.
 pub(super) struct Group {
     /// Indexes of the streams, and their levels.
-    pub ears: Vec<(usize, Level)>,
+    pub channels: Vec<(usize, Level)>,
     pub rate_hz: f64,
     pub detector: Detector,
     /// Index of the first frame of hop 0, and of the next frame.
     base: u64,
     next: u64,
-    /// Highest level of each hop, the latest ones; the first is hop `first`.
+    /// Highest level of each hop, the latest hops; the first of them is hop `first`.
     pub levels: VecDeque<f64>,
     pub first: u64,
     /// Seconds by which its times are later than those of the leading group.
@@ -27,18 +26,23 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// The group of those of `ears` that are among the streams; none without any.
-    pub fn new(ears: &[(SourceId, Feel)], plan: &Detection, streams: &[Stream]) -> Option<Self> {
+    /// The group of those of `channels` that are among the streams; `None` if there are none.
+    pub fn new(
+        channels: &[(SourceId, SensorKind)],
+        config: DetectorConfig,
+        streams: &[Stream],
+    ) -> Option<Self> {
         let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
-        let found: Vec<(usize, Feel)> =
-            ears.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
+        let found: Vec<(usize, SensorKind)> =
+            channels.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
         let rate_hz = streams[found.first()?.0].rate_hz();
-        let level =
-            |&(at, feel): &(usize, Feel)| (at, Level::new(feel, streams[at].channels(), rate_hz));
+        let level = |&(at, feel): &(usize, SensorKind)| {
+            (at, Level::new(feel, streams[at].channels(), rate_hz))
+        };
         Some(Self {
-            ears: found.iter().map(level).collect(),
+            channels: found.iter().map(level).collect(),
             rate_hz,
-            detector: Detector::new(plan.limits),
+            detector: Detector::new(config),
             base: 0,
             next: 0,
             levels: VecDeque::new(),
@@ -47,9 +51,9 @@ impl Group {
         })
     }
 
-    /// Whether a drag ended only because nothing more was heard of it.
-    pub fn cut_off(&self, last: Found) -> bool {
-        last == Found::End { end: self.first + self.levels.len() as u64 }
+    /// Whether a drag ended only because its data stopped.
+    pub fn cut_off(&self, last: DetectorEvent) -> bool {
+        last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
     }
 
     /// Index of the first frame of a hop.
@@ -63,29 +67,33 @@ impl Group {
     }
 
     /// Takes what all the streams that are `alive` have.
-    pub fn listen(&mut self, streams: &[Stream], alive: impl Fn(usize) -> bool) -> Vec<Found> {
-        let kept = |at: usize| match streams[at].intake() {
-            Intake::Series { history, .. } => history.start(),
-            Intake::Images { .. } => 0,
+    pub fn update(
+        &mut self,
+        streams: &[Stream],
+        alive: impl Fn(usize) -> bool,
+    ) -> Vec<DetectorEvent> {
+        let kept = |at: usize| match streams[at].buffer() {
+            StreamBuffer::Series { history, .. } => history.start(),
+            StreamBuffer::Images { .. } => 0,
         };
-        let ears = || self.ears.iter().map(|(at, _)| *at).filter(|at| alive(*at));
-        let from = ears().map(kept).max().unwrap_or(0);
-        let Some(end) = ears().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
+        let channels = || self.channels.iter().map(|(at, _)| *at).filter(|at| alive(*at));
+        let from = channels().map(kept).max().unwrap_or(0);
+        let Some(end) = channels().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
         else {
             return Vec::new();
         };
         if from > self.next {
-            // A gap longer than any scan: what goes on ends, and the next turn begins behind it.
+            // A gap longer than any scan: a drag ends here, and the next turn begins behind the gap.
             let found = self.detector.finish();
             if found.is_none() {
-                self.start_anew(from);
+                self.restart(from);
             }
             return found.into_iter().collect();
         }
         let held = self.detector.in_contact();
         let mut fresh: Vec<f64> = Vec::new();
-        for (at, level) in &mut self.ears {
-            let Intake::Series { history, .. } = streams[*at].intake() else { continue };
+        for (at, level) in &mut self.channels {
+            let StreamBuffer::Series { history, .. } = streams[*at].buffer() else { continue };
             if !alive(*at) {
                 continue;
             }
@@ -100,31 +108,31 @@ impl Group {
             });
         }
         self.next = end;
-        // A stream that was away for a while may finish its hops a little off the others: how
-        // many there are is for the counter to say.
+        // A stream that was silent for a while may finish its hops a little off the others, so the
+        // number of hops is that of the counter.
         let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
         let so_far = self.first + self.levels.len() as u64;
         fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
-        let mut found = Vec::new();
+        let mut events = Vec::new();
         for level in fresh {
             self.levels.push_back(level);
             if self.levels.len() > KEPT_HOPS {
                 self.levels.pop_front();
                 self.first += 1;
             }
-            found.extend(self.detector.hop(level));
+            events.extend(self.detector.hop(level));
         }
-        if found.contains(&Found::Room) {
-            self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+        if events.contains(&DetectorEvent::NoiseTimeout) {
+            self.channels.iter_mut().for_each(|(_, level)| level.relearn());
         }
-        found
+        events
     }
 
     /// Begins to count at frame `base`.
-    fn start_anew(&mut self, base: u64) {
+    fn restart(&mut self, base: u64) {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();
-        self.detector = Detector::new(self.detector.limits());
-        self.ears.iter_mut().for_each(|(_, level)| level.relearn());
+        self.detector = Detector::new(self.detector.config());
+        self.channels.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

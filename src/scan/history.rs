@@ -81,6 +81,10 @@ impl SeriesHistory {
                 }
             }
         }
+        // Many gaps may come in one turn, before anything is forgotten.
+        if self.samples.len() as u64 / self.channels as u64 > most.saturating_mul(2) {
+            self.forget_before(self.end() - most);
+        }
     }
 
     /// Forgets frames before `keep`; in large steps, so that it costs little.
@@ -90,6 +94,10 @@ impl SeriesHistory {
             return;
         }
         self.samples.drain(..old * self.channels);
+        // After a burst, its room is given back.
+        if self.samples.capacity() > 8 * self.samples.len() {
+            self.samples.shrink_to(2 * self.samples.len());
+        }
         self.base += old as u64;
         while self.missing.front().is_some_and(|gap| gap.end <= self.base) {
             self.missing.pop_front();
@@ -150,6 +158,19 @@ mod tests {
         assert_eq!(history.frames(0..9), (0, &[1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0][..]));
         assert_eq!(history.missing_in(2..9).collect::<Vec<_>>(), vec![2..3]);
         assert_eq!(history.missing_in(0..9).collect::<Vec<_>>(), vec![1..3]);
+    }
+
+    #[test]
+    fn gaps_that_come_all_at_once_fill_no_more_than_twice_the_longest_scan() {
+        let mut history = SeriesHistory::new(7);
+        for _ in 0..1000 {
+            history.extend(Piece::Samples(&[1.0; 7]), 1000);
+            history.extend(Piece::Missing(999), 1000);
+        }
+        assert_eq!(history.end(), 1_000_000);
+        assert!(history.end() - history.start() <= 2000, "{}", history.start());
+        assert!(history.samples.capacity() <= 7 * 8000);
+        assert!(history.missing.len() <= 3);
     }
 
     #[test]

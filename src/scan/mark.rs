@@ -15,11 +15,11 @@ pub(super) struct Marked {
     /// The device that began it.
     pub device: usize,
     pub cuts: BTreeMap<SourceId, Cut>,
-    /// When its last sample was taken, and when its end was learnt.
+    /// When its last sample was taken, and when its end became known.
     pub ended: Option<(Instant, Instant)>,
-    /// How many steps of progress were told.
+    /// How many steps of progress were sent.
     pub steps: u64,
-    /// For people: what spoils it beside what its data show.
+    /// For people: what spoils it, besides what its data show.
     pub spoiled: Vec<String>,
     /// The part that it has come to.
     pub phase: Option<Phase>,
@@ -35,8 +35,8 @@ pub(super) struct Cut {
     pub phase: Phase,
     pub rate_hz: f64,
     pub channels: usize,
-    /// Frames that were told as progress.
-    pub told: u64,
+    /// Frames that were sent as progress.
+    pub sent: u64,
 }
 
 impl Cut {
@@ -112,7 +112,7 @@ impl Marked {
         if channels == 0 || channels > widest {
             return Err(format!("{source} would have {channels} of {widest} channels"));
         }
-        let cut = Cut { stream: index, start, end: None, phase, rate_hz, channels, told: 0 };
+        let cut = Cut { stream: index, start, end: None, phase, rate_hz, channels, sent: 0 };
         self.cuts.insert(source, cut);
         Ok(())
     }

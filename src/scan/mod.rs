@@ -7,18 +7,20 @@ pub mod clock;
 mod collect;
 mod cut;
 pub mod detect;
+mod event_queue;
 mod group;
 mod history;
-mod live;
+mod layout;
 mod mark;
-mod outbox;
 mod progress;
+mod scan_detector;
 mod session;
 mod stream;
+mod timeline;
 
 pub use history::{ImageHistory, SeriesHistory};
-pub use live::{Cue, CutFrom, Detection};
-pub use progress::{Fresh, Progress, SoFar, Trace};
+pub use layout::{CutFrom, Detection, ScanCommand};
+pub use progress::{Fresh, PartialScan, Progress, Trace};
 pub use session::{Options, Session, SessionError, StreamMeter};
 
 use std::collections::BTreeMap;
@@ -53,7 +55,7 @@ pub struct Scan {
     pub ended_at: Instant,
 }
 
-/// What a session tells.
+/// What happens in a session.
 #[derive(Debug)]
 pub enum Event {
     /// A scan is complete.
@@ -65,9 +67,9 @@ pub enum Event {
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// A scan goes on: what is new in it.
+    /// What is new in the scan in progress.
     Progress(Progress),
-    /// What is new in the streams, scan or not.
+    /// What is new in the streams, during scans and between them.
     Trace(Trace),
     /// A device has changed its state.
     Device {
@@ -78,24 +80,24 @@ pub enum Event {
         /// for people: why, and what to do
         detail: String,
     },
-    /// For people: something was lost, damaged or not understood, and work went on.
+    /// For people: something was lost, damaged or not understood, and work continues.
     Warning(String),
-    /// All devices have ended and all they sent was dealt with; the last event.
+    /// All devices have ended and all that they sent was processed; the last event.
     Finished(Totals),
 }
 
 /// The account of a session.
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
-    /// Scans that were told.
+    /// Scans that were sent.
     pub scans: u32,
     /// What each stream carried.
     pub streams: BTreeMap<SourceId, Counts>,
     /// Devices that failed or panicked, and why.
     pub failed: Vec<(String, String)>,
-    /// Devices that did not stop in time and were left to themselves.
+    /// Devices that did not stop in time and were abandoned.
     pub abandoned: Vec<String>,
-    /// Warnings that were told.
+    /// Warnings that were sent.
     pub warnings: u32,
     /// Snapshots (progress, traces) that found their reader busy; the next one held their data.
     pub late_snapshots: u64,

@@ -1,14 +1,14 @@
-//! What a scan holds so far, told in steps of scan time: each snapshot carries only what is new.
+//! What a scan holds so far, in steps of scan time: each snapshot carries only what is new.
 //!
-//! A snapshot that its reader had no time for is not repeated: the next one carries its data too,
-//! so a reader that adds them up ([`SoFar`]) always holds the scan without a hole.
+//! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
+//! so a reader that adds them up ([`PartialScan`]) always has the scan without a gap.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::cut::narrow;
 use super::mark::{Cut, Marked};
-use super::stream::{Intake, Stream};
+use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
@@ -21,13 +21,13 @@ pub struct Fresh {
     pub rate_hz: f64,
     /// Samples a frame.
     pub channels: usize,
-    /// Index of the first frame, counted from the begin of the source, or of the stream.
+    /// Index of the first frame, counted from the start of the source, or of the stream.
     pub start: u64,
     /// Interleaved samples.
     pub samples: Vec<f32>,
 }
 
-/// What is new in the scan that goes on.
+/// What is new in the scan in progress.
 #[derive(Clone, Debug)]
 pub struct Progress {
     /// Number of the scan.
@@ -42,7 +42,21 @@ pub struct Progress {
     pub images: Vec<(SourceId, Arc<Image>)>,
 }
 
-/// What is new in the streams, whether or not a scan goes on.
+impl Progress {
+    /// Adds what came after it in the same scan.
+    pub fn append(&mut self, later: Self) {
+        self.scan_s = later.scan_s;
+        for fresh in later.fresh {
+            match self.fresh.iter_mut().find(|own| own.source == fresh.source) {
+                Some(own) => own.samples.extend(fresh.samples),
+                None => self.fresh.push(fresh),
+            }
+        }
+        self.images.extend(later.images);
+    }
+}
+
+/// What is new in the streams, during scans and between them.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// New frames, a stream each.
@@ -51,14 +65,14 @@ pub struct Trace {
 
 /// Adds up the snapshots of a scan.
 #[derive(Clone, Debug, Default)]
-pub struct SoFar {
+pub struct PartialScan {
     number: u32,
     series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
     images: BTreeMap<SourceId, Arc<Image>>,
 }
 
-impl SoFar {
-    /// Adds a snapshot; one of another scan starts anew.
+impl PartialScan {
+    /// Adds a snapshot; one of another scan starts again.
     pub fn add(&mut self, progress: &Progress) {
         if self.number != progress.number {
             *self = Self { number: progress.number, ..Self::default() };
@@ -131,25 +145,25 @@ pub(super) fn next(
     let (number, truth) = (marked.number, marked.begin.truth.clone());
     let mut progress = Progress { number, truth, scan_s, fresh: vec![], images: vec![] };
     for (source, cut) in &marked.cuts {
-        match streams[cut.stream].intake() {
-            Intake::Series { history, .. } => {
+        match streams[cut.stream].buffer() {
+            StreamBuffer::Series { history, .. } => {
                 let until = match cut.phase {
                     Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
                     _ => cut.available(streams),
                 };
-                let (_, samples) = history.frames(cut.start + cut.told..until);
+                let (_, samples) = history.frames(cut.start + cut.sent..until);
                 if !samples.is_empty() {
                     progress.fresh.push(Fresh {
                         source: source.clone(),
                         rate_hz: cut.rate_hz,
                         channels: cut.channels,
-                        start: cut.told,
+                        start: cut.sent,
                         samples: narrow(samples, history.channels(), cut.channels),
                     });
                 }
             }
-            Intake::Images { history, .. } => {
-                if let Some(image) = history.get(cut.start).filter(|_| cut.told == 0) {
+            StreamBuffer::Images { history, .. } => {
+                if let Some(image) = history.get(cut.start).filter(|_| cut.sent == 0) {
                     progress.images.push((source.clone(), image.clone()));
                 }
             }
@@ -158,20 +172,20 @@ pub(super) fn next(
     Some((step, progress))
 }
 
-/// Notes that a snapshot was told.
-pub(super) fn told(marked: &mut Marked, step: u64, progress: &Told) {
+/// Notes that a snapshot was sent.
+pub(super) fn sent(marked: &mut Marked, step: u64, lengths: &SnapshotLengths) {
     marked.steps = step;
-    for (source, frames) in &progress.0 {
+    for (source, frames) in &lengths.0 {
         if let Some(cut) = marked.cuts.get_mut(source) {
-            cut.told += frames;
+            cut.sent += frames;
         }
     }
 }
 
 /// How much a snapshot holds of each source.
-pub(super) struct Told(Vec<(SourceId, u64)>);
+pub(super) struct SnapshotLengths(Vec<(SourceId, u64)>);
 
-impl Told {
+impl SnapshotLengths {
     pub fn of(progress: &Progress) -> Self {
         let series = progress
             .fresh
@@ -186,7 +200,7 @@ impl Told {
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
     let mut fresh = Vec::new();
     for stream in streams {
-        if let Intake::Series { history, rate_hz, .. } = stream.intake() {
+        if let StreamBuffer::Series { history, rate_hz, .. } = stream.buffer() {
             let (start, samples) = history.frames(stream.traced..u64::MAX);
             if !samples.is_empty() {
                 fresh.push(Fresh {
@@ -200,4 +214,28 @@ pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
         }
     }
     (streams.iter().map(Stream::end).collect(), Trace { fresh })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
+        let fresh = parts.iter().map(|(source, start, samples)| Fresh {
+            source: SourceId::new(source).unwrap(),
+            rate_hz: 10.0,
+            channels: 1,
+            start: *start,
+            samples: samples.to_vec(),
+        });
+        Progress { number: 1, truth: None, scan_s, fresh: fresh.collect(), images: Vec::new() }
+    }
+
+    #[test]
+    fn appended_snapshots_hold_what_each_of_them_held() {
+        let mut all = progress(0.2, &[("ac", 0, &[1.0, 2.0])]);
+        all.append(progress(0.4, &[("ac", 2, &[3.0]), ("ir", 0, &[9.0])]));
+        let expected = progress(0.4, &[("ac", 0, &[1.0, 2.0, 3.0]), ("ir", 0, &[9.0])]);
+        assert_eq!((all.scan_s, all.fresh), (expected.scan_s, expected.fresh));
+    }
 }

@@ -10,12 +10,15 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
-use super::live::{Cue, Detection, Live};
-use super::outbox::Outbox;
+use super::event_queue::EventQueue;
+use super::layout::{Detection, ScanCommand};
+use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Totals};
-use crate::device::{Control, Device, DeviceError, Report, ReportKind, StreamKind, StreamSpec};
-use crate::ring::{self, Bell, Counts, Meter, Sink, Stop};
+use crate::device::{
+    Control, Device, DeviceError, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
+};
+use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
 
 /// Reports under way before a device waits.
@@ -35,7 +38,8 @@ pub struct Options {
     pub trace_every_s: Option<f64>,
     /// How much of each stream is kept for marks that look back, in seconds.
     pub lookback_s: f64,
-    /// How much of a scan is kept at most, in seconds; a longer one is spoiled.
+    /// How long a scan may last, in seconds. One that was detected or begun by command ends then; of
+    /// a recorded one that is longer, the rest is lost.
     pub longest_scan_s: f64,
     /// How long after its end a scan waits for data that do not come.
     pub deliver_limit: Duration,
@@ -43,7 +47,7 @@ pub struct Options {
     pub stop_limit: Duration,
     /// How many events wait for their reader.
     pub events: usize,
-    /// How scans are found in streams that carry no marks. Off by default.
+    /// How scans are detected in streams that carry no marks. Off by default.
     pub detection: Option<Detection>,
 }
 
@@ -108,13 +112,13 @@ impl StreamMeter {
     }
 }
 
-/// Devices at work. Dropping it asks them to stop, without waiting for it.
+/// Devices at work. Dropping it requests their stop, without waiting for it.
 #[derive(Debug)]
 pub struct Session {
     events: Receiver<Event>,
-    cues: Sender<Cue>,
+    commands: Sender<ScanCommand>,
     stop: Stop,
-    bell: Bell,
+    waker: Waker,
     meters: Vec<StreamMeter>,
     devices: Vec<(String, JoinHandle<()>)>,
     collector: Option<JoinHandle<Totals>>,
@@ -129,12 +133,12 @@ impl Session {
     pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
         check(&options)?;
         let stop = Stop::default();
-        let (bell, woken) = Bell::new();
+        let (waker, woken) = Waker::new();
         let (report, reports) = crossbeam_channel::bounded(REPORTS);
-        let (tell, events) = crossbeam_channel::bounded(options.events.max(1));
-        let (cues, cued) = crossbeam_channel::unbounded();
+        let (send, events) = crossbeam_channel::bounded(options.events.max(1));
+        let (commands, cued) = crossbeam_channel::unbounded();
         let waits = devices.iter().all(|device| device.waits());
-        let outbox = Outbox::new(tell, stop.clone(), waits);
+        let event_queue = EventQueue::new(send, stop.clone(), waits);
         let (mut streams, mut meters, mut names) = (Vec::new(), Vec::new(), BTreeSet::new());
         let mut ready = Vec::new();
         for (number, device) in devices.into_iter().enumerate() {
@@ -143,7 +147,7 @@ impl Session {
                 if !names.insert(spec.id.clone()) {
                     return Err(SessionError::SameStream(spec.id));
                 }
-                let (sink, stream) = join(&spec, number, &options, bell.clone());
+                let (sink, stream) = join(&spec, number, &options, waker.clone());
                 let (device, meter) = (device.name().to_string(), stream.meter().clone());
                 meters.push(StreamMeter { id: spec.id, device, meter });
                 sinks.push(sink);
@@ -152,27 +156,37 @@ impl Session {
             ready.push((device, sinks));
         }
         let names = ready.iter().map(|(device, _)| (device.name().to_string(), false)).collect();
-        let live = options.detection.clone().map(|plan| Live::new(plan, &streams));
+        let detector = options
+            .detection
+            .clone()
+            .map(|detection| ScanDetector::new(detection, &streams, options.longest_scan_s));
         let collector = Collector {
             options,
             streams,
             reports,
             woken,
             stop: stop.clone(),
-            outbox,
+            event_queue,
             devices: names,
             scans: VecDeque::new(),
             begun: 0,
-            live,
-            cues: cued,
+            detector,
+            commands: cued,
         };
         let collector = spawn("collector", move || {
-            // However it ends, no device may wait for it any more.
+            // However it ends, no device may wait for it any longer.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;
-        let mut session =
-            Self { events, cues, stop, bell, meters, devices: vec![], collector: Some(collector) };
+        let mut session = Self {
+            events,
+            commands,
+            stop,
+            waker,
+            meters,
+            devices: vec![],
+            collector: Some(collector),
+        };
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
             let control = Control::new(index, session.stop.clone(), report.clone());
@@ -195,20 +209,20 @@ impl Session {
     }
 
     /// Begins or ends a scan by command.
-    pub fn cue(&self, cue: Cue) {
+    pub fn command(&self, command: ScanCommand) {
         // Fails only when the session has ended, and with it every scan.
-        let _ = self.cues.send(cue);
-        self.bell.ring();
+        let _ = self.commands.send(command);
+        self.waker.wake();
     }
 
-    /// Asks all devices to end, without waiting for it; events go on until the last.
+    /// Requests the end of all devices, without waiting for it; events continue until the last.
     pub fn request_stop(&self) {
         self.stop.request();
-        self.bell.ring();
+        self.waker.wake();
     }
 
     /// Ends all devices and the collector, and gives the account. Events that were not read are
-    /// lost. A device that does not end within the limit is left to itself, and named.
+    /// lost. A device that does not end within the limit is abandoned, and named.
     ///
     /// # Errors
     /// If the collector panicked.
@@ -227,13 +241,13 @@ impl Session {
 
     fn join(&mut self) -> Result<Totals, SessionError> {
         let Some(collector) = self.collector.take() else { return Ok(Totals::default()) };
-        // Ends when the collector does; until then nothing waits for a reader in vain.
+        // Ends when the collector does; until then its events have a reader.
         while self.events.recv().is_ok() {}
         let totals =
             collector.join().map_err(|panic| SessionError::Collector(what(panic.as_ref())))?;
         for (name, thread) in self.devices.drain(..) {
             if !totals.abandoned.contains(&name) {
-                // Its last report was its last act; a panic was caught and told before that.
+                // A panic was caught and reported before the thread ended.
                 let _ = thread.join();
             }
         }
@@ -272,16 +286,16 @@ fn check(options: &Options) -> Result<(), SessionError> {
     Ok(())
 }
 
-fn join(spec: &StreamSpec, device: usize, options: &Options, bell: Bell) -> (Sink, Stream) {
+fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (Sink, Stream) {
     let id = spec.id.clone();
     match spec.kind {
         StreamKind::Series { channels, rate_hz } => {
             let capacity = (options.ring_s * rate_hz).ceil() as usize;
-            let (sink, tap) = ring::series(channels, capacity, bell);
+            let (sink, tap) = ring::series(channels, capacity, waker);
             (Sink::Series(sink), Stream::series(id, device, tap, rate_hz))
         }
         StreamKind::Images => {
-            let (sink, tap) = ring::images(options.ring_images, bell);
+            let (sink, tap) = ring::images(options.ring_images, waker);
             (Sink::Images(sink), Stream::images(id, device, tap))
         }
     }
@@ -302,16 +316,16 @@ fn run(
     mut sinks: Vec<Sink>,
     control: &Control,
     index: usize,
-    reports: &Sender<Report>,
+    reports: &Sender<DeviceReport>,
 ) {
     let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, control)));
     let result = ran.unwrap_or_else(|panic| {
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
         Err(DeviceError::Failed(problem))
     });
-    // The streams are closed before the end is told, so that the end comes after all data.
+    // The streams are closed before the end is reported, so that it comes after all data.
     drop(sinks);
-    let _ = reports.send(Report { device: index, kind: ReportKind::Ended(result) });
+    let _ = reports.send(DeviceReport { device: index, kind: DeviceReportKind::Ended(result) });
 }
 
 fn what(panic: &(dyn Any + Send)) -> String {

@@ -16,12 +16,12 @@ pub(super) struct Stream {
     id: SourceId,
     /// Number of its device: streams of one device and one rate share one sample counter.
     pub device: usize,
-    intake: Intake,
-    /// Index after what was told as traces.
+    buffer: StreamBuffer,
+    /// Index after what was sent as traces.
     pub traced: u64,
 }
 
-pub(super) enum Intake {
+pub(super) enum StreamBuffer {
     Series { tap: SeriesTap, history: SeriesHistory, rate_hz: f64 },
     Images { tap: ImageTap, history: ImageHistory },
 }
@@ -29,50 +29,50 @@ pub(super) enum Intake {
 impl Stream {
     pub fn series(id: SourceId, device: usize, tap: SeriesTap, rate_hz: f64) -> Self {
         let history = SeriesHistory::new(tap.channels());
-        Self { id, device, intake: Intake::Series { tap, history, rate_hz }, traced: 0 }
+        Self { id, device, buffer: StreamBuffer::Series { tap, history, rate_hz }, traced: 0 }
     }
 
     pub fn images(id: SourceId, device: usize, tap: ImageTap) -> Self {
         let history = ImageHistory::default();
-        Self { id, device, intake: Intake::Images { tap, history }, traced: 0 }
+        Self { id, device, buffer: StreamBuffer::Images { tap, history }, traced: 0 }
     }
 
     pub fn id(&self) -> &SourceId {
         &self.id
     }
 
-    pub fn intake(&self) -> &Intake {
-        &self.intake
+    pub fn buffer(&self) -> &StreamBuffer {
+        &self.buffer
     }
 
     /// Nominal rate in Hz; of pictures, 0.
     pub fn rate_hz(&self) -> f64 {
-        match &self.intake {
-            Intake::Series { rate_hz, .. } => *rate_hz,
-            Intake::Images { .. } => 0.0,
+        match &self.buffer {
+            StreamBuffer::Series { rate_hz, .. } => *rate_hz,
+            StreamBuffer::Images { .. } => 0.0,
         }
     }
 
     pub fn meter(&self) -> &Arc<Meter> {
-        match &self.intake {
-            Intake::Series { tap, .. } => tap.meter(),
-            Intake::Images { tap, .. } => tap.meter(),
+        match &self.buffer {
+            StreamBuffer::Series { tap, .. } => tap.meter(),
+            StreamBuffer::Images { tap, .. } => tap.meter(),
         }
     }
 
     /// Channels of a frame; of a picture, 3.
     pub fn channels(&self) -> usize {
-        match &self.intake {
-            Intake::Series { tap, .. } => tap.channels(),
-            Intake::Images { .. } => 3,
+        match &self.buffer {
+            StreamBuffer::Series { tap, .. } => tap.channels(),
+            StreamBuffer::Images { .. } => 3,
         }
     }
 
     /// Index after what has come out of the ring.
     pub fn end(&self) -> u64 {
-        match &self.intake {
-            Intake::Series { history, .. } => history.end(),
-            Intake::Images { history, .. } => history.end(),
+        match &self.buffer {
+            StreamBuffer::Series { history, .. } => history.end(),
+            StreamBuffer::Images { history, .. } => history.end(),
         }
     }
 
@@ -83,21 +83,21 @@ impl Stream {
 
     /// Whether nothing more will come.
     pub fn exhausted(&self) -> bool {
-        match &self.intake {
-            Intake::Series { tap, .. } => tap.exhausted(),
-            Intake::Images { tap, .. } => tap.exhausted(),
+        match &self.buffer {
+            StreamBuffer::Series { tap, .. } => tap.exhausted(),
+            StreamBuffer::Images { tap, .. } => tap.exhausted(),
         }
     }
 
     /// Takes all that is in the ring; whether there was anything. A gap that is longer than
     /// `longest_s` seconds is not filled.
     pub fn drain(&mut self, longest_s: f64) -> bool {
-        match &mut self.intake {
-            Intake::Series { tap, history, rate_hz } => {
+        match &mut self.buffer {
+            StreamBuffer::Series { tap, history, rate_hz } => {
                 let most = (longest_s * *rate_hz) as u64;
                 tap.drain(|piece| history.extend(piece, most))
             }
-            Intake::Images { tap, history } => {
+            StreamBuffer::Images { tap, history } => {
                 let any = tap.drain(|index, image| history.push(index, image));
                 history.reach(tap.position());
                 any
@@ -108,8 +108,8 @@ impl Stream {
     /// Forgets what no scan needs: `needed` is the first index that one does, `rate_hz` that
     /// scan's rate.
     pub fn forget(&mut self, needed: Option<(u64, f64)>, lookback_s: f64, longest_s: f64) {
-        match &mut self.intake {
-            Intake::Series { history, rate_hz, .. } => {
+        match &mut self.buffer {
+            StreamBuffer::Series { history, rate_hz, .. } => {
                 let back = |seconds: f64, rate_hz: f64| {
                     history.end().saturating_sub((seconds * rate_hz) as u64)
                 };
@@ -119,7 +119,7 @@ impl Stream {
                 });
                 history.forget_before(keep);
             }
-            Intake::Images { history, .. } => {
+            StreamBuffer::Images { history, .. } => {
                 let recent = history.end().saturating_sub(RECENT_IMAGES);
                 let keep = needed.map_or(recent, |(index, _)| index.min(recent));
                 history.forget_before(keep, MOST_IMAGES);

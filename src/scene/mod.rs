@@ -14,8 +14,10 @@ use std::fmt;
 use std::sync::Arc;
 
 /// Short name of a source, such as `mi2`: letters, digits, `_` and `-`.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
-#[serde(transparent)]
+#[derive(
+    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+)]
+#[serde(try_from = "String")]
 pub struct SourceId(Arc<str>);
 
 impl SourceId {
@@ -35,6 +37,14 @@ impl SourceId {
     /// The name as text.
     pub fn as_str(&self) -> &str {
         &self.0
+    }
+}
+
+impl TryFrom<String> for SourceId {
+    type Error = SceneError;
+
+    fn try_from(name: String) -> Result<Self, SceneError> {
+        Self::new(&name)
     }
 }
 

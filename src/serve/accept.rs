@@ -145,9 +145,9 @@ mod tests {
 
     #[test]
     fn no_address_takes_all_places_and_a_place_is_free_again() {
-        let mut settings = Settings::default();
-        settings.limits = Limits { connections: 5, connections_an_address: 2, ..Limits::default() };
-        settings.proxies = vec!["10.0.0.9".parse().unwrap()];
+        let limits = Limits { connections: 5, connections_an_address: 2, ..Limits::default() };
+        let proxies = vec!["10.0.0.9".parse().unwrap()];
+        let settings = Settings { limits, proxies, ..Settings::default() };
         let places = Arc::new(Places::new(&settings));
         let take = |address: &str| Places::take(&places, address.parse().unwrap());
         let mut first: Vec<Place> = (0..2).filter_map(|_| take("10.0.0.1")).collect();

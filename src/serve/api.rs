@@ -19,7 +19,7 @@ use super::settings::{LARGEST_BODY, Settings};
 use super::state::NamedScan;
 use super::subscribers::EventFilter;
 use super::{metrics, order, page};
-use crate::station::Order;
+use crate::station::Command;
 
 impl From<Undelivered> for Problem {
     fn from(undelivered: Undelivered) -> Self {
@@ -42,17 +42,17 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/events", get(events))
         .route(
             "/start",
-            post(|State(hub): Shared| async move { send(&hub, "start", Order::Start) }),
+            post(|State(hub): Shared| async move { send(&hub, "start", Command::Start) }),
         )
-        .route("/stop", post(|State(hub): Shared| async move { send(&hub, "stop", Order::Stop) }))
+        .route("/stop", post(|State(hub): Shared| async move { send(&hub, "stop", Command::Stop) }))
         .route(
             "/reload",
-            post(|State(hub): Shared| async move { send(&hub, "reload", Order::Reload) }),
+            post(|State(hub): Shared| async move { send(&hub, "reload", Command::Reload) }),
         )
         .route("/enroll", post(enroll))
         .route(
             "/enroll/end",
-            post(|State(hub): Shared| async move { send(&hub, "enroll/end", Order::EndEnroll) }),
+            post(|State(hub): Shared| async move { send(&hub, "enroll/end", Command::EndEnroll) }),
         );
     let mut router = Router::new()
         .nest("/api/v1", api)
@@ -145,7 +145,7 @@ struct Accepted {
     accepted: &'static str,
 }
 
-fn send(hub: &Hub, accepted: &'static str, order: Order) -> Result<Response, Problem> {
+fn send(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
     hub.order(order)?;
     Ok((StatusCode::ACCEPTED, Json(Accepted { accepted })).into_response())
 }

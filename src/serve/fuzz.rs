@@ -18,7 +18,7 @@ use super::hub::Hub;
 use super::settings::{LARGEST_BODY, Limits, Settings};
 use super::token::Token;
 use super::{api, label};
-use crate::station::Order;
+use crate::station::Command;
 
 /// The token of the server that has one.
 const SECRET: &str = "0123456789abcdef";
@@ -26,7 +26,7 @@ const SECRET: &str = "0123456789abcdef";
 /// A server without a network, and what it orders.
 struct OfflineServer {
     router: Router,
-    orders: Receiver<Order>,
+    orders: Receiver<Command>,
     runtime: Runtime,
 }
 
@@ -69,7 +69,7 @@ impl OfflineServer {
         let ordered = orders.try_recv().ok();
         assert_eq!(ordered.is_some(), status == StatusCode::ACCEPTED, "{method} {path}: {status}");
         assert!(ordered.is_none() || method == Method::POST, "{method} {path} ordered something");
-        if let Some(Order::Enroll { surface, user, trials }) = ordered {
+        if let Some(Command::Enroll { surface, user, trials }) = ordered {
             for name in [surface, user] {
                 assert_eq!(label::check("label", &name).as_ref(), Ok(&name));
                 assert!(!name.starts_with('.') && !name.contains(['/', '\\', '\0', '<', '\n']));

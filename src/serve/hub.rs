@@ -21,7 +21,7 @@ use super::trace::Tracer;
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Notice, Order};
+use crate::station::{Command, StationEvent};
 
 /// How often figures of the streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
@@ -34,7 +34,7 @@ const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct Hub {
     inner: Mutex<Inner>,
-    orders: Sender<Order>,
+    orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
 }
@@ -134,44 +134,44 @@ impl Inner {
         }
     }
 
-    fn take(&mut self, notice: &Notice) {
+    fn take(&mut self, notice: &StationEvent) {
         self.state.take(notice);
         match notice {
-            Notice::Streams(meters) => {
+            StationEvent::Streams(meters) => {
                 self.meters.clone_from(meters);
                 self.publish_streams();
             }
-            Notice::Device { device, .. } => {
+            StationEvent::Device { device, .. } => {
                 let view = self.state.devices.iter().find(|view| view.device == *device).cloned();
                 self.publish(EventKind::Device, &view);
             }
-            Notice::Trace(trace) => {
+            StationEvent::Trace(trace) => {
                 let event = self.tracer.add(trace);
                 if !event.streams.is_empty() {
                     self.publish(EventKind::Trace, &event);
                 }
             }
-            Notice::Phase { scan, phase } => {
+            StationEvent::Phase { scan, phase } => {
                 self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            Notice::Guess(guess) => self.publish(EventKind::Guess, guess),
-            Notice::Answer(answer) => {
+            StationEvent::Guess(guess) => self.publish(EventKind::Guess, guess),
+            StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
                 let answer = self.state.answer.clone();
                 self.publish(EventKind::Answer, &answer);
             }
-            Notice::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
-            Notice::Alive => {}
-            Notice::Reading => self.publish(EventKind::Reading, &true),
-            Notice::Library(_) => {
+            StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
+            StationEvent::Alive => {}
+            StationEvent::Reading => self.publish(EventKind::Reading, &true),
+            StationEvent::Library(_) => {
                 let library = self.state.library.clone();
                 self.publish(EventKind::Library, &library);
             }
-            Notice::Warning(_) => {
+            StationEvent::Warning(_) => {
                 let warning = self.state.warnings.front().cloned();
                 self.publish(EventKind::Warning, &warning);
             }
-            Notice::Finished(_) => {
+            StationEvent::Finished(_) => {
                 let counts = self.state.counts;
                 self.publish(EventKind::Finished, &counts);
             }
@@ -192,7 +192,7 @@ pub enum Undelivered {
 
 impl Hub {
     /// Nothing is known yet; `missed` counts the notices that found no room.
-    pub fn new(settings: &Settings, orders: Sender<Order>, missed: Arc<AtomicU64>) -> Self {
+    pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = Inner {
             state: State::new(),
             metrics: Metrics::default(),
@@ -216,15 +216,15 @@ impl Hub {
     }
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.
-    fn take(&self, notice: &Notice) {
+    fn take(&self, notice: &StationEvent) {
         let inner = &mut *self.lock();
         inner.change(|inner| inner.take(notice));
-        if let Notice::Enrolled(enrolled) = notice
+        if let StationEvent::Enrolled(enrolled) = notice
             && enrolled.wanted == 0
             && inner.state.library.is_some()
         {
             // A station that is too busy for it leaves it to the operator.
-            let _ = self.orders.try_send(Order::Reload);
+            let _ = self.orders.try_send(Command::Reload);
         }
     }
 
@@ -242,13 +242,13 @@ impl Hub {
     ///
     /// # Errors
     /// If it has ended, is busy with the orders before, or cannot do that.
-    pub fn order(&self, order: Order) -> Result<(), Undelivered> {
+    pub fn order(&self, order: Command) -> Result<(), Undelivered> {
         let enrolling = match &order {
-            Order::Enroll { surface, user, trials } => {
+            Command::Enroll { surface, user, trials } => {
                 let (surface, user) = (surface.clone(), Some(user.clone()));
                 Some(Some(Enrolling { surface, user, wanted: *trials }))
             }
-            Order::EndEnroll => Some(None),
+            Command::EndEnroll => Some(None),
             _ => None,
         };
         let inner = &mut *self.lock();
@@ -272,7 +272,7 @@ impl Hub {
 /// Takes in notices and publishes what is due, until the station and the server have ended.
 pub async fn run(
     hub: Arc<Hub>,
-    mut notices: mpsc::Receiver<Notice>,
+    mut notices: mpsc::Receiver<StationEvent>,
     mut stop: watch::Receiver<bool>,
 ) {
     let mut streams = every(STREAMS_EVERY);

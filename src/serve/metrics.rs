@@ -184,12 +184,12 @@ impl Page {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::station::Notice;
+    use crate::station::StationEvent;
 
     #[test]
     fn buckets_add_up_and_labels_are_escaped() {
         let mut state = State::new();
-        state.take(&Notice::Device {
+        state.take(&StationEvent::Device {
             device: "a \"b\"\\\n".into(),
             state: DeviceState::Streaming,
             detail: String::new(),

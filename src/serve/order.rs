@@ -4,7 +4,7 @@ use axum::body::Bytes;
 use serde::Deserialize;
 
 use super::label;
-use crate::station::Order;
+use crate::station::Command;
 use crate::trial::EXPERT;
 
 /// Most trials of one order.
@@ -28,7 +28,7 @@ fn one() -> u32 {
 ///
 /// # Errors
 /// For people: what is wrong with it.
-pub fn enroll(body: &Bytes) -> Result<Order, String> {
+pub fn enroll(body: &Bytes) -> Result<Command, String> {
     let Enroll { surface, user, trials } = serde_json::from_slice(body).map_err(|error| {
         format!("{error}; expected {{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}}")
     })?;
@@ -37,7 +37,7 @@ pub fn enroll(body: &Bytes) -> Result<Order, String> {
     if !(1..=MOST_TRIALS).contains(&trials) {
         return Err(format!("`trials` is {trials}; expected 1 to {MOST_TRIALS}"));
     }
-    Ok(Order::Enroll { surface, user, trials })
+    Ok(Command::Enroll { surface, user, trials })
 }
 
 #[cfg(test)]
@@ -45,17 +45,17 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn of(body: &str) -> Result<Order, String> {
+    fn of(body: &str) -> Result<Command, String> {
         enroll(&Bytes::copy_from_slice(body.as_bytes()))
     }
 
     #[test]
     fn an_enrolment_needs_a_surface_alone() {
         let order = of(r#"{"surface": " oak "}"#).unwrap();
-        let expected = Order::Enroll { surface: "oak".into(), user: EXPERT.into(), trials: 1 };
+        let expected = Command::Enroll { surface: "oak".into(), user: EXPERT.into(), trials: 1 };
         assert_eq!(order, expected);
         let order = of(r#"{"surface": "oak", "user": "anna", "trials": 3}"#).unwrap();
-        let expected = Order::Enroll { surface: "oak".into(), user: "anna".into(), trials: 3 };
+        let expected = Command::Enroll { surface: "oak".into(), user: "anna".into(), trials: 3 };
         assert_eq!(order, expected);
     }
 
@@ -85,7 +85,7 @@ mod tests {
         ) {
             let _ = enroll(&Bytes::from(bytes));
             let body = serde_json::json!({ "surface": label }).to_string();
-            if let Ok(Order::Enroll { surface, .. }) = of(&body) {
+            if let Ok(Command::Enroll { surface, .. }) = of(&body) {
                 prop_assert!(!surface.starts_with('.') && !surface.contains(['/', '\\', '\0', '<']));
             }
         }

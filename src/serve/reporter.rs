@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::station::{Listener, Notice};
+use crate::station::{Listener, StationEvent};
 
 /// Notices under way.
 const QUEUE: usize = 1024;
@@ -15,12 +15,12 @@ const KEPT_FREE: usize = 768;
 /// Passes the notices of the station on to the server.
 #[derive(Debug)]
 pub struct Reporter {
-    queue: Sender<Notice>,
+    queue: Sender<StationEvent>,
     missed: Arc<AtomicU64>,
 }
 
 /// A reporter, and the notices that it passes on.
-pub(super) fn pair() -> (Reporter, Receiver<Notice>) {
+pub(super) fn pair() -> (Reporter, Receiver<StationEvent>) {
     let (queue, notices) = channel(QUEUE);
     (Reporter { queue, missed: Arc::default() }, notices)
 }
@@ -33,13 +33,13 @@ impl Reporter {
 }
 
 impl Listener for Reporter {
-    fn notice(&mut self, notice: &Notice) {
-        if matches!(notice, Notice::Alive) {
+    fn on_event(&mut self, event: &StationEvent) {
+        if matches!(event, StationEvent::Alive) {
             return;
         }
         let room = self.queue.capacity();
-        let fits = !matches!(notice, Notice::Trace(_)) || room > KEPT_FREE;
-        if !fits || self.queue.try_send(notice.clone()).is_err() {
+        let fits = !matches!(event, StationEvent::Trace(_)) || room > KEPT_FREE;
+        if !fits || self.queue.try_send(event.clone()).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -53,12 +53,12 @@ mod tests {
     #[test]
     fn a_server_that_does_not_read_holds_up_nothing_and_keeps_room_for_what_matters() {
         let (mut reporter, mut notices) = pair();
-        let trace = Notice::Trace(Arc::new(Trace { fresh: vec![] }));
-        (0..10 * QUEUE).for_each(|_| reporter.notice(&trace));
-        (0..10).for_each(|n| reporter.notice(&Notice::Warning(n.to_string())));
+        let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![] }));
+        (0..10 * QUEUE).for_each(|_| reporter.on_event(&trace));
+        (0..10).for_each(|n| reporter.on_event(&StationEvent::Warning(n.to_string())));
         let mut warnings = 0;
-        while let Ok(notice) = notices.try_recv() {
-            warnings += usize::from(matches!(notice, Notice::Warning(_)));
+        while let Ok(event) = notices.try_recv() {
+            warnings += usize::from(matches!(event, StationEvent::Warning(_)));
         }
         assert_eq!(warnings, 10);
         let kept = (QUEUE - KEPT_FREE) as u64;

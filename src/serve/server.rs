@@ -13,7 +13,7 @@ use super::error::ServeError;
 use super::hub::{self, Hub};
 use super::reporter::{self, Reporter};
 use super::settings::Settings;
-use crate::station::Order;
+use crate::station::Command;
 
 /// A server at work; dropping it ends it.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ impl Server {
     /// system gives no thread.
     pub fn start(
         settings: &Settings,
-        orders: Sender<Order>,
+        orders: Sender<Command>,
     ) -> Result<(Self, Reporter), ServeError> {
         if !settings.address.ip().is_loopback() && settings.token.is_none() {
             return Err(ServeError::Open(settings.address));

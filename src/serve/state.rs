@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::device::DeviceState;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolled, Guess, LibraryState, Notice};
+use crate::station::{Answer, Enrolled, Guess, LibraryState, StationEvent};
 
 /// Scans that are kept for the history.
 const HISTORY: usize = 1000;
@@ -218,28 +218,28 @@ impl State {
 
     /// Takes in a notice of the station. Traces and figures are none of its
     /// business.
-    pub fn take(&mut self, notice: &Notice) {
+    pub fn take(&mut self, notice: &StationEvent) {
         match notice {
-            Notice::Device { device, state, detail } => self.device(device, *state, detail),
-            Notice::Phase { scan, phase } => {
+            StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
+            StationEvent::Phase { scan, phase } => {
                 if self.scan != Some(*scan) {
                     self.guess = None;
                 }
                 (self.scan, self.phase) = (phase.map(|_| *scan), *phase);
             }
-            Notice::Guess(guess) => self.guess = Some(guess.clone()),
-            Notice::Answer(answer) => self.answered(answer),
-            Notice::Enrolled(enrolled) => self.enrolled(enrolled),
-            Notice::Reading => self.reading = true,
-            Notice::Library(library) => {
+            StationEvent::Guess(guess) => self.guess = Some(guess.clone()),
+            StationEvent::Answer(answer) => self.answered(answer),
+            StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
+            StationEvent::Reading => self.reading = true,
+            StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.into()), false);
             }
-            Notice::Warning(text) => self.warned(text),
-            Notice::Finished(_) => {
+            StationEvent::Warning(text) => self.warned(text),
+            StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            Notice::Trace(_) | Notice::Streams(_) | Notice::Alive => {}
+            StationEvent::Trace(_) | StationEvent::Streams(_) | StationEvent::Alive => {}
         }
         self.advice = self.advise();
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::config::{CameraConfig, MicrophoneConfig, StationConfig, StylusConfig};
-use super::notice::{Listener, Notice};
+use super::event::{Listener, StationEvent};
 use crate::device::camera::Shutter;
 use crate::device::serial::{Light, Stylus};
 use crate::device::{Device, OpenError};
@@ -14,11 +14,11 @@ use crate::scene::Phase;
 pub struct Assembled {
     /// The devices.
     pub devices: Vec<Box<dyn Device>>,
-    /// For people: what was configured but cannot be had, and why.
+    /// For people: what is configured but unavailable, and why.
     pub left_out: Vec<String>,
     /// Which device each source comes from.
     pub device_of: BTreeMap<String, String>,
-    /// Asks for a picture with flash during each drag, if there is a flash.
+    /// Requests a picture with flash during each drag, if there is a flash.
     pub flasher: Option<Flasher>,
 }
 
@@ -28,8 +28,8 @@ pub struct Assembled {
 pub struct Flasher(Shutter);
 
 impl Listener for Flasher {
-    fn notice(&mut self, notice: &Notice) {
-        if let Notice::Phase { phase: Some(Phase::Drag), .. } = notice {
+    fn on_event(&mut self, event: &StationEvent) {
+        if let StationEvent::Phase { phase: Some(Phase::Drag), .. } = event {
             self.0.flash();
         }
     }

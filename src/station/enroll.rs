@@ -1,55 +1,61 @@
-//! What is kept: under which label, how many more, and whether a scan is good enough for it.
+//! Which scans are kept: under which label, how many more, and whether a scan is good enough.
 
-use super::notice::Enrolled;
+use super::event::{Enrolled, EnrolledOutcome};
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Series, Signal, flaws};
 
-/// What a scan is to become.
+/// What scans are to become.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Wish {
+pub(super) struct Enrolment {
+    /// Distinguishes it from others of the same label.
+    pub id: u64,
     pub surface: String,
     pub user: String,
     /// Whether a scan that is not good is refused.
     pub good_only: bool,
 }
 
-/// Scans that are to be kept.
-pub(super) struct Enrolling {
-    wish: Wish,
+/// How far an enrolment has come.
+pub(super) struct EnrolmentProgress {
+    enrolment: Enrolment,
     wanted: u32,
     /// Scans on their way to the disk.
     under_way: u32,
+    /// The first scan that counts.
+    from_scan: u32,
 }
 
-impl Enrolling {
-    pub fn new(wish: Wish, wanted: u32) -> Self {
-        Self { wish, wanted, under_way: 0 }
+impl EnrolmentProgress {
+    /// Wants `wanted` scans, from number `from_scan` on.
+    pub fn new(enrolment: Enrolment, wanted: u32, from_scan: u32) -> Self {
+        Self { enrolment, wanted, under_way: 0, from_scan }
     }
 
-    /// What the scan that has just ended is to become, if one is still wanted.
-    pub fn wish(&mut self) -> Option<Wish> {
-        (self.under_way < self.wanted).then(|| {
+    /// What the scan `number`, which has just ended, is to become, if it is still wanted.
+    pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
+        (number >= self.from_scan && self.under_way < self.wanted).then(|| {
             self.under_way += 1;
-            self.wish.clone()
+            self.enrolment.clone()
         })
     }
 
     /// Counts what became of a scan; ends with the last that was wanted.
-    pub fn count(enrolling: &mut Option<Self>, mut kept: Enrolled) -> Enrolled {
-        kept.wanted = 0;
-        if let Some(these) = enrolling
-            && these.wish.surface == kept.surface
-        {
-            these.under_way = these.under_way.saturating_sub(1);
-            these.wanted = these.wanted.saturating_sub(u32::from(kept.trial.is_some()));
-            kept.wanted = these.wanted;
+    pub fn count(
+        progress: &mut Option<Self>,
+        (enrolment, mut enrolled): (Enrolment, Enrolled),
+    ) -> Enrolled {
+        if let Some(these) = progress.as_mut().filter(|these| these.enrolment.id == enrolment.id) {
+            let ended = enrolled.outcome != EnrolledOutcome::Waiting;
+            these.under_way = these.under_way.saturating_sub(u32::from(ended));
+            these.wanted = these.wanted.saturating_sub(u32::from(enrolled.trial.is_some()));
+            enrolled.wanted = these.wanted;
             if these.wanted == 0 {
-                *enrolling = None;
+                *progress = None;
             }
         }
-        kept
+        enrolled
     }
 }
 
@@ -58,7 +64,7 @@ impl Enrolling {
 pub(super) fn faults(scan: &Scan, scene: &Scene, by_t_star: &[SourceId]) -> Vec<String> {
     let mut faults = scan.spoiled.clone();
     if scan.lost_samples > 0 && faults.is_empty() {
-        faults.push(format!("{} sample(s) were lost in it", scan.lost_samples));
+        faults.push(format!("samples lost in it: {}", scan.lost_samples));
     }
     for (id, signal) in &scan.trial.signals {
         let Signal::Series(series) = signal else { continue };
@@ -84,7 +90,7 @@ fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     let estimate = online.estimate();
     let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
         Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
-        // It never stirred, which is no matter of length.
+        // It never changes, which no longer drag would mend.
         _ if series.is_constant() => return None,
         _ => f64::INFINITY,
     };
@@ -93,7 +99,7 @@ fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     }
     let take = match needed_s.is_finite() {
         true => format!("{SAMPLES} independent samples take {needed_s:.1} s here"),
-        false => "no two samples in it are seen to be independent".into(),
+        false => "no two samples in it are known to be independent".into(),
     };
-    Some(format!("{id}: {held_s:.1} s are too short: {take}; drag longer, or move faster"))
+    Some(format!("{id}: {held_s:.1} s is too short: {take}; drag longer, or move faster"))
 }

@@ -1,23 +1,27 @@
-//! A station at work: what happens in a session is recognised, told to all who listen, and steered
-//! by orders.
+//! A station at work: what happens in a session is recognised, reported to every listener, and
+//! steered by commands.
 //!
-//! Whoever listens (the terminal, JSON lines, the page) is a [`Listener`] and gets every
-//! [`Notice`]; whoever steers (a key, a signal, the interface for programs) sends an [`Order`].
-//! Neither knows of the other, and none of them can hold up a device.
+//! A [`Listener`] (the terminal, JSON lines, the page) gets every [`StationEvent`]; a key, a signal
+//! or the interface for programs sends a [`Command`]. Neither knows of the other, and none of them
+//! can hold up a device.
 
 mod assemble;
 pub mod config;
 mod enroll;
-mod keep;
-mod need;
-mod notice;
+mod event;
 mod recogniser;
+mod requirements;
 mod run;
+mod start;
+mod store;
 mod worker;
 
 pub use assemble::{Assembled, assemble};
-pub use keep::Keep;
-pub use need::Needs;
-pub use notice::{Answer, Enrolled, Guess, LibraryState, Listener, Named, Notice, Order};
-pub use recogniser::{ByMethod, Load, Recogniser, Verdict};
-pub use run::Station;
+pub use event::{
+    Answer, Command, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, Remark, RemarkKind,
+    StationEvent, SurfaceProbability,
+};
+pub use recogniser::{Load, Recogniser, Verdict};
+pub use requirements::DurationRequirements;
+pub use start::Station;
+pub use store::ScanStore;

@@ -1,16 +1,17 @@
-//! Names scans against a library, whatever the method: its types end here.
+//! Names scans against a library, whatever the method.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::need::Needs;
-use super::notice::LibraryState;
+use super::event::{LibraryState, Remark, RemarkKind};
+use super::requirements::DurationRequirements;
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, Method, Ranking, RecogniseError, Rejection, RejectionError, Settling,
+    Follow, FollowOptions, Model, Ranking, RecogniseError, Rejection, RejectionError, Settling,
     without_flawed,
 };
 use crate::scan::Scan;
+use crate::scene::SourceId;
 use crate::trial::{Signal, TrialKey, flaws};
 
 /// What a scan was named.
@@ -22,46 +23,31 @@ pub struct Verdict {
     pub unknown: bool,
     /// Scan duration that 400 samples T* apart need on the first one, in seconds.
     pub needed_s: Option<f64>,
-    /// For people: what is not perfect about the scan, a line each.
-    pub remarks: Vec<String>,
+    /// What is not perfect about the scan.
+    pub remarks: Vec<Remark>,
 }
+
+/// Reads a library, as often as it is called.
+pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
 /// A library, ready to name scans.
-pub trait Recogniser: Send + Sync {
-    /// Names a scan.
-    ///
-    /// # Errors
-    /// If the scan has no source in common with the library, or does not fit the scene.
-    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError>;
-
-    /// Follows a scan while it goes on, by a method that can; `truth` as in [`Scan::truth`].
-    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>>;
-
-    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
-    fn needed_s(&self, surface: &str) -> Option<f64>;
-
-    /// For people: what scans are compared with.
-    fn library(&self) -> LibraryState;
-}
-
-/// Reads a library: again and again, if it is told to.
-pub type Load = Arc<dyn Fn() -> Result<Arc<dyn Recogniser>, String> + Send + Sync>;
-
-/// A method and the models that it made.
-pub struct ByMethod<M: Method> {
-    method: M,
-    models: Vec<Arc<M::Model>>,
+pub struct Recogniser {
+    models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
-    needs: Needs,
+    requirements: DurationRequirements,
     library: LibraryState,
 }
 
-impl<M: Method> ByMethod<M> {
+impl Recogniser {
     /// Names scans by one model.
-    pub fn new(method: M, model: M::Model, needs: Needs, library: LibraryState) -> Self {
-        Self::with_folds(method, vec![model], BTreeMap::new(), needs, library)
+    pub fn new(
+        model: Arc<dyn Model>,
+        requirements: DurationRequirements,
+        library: LibraryState,
+    ) -> Self {
+        Self::with_folds(vec![model], BTreeMap::new(), requirements, library)
     }
 
     /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
@@ -69,26 +55,24 @@ impl<M: Method> ByMethod<M> {
     /// # Panics
     /// If there is no model, or `model_of` names one that there is not.
     pub fn with_folds(
-        method: M,
-        models: Vec<M::Model>,
+        models: Vec<Arc<dyn Model>>,
         model_of: BTreeMap<TrialKey, usize>,
-        needs: Needs,
+        requirements: DurationRequirements,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        let models = models.into_iter().map(Arc::new).collect();
-        Self { method, models, model_of, following, needs, library }
+        Self { models, model_of, following, requirements, library }
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections. Says what that
+    /// Calls scans unknown that fit no surface, at a rate of false rejections. Gives what that
     /// rests on, for each model.
     ///
     /// # Errors
-    /// If the method has no measure of fit, or a library has too few trials; no scan is called
+    /// If the method gives no p-value, or a library has too few trials; no scan is called
     /// unknown then.
-    pub fn tell_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
-        let rejections = self.models.iter().map(|model| self.method.rejection(model, rate));
+    pub fn reject_unknown(&mut self, rate: f64) -> Result<Vec<Rejection>, RejectionError> {
+        let rejections = self.models.iter().map(|model| model.rejection(rate));
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {
             following.rejection = Some(rejection.clone());
@@ -97,16 +81,16 @@ impl<M: Method> ByMethod<M> {
     }
 
     /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
-    /// scan waits for it. Says what was found; nothing, if the method cannot follow scans.
+    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
-        let followers = with_options.filter_map(|(m, options)| self.method.follow(m, options));
+        let followers = with_options.filter_map(|(model, options)| model.clone().follow(options));
         followers.map(|follower| follower.settling().clone()).collect()
     }
 
-    /// Tells people what answers rest on, together with the library.
-    pub fn remark(&mut self, remarks: &[String]) {
+    /// Adds remarks on what answers rest on to those of the library.
+    pub fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
 
@@ -116,46 +100,57 @@ impl<M: Method> ByMethod<M> {
     }
 
     /// Flaws of the scan's channels, and samples closer than T*.
-    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<String> {
+    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, signal) in &scan.trial.signals {
             // A source with a fixed length scale is a switch, and rests most of the time.
             if let Signal::Series(series) = signal
-                && !self.needs.is_switch(id)
+                && !self.requirements.is_switch(id)
             {
                 let left_out =
                     if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-                remarks.extend(flaws(series).iter().map(|flaw| format!("{id}: {flaw}{left_out}")));
+                remarks.extend(flaws(series).iter().map(|flaw| Remark {
+                    kind: RemarkKind::Flaw,
+                    source: id.clone(),
+                    text: format!("{id}: {flaw}{left_out}"),
+                }));
             }
         }
-        remarks.extend(self.needs.warnings(ranking, scan.scan_s));
+        remarks.extend(self.requirements.remarks(ranking, scan.scan_s));
         remarks
     }
-}
 
-impl<M: Method> Recogniser for ByMethod<M> {
-    fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
+    /// Names a scan.
+    ///
+    /// # Errors
+    /// If the scan has no source in common with the library, or does not fit the scene.
+    pub fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
-        // What came out of the rings, and nothing else; less what no comparison should see.
-        let trial = Arc::new(without_flawed(scan.trial.clone(), self.needs.scene()).0);
-        let query = self.method.prepare(&Entry::in_memory(trial.clone()), &trial)?;
-        let ranking = self.method.rank(&self.models[at], &query)?;
+        let model = &self.models[at];
+        // What came out of the rings and nothing else, but for channels with flaws.
+        let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
+        let (trial, _) = without_flawed(scan.trial.clone(), self.requirements.scene(), moves);
+        let trial = Arc::new(trial);
+        let ranking = model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)?;
         let rejection = self.following[at].rejection.as_ref();
-        let unknown = ranking.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
-        let needed_s = self.needs.scan_s(ranking.surface(), &ranking.sources);
+        let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
+        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
         Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
     }
 
-    fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+    /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].
+    pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
         let at = self.model(truth);
-        self.method.follow(&self.models[at], &self.following[at])
+        self.models[at].clone().follow(&self.following[at])
     }
 
-    fn needed_s(&self, surface: &str) -> Option<f64> {
-        self.needs.scan_s(surface, &self.library.sources)
+    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
+    pub fn needed_s(&self, surface: &str) -> Option<f64> {
+        self.requirements.scan_s(surface, &self.library.sources)
     }
 
-    fn library(&self) -> LibraryState {
+    /// For people: what scans are compared with.
+    pub fn library(&self) -> LibraryState {
         self.library.clone()
     }
 }

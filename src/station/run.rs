@@ -1,169 +1,103 @@
-//! The loop of a station: events, answers and orders in; notices out.
+//! The loop of a station: session events, answers and commands in; station events out.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crossbeam_channel::{Receiver, Sender, never, select};
+use crossbeam_channel::{Receiver, never, select};
 
-use super::enroll::{Enrolling, Wish};
-use super::keep::{Keep, Keeper};
-use super::notice::{Enrolled, Guess, LibraryState, Listener, Notice, Order};
+use super::enroll::{Enrolment, EnrolmentProgress};
+use super::event::{Command, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent};
 use super::recogniser::{Load, Recogniser};
-use super::worker::{Job, Told, Work, Worker};
-use crate::device::Device;
-use crate::scan::{Cue, Event, Options, Scan, Session, SessionError, Totals};
+use super::store::{RecordingThread, Stored};
+use super::worker::{Job, Work, Worker, WorkerEvent};
+use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 
-/// Scans that wait to be named, where their devices cannot wait: a quarter of an hour of them.
+/// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
-
-/// What a station is made of.
-pub struct Station<'a> {
-    devices: Vec<Box<dyn Device>>,
-    options: Options,
-    recogniser: Option<Arc<dyn Recogniser>>,
-    load: Option<Load>,
-    keep: Option<Keep>,
-    listeners: Vec<Box<dyn Listener + 'a>>,
-    orders: (Sender<Order>, Receiver<Order>),
-}
-
-impl<'a> Station<'a> {
-    /// A station that knows no library yet.
-    pub fn new(devices: Vec<Box<dyn Device>>, options: Options) -> Self {
-        Self {
-            devices,
-            options,
-            recogniser: None,
-            load: None,
-            keep: None,
-            listeners: Vec::new(),
-            orders: crossbeam_channel::unbounded(),
-        }
-    }
-
-    /// Names scans with this, from the begin on.
-    pub fn recogniser(mut self, recogniser: Arc<dyn Recogniser>) -> Self {
-        self.recogniser = Some(recogniser);
-        self
-    }
-
-    /// Reads the library with this: at the begin, unless there is a recogniser already, and
-    /// whenever [`Order::Reload`] says so.
-    pub fn load(mut self, load: Load) -> Self {
-        self.load = Some(load);
-        self
-    }
-
-    /// Keeps the scans that are enrolled in this library.
-    pub fn keep(mut self, keep: Keep) -> Self {
-        self.keep = Some(keep);
-        self
-    }
-
-    /// Adds someone who is told all.
-    pub fn listener(mut self, listener: impl Listener + 'a) -> Self {
-        self.listeners.push(Box::new(listener));
-        self
-    }
-
-    /// Tells of scans how they go on, as often as this, in seconds of drag.
-    pub fn progress_every(mut self, seconds: f64) -> Self {
-        self.options.progress_every_s = Some(seconds);
-        self
-    }
-
-    /// Tells all who listen so far, before it runs.
-    pub fn tell(&mut self, notice: &Notice) {
-        self.listeners.iter_mut().for_each(|listener| listener.notice(notice));
-    }
-
-    /// Where orders go, before it runs and while it does.
-    pub fn orders(&self) -> Sender<Order> {
-        self.orders.0.clone()
-    }
-
-    /// Runs until all devices have ended, or [`Order::Quit`].
-    ///
-    /// # Errors
-    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
-    /// device that fails is no error here: [`Totals`] names it.
-    pub fn run(self) -> Result<Totals, SessionError> {
-        let thread = |name: &str| {
-            let name = name.to_string();
-            move |error| SessionError::Thread { name, error }
-        };
-        let waits = self.devices.iter().all(|device| device.waits());
-        let worker = Worker::start(waits).map_err(thread("recognition"))?;
-        let keeper = match self.keep {
-            Some(keep) => Some(Keeper::start(keep).map_err(thread("recording"))?),
-            None => None,
-        };
-        let session = Session::start(self.devices, self.options)?;
-        let mut run = Run {
-            session,
-            worker,
-            keeper,
-            waits,
-            naming: Naming::None("no library was given".into()),
-            load: self.load,
-            loading: None,
-            load_again: false,
-            pending: VecDeque::new(),
-            enrolling: None,
-            listeners: self.listeners,
-        };
-        run.tell(Notice::Streams(run.session.meters().to_vec()));
-        match self.recogniser {
-            Some(recogniser) => run.loaded(Ok(recogniser)),
-            None if run.load.is_some() => run.reload(),
-            None => {}
-        }
-        // The sender beside it keeps the channel open, whoever else has gone.
-        run.until_finished(&self.orders.1);
-        run.finish()
-    }
-}
 
 /// What scans are named with.
 enum Naming {
     /// The library is being read; scans wait.
     Loading,
-    Ready(Arc<dyn Recogniser>),
+    Ready(Arc<Recogniser>),
     /// They cannot be named: why.
     None(String),
 }
 
-type Loaded = Result<Arc<dyn Recogniser>, String>;
+type Loaded = Result<Arc<Recogniser>, String>;
+
+/// What works for a station, once it is started.
+pub(super) struct Parts {
+    pub session: Session,
+    pub worker: Worker,
+    pub recording: Option<RecordingThread>,
+    /// Whether all devices can wait.
+    pub waits: bool,
+    pub load: Option<Load>,
+}
 
 /// A station at work.
-struct Run<'a> {
+pub(super) struct Run<'a> {
     session: Session,
     worker: Worker,
-    keeper: Option<Keeper>,
-    /// Whether all devices can wait.
+    recording: Option<RecordingThread>,
     waits: bool,
-    naming: Naming,
     load: Option<Load>,
+    naming: Naming,
     loading: Option<Receiver<Loaded>>,
     /// The library is to be read once more: it may have changed since the reading began.
     load_again: bool,
-    /// What the worker has had no time for yet.
+    /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
-    enrolling: Option<Enrolling>,
+    enrolment: Option<EnrolmentProgress>,
+    /// Enrolments so far.
+    enrolments: u64,
+    /// Number of the next scan to begin.
+    next_scan: u32,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
-impl Run<'_> {
-    fn tell(&mut self, notice: Notice) {
-        self.listeners.iter_mut().for_each(|listener| listener.notice(&notice));
+impl<'a> Run<'a> {
+    /// A station that knows no library yet.
+    pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
+        let Parts { session, worker, recording, waits, load } = parts;
+        Self {
+            session,
+            worker,
+            recording,
+            waits,
+            load,
+            naming: Naming::None("no library was given".into()),
+            loading: None,
+            load_again: false,
+            pending: VecDeque::new(),
+            enrolment: None,
+            enrolments: 0,
+            next_scan: 1,
+            listeners,
+        }
+    }
+
+    /// Reports what the streams carry.
+    pub fn announce_streams(&mut self) {
+        self.emit(StationEvent::Streams(self.session.meters().to_vec()));
+    }
+
+    /// Whether there is a library to read.
+    pub fn can_load(&self) -> bool {
+        self.load.is_some()
+    }
+
+    fn emit(&mut self, event: StationEvent) {
+        self.listeners.iter_mut().for_each(|listener| listener.on_event(&event));
     }
 
     fn warn(&mut self, text: impl Into<String>) {
-        self.tell(Notice::Warning(text.into()));
+        self.emit(StationEvent::Warning(text.into()));
     }
 
-    /// Serves until the session has ended and its scans are on their way.
-    fn until_finished(&mut self, orders: &Receiver<Order>) {
+    /// Works until the session has ended and its scans are handed on.
+    pub fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
             self.hand_on();
@@ -173,17 +107,17 @@ impl Run<'_> {
             // A recording waits until its scans are named; nothing else may be kept waiting.
             let reads = !finished && (!self.waits || self.pending.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
-            let told = self.worker.told.clone();
-            let kept = self.keeper.as_ref().map_or_else(never, |keeper| keeper.kept.clone());
+            let done = self.worker.done.clone();
+            let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);
             select! {
                 recv(events) -> event => match event {
-                    // Without a word, the collector has panicked: its end will be told below.
+                    // If the channel just closes, the collector has panicked; `finish` says so.
                     Ok(Event::Finished(_)) | Err(_) => finished = true,
                     Ok(event) => self.event(event),
                 },
-                recv(told) -> told => if let Ok(told) = told { self.tell(notice(told)) },
-                recv(kept) -> kept => if let Ok(kept) = kept { self.kept(kept) },
+                recv(done) -> done => if let Ok(done) = done { self.emit(station_event(done)) },
+                recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
                 recv(loaded) -> loaded => {
                     self.loading = None;
                     let gone = |_| Err("the thread that reads the library panicked".to_string());
@@ -192,51 +126,55 @@ impl Run<'_> {
                         self.reload();
                     }
                 }
-                recv(orders) -> order => if let Ok(order) = order { self.order(order) },
+                recv(commands) -> command => if let Ok(command) = command { self.obey(command) },
             }
         }
     }
 
-    /// Waits for what is under way, and tells the end.
-    fn finish(self) -> Result<Totals, SessionError> {
-        let Self { session, worker, keeper, mut listeners, mut enrolling, .. } = self;
-        let mut tell = |notice: Notice| listeners.iter_mut().for_each(|one| one.notice(&notice));
-        worker.finish().for_each(|told| tell(notice(told)));
-        for kept in keeper.into_iter().flat_map(Keeper::finish) {
-            tell(Notice::Enrolled(Enrolling::count(&mut enrolling, kept)));
+    /// Waits for what is under way, and reports the end.
+    pub fn finish(self) -> Result<Totals, SessionError> {
+        let Self { session, worker, recording, mut listeners, mut enrolment, .. } = self;
+        let mut emit =
+            |event: StationEvent| listeners.iter_mut().for_each(|one| one.on_event(&event));
+        worker.finish().for_each(|done| emit(station_event(done)));
+        for stored in recording.into_iter().flat_map(RecordingThread::finish) {
+            enrolled(&mut enrolment, stored).into_iter().for_each(&mut emit);
         }
         let totals = session.wait()?;
-        tell(Notice::Finished(Arc::new(totals.clone())));
+        emit(StationEvent::Finished(Arc::new(totals.clone())));
         Ok(totals)
     }
 
     fn event(&mut self, event: Event) {
         match event {
             Event::Scan(scan) => self.scan(scan),
-            Event::Phase { scan, phase } => self.tell(Notice::Phase { scan, phase }),
-            Event::Progress(progress) => self.pending.push_back(Job::Progress(progress)),
-            Event::Trace(trace) => self.tell(Notice::Trace(Arc::new(trace))),
+            Event::Phase { scan, phase } => {
+                self.next_scan = self.next_scan.max(scan.saturating_add(1));
+                self.emit(StationEvent::Phase { scan, phase });
+            }
+            Event::Progress(progress) => self.progress(progress),
+            Event::Trace(trace) => self.emit(StationEvent::Trace(Arc::new(trace))),
             Event::Device { device, state, detail } => {
-                self.tell(Notice::Device { device, state, detail });
+                self.emit(StationEvent::Device { device, state, detail });
             }
             Event::Warning(text) => self.warn(text),
-            // The loop sees to it.
+            // Handled by the loop.
             Event::Finished(_) => {}
         }
     }
 
     fn scan(&mut self, scan: Box<Scan>) {
-        if let (Some(enrolling), Some(keeper)) = (&mut self.enrolling, &self.keeper)
-            && let Some(wish) = enrolling.wish()
+        if let (Some(progress), Some(recording)) = (&mut self.enrolment, &self.recording)
+            && let Some(enrolment) = progress.claim(scan.number)
         {
-            return keeper.keep(scan, wish);
+            return recording.store(scan, enrolment);
         }
         self.pending.push_back(Job::Scan(scan));
         let waiting = self.pending.iter().filter(|job| matches!(job, Job::Scan(_))).count();
         if waiting <= BACKLOG || self.waits {
             return;
         }
-        // The oldest scan goes, and all that was to be said before its end.
+        // The oldest scan goes, and the progress within it.
         while let Some(job) = self.pending.pop_front() {
             if let Job::Scan(scan) = job {
                 self.warn(format!("scan {} was not named: too many wait for it", scan.number));
@@ -245,7 +183,15 @@ impl Run<'_> {
         }
     }
 
-    /// Hands on to the worker, as far as it takes it.
+    /// Adds news of a scan. What the worker has no time for becomes one piece of news.
+    fn progress(&mut self, progress: Progress) {
+        match self.pending.back_mut() {
+            Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
+            _ => self.pending.push_back(Job::Progress(progress)),
+        }
+    }
+
+    /// Hands work to the worker, as far as it takes it.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
             match (&self.naming, job) {
@@ -255,7 +201,10 @@ impl Run<'_> {
                     self.warn(text);
                 }
                 (Naming::None(_), Job::Progress(progress)) => {
-                    self.tell(Notice::Guess(Guess::nothing(progress.number, progress.scan_s)));
+                    self.emit(StationEvent::Guess(Guess::nothing(
+                        progress.number,
+                        progress.scan_s,
+                    )));
                 }
                 (Naming::Ready(by), job) => {
                     let work = Work { job, by: by.clone() };
@@ -267,19 +216,21 @@ impl Run<'_> {
         }
     }
 
-    fn kept(&mut self, kept: Enrolled) {
-        let enrolled = Enrolling::count(&mut self.enrolling, kept);
-        self.tell(Notice::Enrolled(enrolled));
+    fn stored(&mut self, stored: Stored) {
+        for event in enrolled(&mut self.enrolment, stored) {
+            self.emit(event);
+        }
     }
 
-    fn loaded(&mut self, loaded: Loaded) {
+    /// Names scans with what was read from now on, if it could be read.
+    pub fn loaded(&mut self, loaded: Loaded) {
         match loaded {
             Ok(recogniser) => {
-                self.tell(Notice::Library(recogniser.library()));
+                self.emit(StationEvent::Library(recogniser.library()));
                 self.naming = Naming::Ready(recogniser);
             }
             Err(problem) => {
-                // A library that was read before still serves.
+                // The library that was read before stays in use.
                 let mut state = match &self.naming {
                     Naming::Ready(recogniser) => recogniser.library(),
                     _ => {
@@ -288,15 +239,16 @@ impl Run<'_> {
                     }
                 };
                 state.problem = Some(problem.clone());
-                self.tell(Notice::Library(state));
+                self.emit(StationEvent::Library(state));
                 self.warn(problem);
             }
         }
     }
 
-    fn reload(&mut self) {
+    /// Reads the library; meanwhile the one before stays in use, or scans wait.
+    pub fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            return self.warn("there is no library that could be read anew");
+            return self.warn("there is no library to read again");
         };
         // One at a time: each takes a thread and the memory of a library.
         if self.loading.is_some() {
@@ -306,10 +258,10 @@ impl Run<'_> {
         if !matches!(self.naming, Naming::Ready(_)) {
             self.naming = Naming::Loading;
         }
-        self.tell(Notice::Reading);
-        let (tell, loaded) = crossbeam_channel::bounded(1);
+        self.emit(StationEvent::Reading);
+        let (send, loaded) = crossbeam_channel::bounded(1);
         let work = move || {
-            let _ = tell.send(load());
+            let _ = send.send(load());
         };
         match std::thread::Builder::new().name("load-library".into()).spawn(work) {
             Ok(_) => self.loading = Some(loaded),
@@ -317,35 +269,49 @@ impl Run<'_> {
         }
     }
 
-    fn enroll(&mut self, enrolling: Enrolling) {
-        match &self.keeper {
-            Some(_) => self.enrolling = Some(enrolling),
-            None => self.warn("there is no library to keep scans in; name one with --library"),
+    /// Keeps scans from the next one on: a scan in progress belongs to what was before.
+    fn enroll(&mut self, surface: String, user: String, good_only: bool, trials: u32) {
+        if self.recording.is_none() {
+            return self.warn("there is no library to keep scans in");
         }
+        self.enrolments += 1;
+        let enrolment = Enrolment { id: self.enrolments, surface, user, good_only };
+        self.enrolment = Some(EnrolmentProgress::new(enrolment, trials, self.next_scan));
     }
 
-    fn order(&mut self, order: Order) {
-        match order {
-            Order::Start => self.session.cue(Cue::Begin),
-            Order::Stop => self.session.cue(Cue::End),
-            Order::Enroll { surface, user, trials } => {
-                self.enroll(Enrolling::new(Wish { surface, user, good_only: true }, trials));
-            }
-            Order::Record { surface, user } => {
-                self.enroll(Enrolling::new(Wish { surface, user, good_only: false }, u32::MAX));
-            }
-            Order::EndEnroll => self.enrolling = None,
-            Order::Ping => self.tell(Notice::Alive),
-            Order::Reload => self.reload(),
-            Order::Quit => self.session.request_stop(),
+    fn obey(&mut self, command: Command) {
+        match command {
+            Command::Start => self.session.command(ScanCommand::Begin),
+            Command::Stop => self.session.command(ScanCommand::End),
+            Command::Enroll { surface, user, trials } => self.enroll(surface, user, true, trials),
+            Command::Record { surface, user } => self.enroll(surface, user, false, u32::MAX),
+            Command::EndEnroll => self.enrolment = None,
+            Command::Ping => self.emit(StationEvent::Alive),
+            Command::Reload => self.reload(),
+            Command::Quit => self.session.request_stop(),
         }
     }
 }
 
-fn notice(told: Told) -> Notice {
-    match told {
-        Told::Named(Ok(answer)) => Notice::Answer(answer),
-        Told::Named(Err(problem)) => Notice::Warning(problem),
-        Told::Guess(guess) => Notice::Guess(guess),
+/// What the worker has done, as an event.
+fn station_event(done: WorkerEvent) -> StationEvent {
+    match done {
+        WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
+        WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
+        WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
     }
+}
+
+/// What became of a scan that was to be kept, and a warning if it was not written.
+fn enrolled(progress: &mut Option<EnrolmentProgress>, stored: Stored) -> Vec<StationEvent> {
+    let enrolled = EnrolmentProgress::count(progress, stored);
+    let why = enrolled.remarks.last().map_or("", String::as_str);
+    let what = match enrolled.outcome {
+        EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
+        EnrolledOutcome::Lost => Some("could not be written, and is lost"),
+        EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
+    };
+    let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
+    let warning = text.map(StationEvent::Warning);
+    [Some(StationEvent::Enrolled(enrolled)), warning].into_iter().flatten().collect()
 }

@@ -1,4 +1,4 @@
-//! The thread that follows and names scans, so that reading events is never held up.
+//! The thread that follows and names scans, so that nothing holds up the reading of events.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::notice::{Answer, Guess};
+use super::event::{Answer, Guess};
 use super::recogniser::{Recogniser, Verdict};
 use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
@@ -16,75 +16,75 @@ use crate::scan::{Fresh, Progress, Scan};
 pub(super) enum Job {
     /// A scan to be named.
     Scan(Box<Scan>),
-    /// What is new in the scan that goes on.
+    /// What is new in the scan in progress.
     Progress(Progress),
 }
 
 /// What is to be recognised, and by what.
 pub(super) struct Work {
     pub job: Job,
-    pub by: Arc<dyn Recogniser>,
+    pub by: Arc<Recogniser>,
 }
 
-/// What the thread has found.
-pub(super) enum Told {
+/// What the thread has done.
+pub(super) enum WorkerEvent {
     /// A scan's answer, or why there is none.
-    Named(Named),
-    /// How the scan looks that goes on.
+    Named(ScanAnswer),
+    /// What the scan in progress looks like so far.
     Guess(Guess),
 }
 
 /// An answer, or why there is none.
-pub(super) type Named = Result<Arc<Answer>, String>;
+pub(super) type ScanAnswer = Result<Arc<Answer>, String>;
 
 /// The thread, and its two ends; it ends when the first is dropped.
 pub(super) struct Worker {
     pub work: Sender<Work>,
-    pub told: Receiver<Told>,
+    pub done: Receiver<WorkerEvent>,
     thread: JoinHandle<()>,
 }
 
 impl Worker {
-    /// Starts the thread. With `queues`, scans may wait for their turn behind others, as a
-    /// recording's do that is played as fast as it is taken; that wait is no latency.
+    /// Starts the thread. With `queues`, scans may wait for their turn behind others, as those of a
+    /// recording do that is played as fast as possible; that wait is not counted as latency.
     ///
     /// # Errors
     /// If the system gives no thread.
     pub fn start(queues: bool) -> std::io::Result<Self> {
         let (work, to_do) = crossbeam_channel::bounded::<Work>(1);
-        let (tell, told) = crossbeam_channel::unbounded();
+        let (send, done) = crossbeam_channel::unbounded();
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
             for Work { job, by } in to_do {
-                let told = match job {
+                let event = match job {
                     Job::Scan(scan) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        Told::Named(name(&scan, &*by, from, settled_s))
+                        WorkerEvent::Named(name(&scan, &by, from, settled_s))
                     }
-                    Job::Progress(progress) => Told::Guess(followed.guess(&progress, &*by)),
+                    Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &by)),
                 };
-                if tell.send(told).is_err() {
+                if send.send(event).is_err() {
                     return;
                 }
                 free_since = Instant::now();
             }
         };
         let thread = std::thread::Builder::new().name("recognise".into()).spawn(run)?;
-        Ok(Self { work, told, thread })
+        Ok(Self { work, done, thread })
     }
 
     /// Gives what is still to come.
-    pub fn finish(self) -> impl Iterator<Item = Told> {
+    pub fn finish(self) -> impl Iterator<Item = WorkerEvent> {
         drop(self.work);
         let _ = self.thread.join();
-        self.told.into_iter()
+        self.done.into_iter()
     }
 }
 
-/// The scan that goes on, as it is followed.
+/// The scan in progress, as far as it was followed.
 #[derive(Default)]
 struct Followed {
     scan: u32,
@@ -93,32 +93,32 @@ struct Followed {
 }
 
 impl Followed {
-    /// Adds what is new, and says how the scan looks.
-    fn guess(&mut self, progress: &Progress, by: &dyn Recogniser) -> Guess {
+    /// Adds what is new, and gives the scan's first answers.
+    fn guess(&mut self, progress: &Progress, by: &Recogniser) -> Guess {
         if self.scan != progress.number {
             let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
             *self = Self { scan: progress.number, follower, last: None };
         }
         if let Some(follower) = &mut self.follower {
-            // A scan that cannot be compared is not followed any more; its naming will say why.
+            // A scan that cannot be compared is followed no longer; its answer will say why.
             match caught(|| look(&mut **follower, progress)) {
                 Some(Ok(guess)) => self.last = guess.or(self.last.take()),
                 Some(Err(_)) | None => self.follower = None,
             }
         }
-        let mut told = Guess::nothing(progress.number, progress.scan_s);
+        let mut news = Guess::nothing(progress.number, progress.scan_s);
         if let Some(guess) = &self.last {
-            let name = |(surface, probability): &(String, f64)| super::notice::Named {
+            let name = |(surface, probability): &(String, f64)| super::event::SurfaceProbability {
                 surface: surface.clone(),
                 probability: *probability,
             };
-            told.named = guess.named.iter().map(name).collect();
-            told.settled = guess.settled.is_some();
+            news.named = guess.named.iter().map(name).collect();
+            news.settled = guess.settled.is_some();
             let first = guess.named.first();
-            told.needed_s =
+            news.needed_s =
                 first.and_then(|(surface, _)| caught(|| by.needed_s(surface)).flatten());
         }
-        told
+        news
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.
@@ -147,7 +147,7 @@ fn look(
     follower.look(progress.scan_s)
 }
 
-fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>) -> Named {
+fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> ScanAnswer {
     let verdict = caught(|| by.name(scan))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
@@ -164,7 +164,7 @@ fn name(scan: &Scan, by: &dyn Recogniser, from: Instant, settled_s: Option<f64>)
         synthetic: scan.synthetic,
         margin: ranking.margin,
         confidence: ranking.confidence,
-        fit: ranking.fit,
+        fit: ranking.p_value,
         latency_ms,
         scan_s: scan.scan_s,
         settled_s,
@@ -182,9 +182,11 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::recognise::{RankedSurface, Ranking, Settling};
-    use crate::scene::SourceId;
-    use crate::station::LibraryState;
+    use crate::library::Entry;
+    use crate::recognise::features::FeatureVector;
+    use crate::recognise::{FollowOptions, Model, Prepared, RankedSurface, Ranking, Settling};
+    use crate::scene::{Scene, SourceId};
+    use crate::station::{DurationRequirements, LibraryState};
     use crate::trial::{Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
@@ -193,36 +195,32 @@ mod tests {
 
     impl PanicsIn {
         fn reach(self, part: &str) {
-            assert_ne!(self.0, part, "as the test wants it");
+            assert_ne!(self.0, part, "as the test demands");
         }
     }
 
-    impl Recogniser for PanicsIn {
-        fn name(&self, _: &Scan) -> Result<Verdict, RecogniseError> {
-            self.reach("name");
-            let ranking = Ranking {
+    impl Model for PanicsIn {
+        fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
+            self.reach("prepare");
+            let (key, sources) = (entry.key.clone(), BTreeMap::new());
+            Ok(Prepared::Features(Arc::new(FeatureVector { key, sources })))
+        }
+
+        fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
+            self.reach("rank");
+            Ok(Ranking {
                 ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
                 margin: 0.0,
                 sources: Vec::new(),
                 nearest: TrialKey::new("oak", "", 1),
                 confidence: None,
-                fit: None,
-            };
-            Ok(Verdict { ranking, unknown: false, needed_s: None, remarks: Vec::new() })
+                p_value: None,
+            })
         }
 
-        fn follow(&self, _: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+        fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
             self.reach("follow");
             Some(Box::new(Follower { by: *self, settling: Settling::choose(&[], 0.01) }))
-        }
-
-        fn needed_s(&self, _: &str) -> Option<f64> {
-            self.reach("needed_s");
-            Some(2.0)
-        }
-
-        fn library(&self) -> LibraryState {
-            LibraryState::default()
         }
     }
 
@@ -245,7 +243,7 @@ mod tests {
         fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
             self.by.reach("look");
             let named = vec![("oak".into(), 1.0)];
-            Ok(Some(GuessSoFar { scan_s, named, fit: None, settled: None }))
+            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled: None }))
         }
 
         fn settling(&self) -> &Settling {
@@ -269,15 +267,17 @@ mod tests {
 
     #[test]
     fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
-        for (part, guesses, needs, names) in [
-            ("nothing", true, true, true),
-            ("follow", false, false, true),
-            ("look", false, false, true),
-            ("needed_s", true, false, true),
-            ("name", true, true, false),
+        for (part, guesses, names) in [
+            ("nothing", true, true),
+            ("follow", false, true),
+            ("look", false, true),
+            ("prepare", true, false),
+            ("rank", true, false),
         ] {
             let worker = Worker::start(false).unwrap();
-            let by: Arc<dyn Recogniser> = Arc::new(PanicsIn(part));
+            let needs = DurationRequirements::of(&Scene::lmt108(), Vec::new(), false);
+            let model = Arc::new(PanicsIn(part));
+            let by = Arc::new(Recogniser::new(model, needs, LibraryState::default()));
             for number in 1..=2 {
                 let progress = Progress {
                     number,
@@ -289,11 +289,14 @@ mod tests {
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
                     worker.work.send(Work { job, by: by.clone() }).unwrap();
                 }
-                let Ok(Told::Guess(guess)) = worker.told.recv() else { panic!("{part}: no guess") };
+                let Ok(WorkerEvent::Guess(guess)) = worker.done.recv() else {
+                    panic!("{part}: no guess")
+                };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert_eq!(!guess.named.is_empty(), guesses, "{part}");
-                assert_eq!(guess.needed_s, needs.then_some(2.0), "{part}");
-                let Ok(Told::Named(named)) = worker.told.recv() else { panic!("{part}: no name") };
+                let Ok(WorkerEvent::Named(named)) = worker.done.recv() else {
+                    panic!("{part}: no name")
+                };
                 match named {
                     Ok(answer) => assert!(names && answer.scan == number, "{part}"),
                     Err(problem) => {

@@ -106,29 +106,36 @@ impl Bench {
 
     /// Runs `surfaced` on its stylus.
     pub fn surfaced(&self, args: &[&str]) -> Surfaced {
+        self.surfaced_with(args, Stdio::piped())
+    }
+
+    /// The same with another stderr.
+    pub fn surfaced_with(&self, args: &[&str], stderr: Stdio) -> Surfaced {
         let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
             .args(args)
             .args(["--stylus", self.path("stylus").to_str().unwrap()])
             .args(["--config", self.path("station.toml").to_str().unwrap(), "--json"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
+            .stderr(stderr)
             .spawn()
             .unwrap();
-        let (tell, lines) = unbounded();
+        let (send, lines) = unbounded();
         let stdout = BufReader::new(child.stdout.take().unwrap());
         std::thread::spawn(move || {
             for line in stdout.lines() {
-                let _ = tell.send(serde_json::from_str(&line.unwrap()).unwrap());
+                let _ = send.send(serde_json::from_str(&line.unwrap()).unwrap());
             }
         });
         let said = Arc::<Mutex<String>>::default();
-        let (stderr, saying) = (BufReader::new(child.stderr.take().unwrap()), said.clone());
-        std::thread::spawn(move || {
-            for line in stderr.lines() {
-                saying.lock().unwrap().push_str(&(line.unwrap() + "\n"));
-            }
-        });
+        if let Some(stderr) = child.stderr.take() {
+            let saying = said.clone();
+            std::thread::spawn(move || {
+                for line in BufReader::new(stderr).lines() {
+                    saying.lock().unwrap().push_str(&(line.unwrap() + "\n"));
+                }
+            });
+        }
         Surfaced { child, lines, said }
     }
 }

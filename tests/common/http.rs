@@ -13,7 +13,9 @@ use surfaced::ring::Sink;
 use surfaced::scan::{Event, Options, Session};
 use surfaced::scene::Phase;
 use surfaced::serve::{Reporter, Server, Settings};
-use surfaced::station::{Answer, Guess, LibraryState, Listener, Named, Notice, Order};
+use surfaced::station::{
+    Answer, Command, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
+};
 
 use super::id;
 
@@ -29,7 +31,7 @@ pub struct Served {
     pub server: Server,
     client: Client,
     pub reporter: Reporter,
-    pub orders: Receiver<Order>,
+    pub orders: Receiver<Command>,
 }
 
 /// An answer of a server.
@@ -58,8 +60,8 @@ pub fn serve(change: impl FnOnce(&mut Settings)) -> Served {
 }
 
 impl Served {
-    pub fn tell(&mut self, notices: impl IntoIterator<Item = Notice>) {
-        notices.into_iter().for_each(|notice| self.reporter.notice(&notice));
+    pub fn tell(&mut self, notices: impl IntoIterator<Item = StationEvent>) {
+        notices.into_iter().for_each(|notice| self.reporter.on_event(&notice));
     }
 }
 
@@ -162,7 +164,7 @@ impl Device for Stylus {
 }
 
 /// The notices of a short session: a library, one scan named, one unknown, a third that goes on.
-pub fn session() -> Vec<Notice> {
+pub fn session() -> Vec<StationEvent> {
     let session = Session::start(vec![Box::new(Stylus)], Options::default()).unwrap();
     let meters = session.meters().to_vec();
     session.events().iter().find(|event| matches!(event, Event::Finished(_)));
@@ -175,7 +177,7 @@ pub fn session() -> Vec<Notice> {
         problem: None,
         remarks: vec!["answers settle when scans end".into()],
     };
-    let device = Notice::Device {
+    let device = StationEvent::Device {
         device: "stylus".into(),
         state: DeviceState::Streaming,
         detail: "serial number 7".into(),
@@ -184,21 +186,21 @@ pub fn session() -> Vec<Notice> {
         scan: 3,
         scan_s: 1.5,
         named: vec![
-            Named { surface: "oak".into(), probability: 0.75 },
-            Named { surface: "beech".into(), probability: 0.25 },
+            SurfaceProbability { surface: "oak".into(), probability: 0.75 },
+            SurfaceProbability { surface: "beech".into(), probability: 0.25 },
         ],
         settled: false,
         needed_s: Some(2.7),
     };
     vec![
-        Notice::Streams(meters),
+        StationEvent::Streams(meters),
         device,
-        Notice::Library(library),
-        Notice::Answer(Arc::new(answer(1, Some("oak")))),
-        Notice::Answer(Arc::new(answer(2, None))),
-        Notice::Phase { scan: 3, phase: Some(Phase::Tap) },
-        Notice::Phase { scan: 3, phase: Some(Phase::Drag) },
-        Notice::Guess(guess),
+        StationEvent::Library(library),
+        StationEvent::Answer(Arc::new(answer(1, Some("oak")))),
+        StationEvent::Answer(Arc::new(answer(2, None))),
+        StationEvent::Phase { scan: 3, phase: Some(Phase::Tap) },
+        StationEvent::Phase { scan: 3, phase: Some(Phase::Drag) },
+        StationEvent::Guess(guess),
     ]
 }
 

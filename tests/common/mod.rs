@@ -142,3 +142,13 @@ pub fn says(message: &str, parts: &[&str]) {
         assert!(message.contains(part), "`{part}` is not in: {message}");
     }
 }
+
+/// Checks that what is known of each trial before it is read is what is then read.
+#[track_caller]
+pub fn assert_outlines_are_true(library: &Library) {
+    for entry in &library.entries {
+        let trial = entry.load().unwrap();
+        let loaded = Entry::in_memory(trial).outlines().unwrap();
+        assert_eq!(entry.outlines().unwrap(), loaded, "{}", entry.key);
+    }
+}

@@ -2,7 +2,7 @@
 
 use surfaced::device::{Device, DeviceState, Replay};
 use surfaced::library::Entry;
-use surfaced::scan::{Event, Options, Scan, Session, SoFar, Totals};
+use surfaced::scan::{Event, Options, PartialScan, Scan, Session, Totals};
 use surfaced::scene::Scene;
 use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
 
@@ -59,7 +59,7 @@ pub struct Heard {
 /// Runs a device to its end.
 pub fn listen(device: impl Device + 'static, options: Options) -> Heard {
     let session = Session::start(vec![Box::new(device)], options).unwrap();
-    let (mut sum, mut scans, mut so_far) = (SoFar::default(), Vec::new(), Vec::new());
+    let (mut sum, mut scans, mut so_far) = (PartialScan::default(), Vec::new(), Vec::new());
     let (mut warnings, mut lost) = (Vec::new(), Vec::new());
     let mut finished = false;
     for event in session.events() {

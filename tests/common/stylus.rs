@@ -1,4 +1,4 @@
-//! A stylus on a pseudo-terminal, which obeys, and misbehaves when it is told to.
+//! A stylus on a pseudo-terminal, which obeys, and misbehaves on request.
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -29,9 +29,9 @@ pub struct Fake {
     pub names: Vec<&'static str>,
     /// Index of the next sample, while it samples.
     pub next: Option<u64>,
-    /// Commands that go unheard.
+    /// Commands that it ignores from now on.
     pub deaf: usize,
-    /// What it was told.
+    /// The commands that it received.
     pub commands: Vec<Command>,
     /// What one step of each channel of [`NAMES`] is worth.
     pub scales: [f32; 7],
@@ -107,17 +107,17 @@ impl Fake {
         self.next = Some(first + count);
     }
 
-    pub fn heed(&mut self) {
+    pub fn obey(&mut self) {
         let mut bytes = [0; 256];
         let Ok(n) = self.line.read(&mut bytes) else { return };
-        let (mut input, mut heard) = (&bytes[..n], Vec::new());
+        let (mut input, mut received) = (&bytes[..n], Vec::new());
         while let Some(message) = self.decoder.next(&mut input) {
             match message {
-                Ok(Message::Command(command)) => heard.push(command),
+                Ok(Message::Command(command)) => received.push(command),
                 other => panic!("{other:?}"),
             }
         }
-        for command in heard {
+        for command in received {
             self.commands.push(command);
             if self.deaf > 0 {
                 self.deaf -= 1;
@@ -143,7 +143,7 @@ impl Fake {
         let (begin, mut sent) = (Instant::now(), 0);
         let rate_hz = RATE_HZ as f64 * self.speed;
         while begin.elapsed().as_secs_f64() < seconds {
-            self.heed();
+            self.obey();
             let due = (begin.elapsed().as_secs_f64() * rate_hz) as u64;
             if self.next.is_none() {
                 sent = due;
@@ -160,7 +160,7 @@ impl Fake {
         let limit = Instant::now() + Duration::from_secs(10);
         while self.next.is_none() {
             assert!(Instant::now() < limit, "no start");
-            self.heed();
+            self.obey();
         }
     }
 }

@@ -95,7 +95,7 @@ def wilson_interval_is_the_known_one() -> None:
 
 
 def joining_a_chart_twice_changes_nothing() -> None:
-    ours = {"method": "joint", "setting": "", "query_seconds": None}
+    ours = {"method": "svm", "setting": "", "query_seconds": None}
     result = dict.fromkeys(
         ("sources", "accuracy", "accuracy_low", "accuracy_high", "query_ms_p50", "query_ms_p99"), 0
     ) | {"method": "lda", "setting": "", "query_seconds": None, "queries": 1}

@@ -6,8 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::level5::{self, Array, Class, ElementKind, MatError, Order, Values, Variable};
-use crate::library::files;
-use crate::library::{LibraryError, LoadTrial};
+use crate::library::{LibraryError, LoadTrial, Outline, Outlines, files};
 use crate::scene::SourceId;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
@@ -57,6 +56,39 @@ impl LoadTrial for MatTrial {
             return Err(LibraryError::file(&self.path, problem));
         }
         Ok(Trial { key: self.key.clone(), signals })
+    }
+
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+        let mut walk = Walk::open(&self.path)?;
+        let mut outlines = Outlines::new();
+        while let Some(Element { variable, .. }) = walk.next()? {
+            for (id, stored) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
+                if let Stored::Series { variable: name, channels, rate_hz } = stored
+                    && *name == variable.name
+                    && let Some((frames, _)) = frames_of(&variable.dims, *channels)
+                {
+                    let outline = Outline { rate_hz: *rate_hz, channels: *channels, frames };
+                    outlines.insert(id.clone(), outline);
+                }
+            }
+        }
+        Ok(Some(outlines))
+    }
+
+    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
+        let path = std::slice::from_ref(&self.path);
+        let known = self.sources.keys().filter(|id| wanted.contains(id));
+        files::stamp(known.map(|id| (id, path)))
+    }
+}
+
+/// Frames of a matrix that holds so many channels, and whether they are its columns: a row where a
+/// column was expected is no harm.
+fn frames_of(dims: &[usize], channels: usize) -> Option<(usize, bool)> {
+    match *dims {
+        [frames, found] if found == channels => Some((frames, false)),
+        [found, frames] if found == channels => Some((frames, true)),
+        _ => None,
     }
 }
 
@@ -179,12 +211,8 @@ fn signal(path: &Path, stored: &Stored, array: Array) -> Result<Signal, LibraryE
     let in_file = |error| LibraryError::file(path, format!("variable `{name}`: {error}"));
     match (stored, values) {
         (Stored::Series { channels, rate_hz, .. }, Values::Numbers(values)) => {
-            // A row where a column was expected is no harm.
-            let (frames, turned) = match dims[..] {
-                [frames, found] if found == *channels => (frames, false),
-                [found, frames] if found == *channels => (frames, true),
-                _ => return Err(wrong(&format!("numbers, N×{channels}"))),
-            };
+            let (frames, turned) = frames_of(&dims, *channels)
+                .ok_or_else(|| wrong(&format!("numbers, N×{channels}")))?;
             let at = |frame: usize, channel: usize| {
                 if turned { frame * channels + channel } else { channel * frames + frame }
             };

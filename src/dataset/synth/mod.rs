@@ -47,7 +47,7 @@ use std::sync::Arc;
 use effect::Draws;
 use hand::Hand;
 
-use crate::library::{Entry, Library, LibraryError, LoadTrial};
+use crate::library::{Entry, Library, LibraryError, LoadTrial, Outline, Outlines};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, Image, Series, Signal, SignalError, Trial, TrialKey};
 
@@ -127,6 +127,29 @@ impl LoadTrial for Generated {
         }
         Ok(Trial { key: self.key.clone(), signals })
     }
+
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+        let (parameters, scene) = &*self.shared;
+        let known = wanted.iter().filter(|id| scene.get(id.as_str()).is_some());
+        let outline = |id: &SourceId| Some((id.clone(), outline(parameters, id.as_str())?));
+        Ok(Some(known.filter_map(outline).collect()))
+    }
+}
+
+/// The shape of a source; `None` for a picture.
+fn outline(p: &Parameters, source: &str) -> Option<Outline> {
+    let seconds = p.drag_seconds.clamp(0.0, LONGEST_DRAG_S);
+    // At least one frame: `max` passes over a NaN.
+    let frames = |rate_hz: f64| (seconds * rate_hz).round().max(1.0) as usize;
+    let (rate_hz, channels, frames) = match source {
+        "ca1" | "ca2" => return None,
+        "mi1" => (SOUND_RATE_HZ, 1, TAP_FRAMES),
+        "mi2" => (SOUND_RATE_HZ, 1, frames(SOUND_FRAMES_A_SECOND)),
+        "ac" => (SERIAL_RATE_HZ, 3, frames(SERIAL_RATE_HZ)),
+        "fr" => (SERIAL_RATE_HZ, 2, frames(SERIAL_RATE_HZ)),
+        _ => (SERIAL_RATE_HZ, 1, frames(SERIAL_RATE_HZ)),
+    };
+    Some(Outline { rate_hz, channels, frames })
 }
 
 /// One source of one trial.
@@ -136,26 +159,18 @@ impl LoadTrial for Generated {
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
     let (draws, d) = (&Draws { seed: p.seed, key }, &p.difficulty);
     let hand = &Hand::draw(draws, d);
-    let seconds = p.drag_seconds.clamp(0.0, LONGEST_DRAG_S);
-    // At least one frame: `max` passes over a NaN.
-    let frames = |rate_hz: f64| (seconds * rate_hz).round().max(1.0) as usize;
-    let drag = frames(SERIAL_RATE_HZ);
-    let serial = SERIAL_RATE_HZ;
-    let (rate_hz, channels, samples) = match source {
-        "ca1" | "ca2" => {
-            let rgb = picture::picture(draws, d, source == "ca2");
-            return Image::new(Image::COLS, Image::ROWS, rgb).map(Signal::Image);
-        }
-        "mi1" => (SOUND_RATE_HZ, 1, tap::sound(draws, d, hand, TAP_FRAMES, SOUND_RATE_HZ)),
-        "mi2" => {
-            let frames = frames(SOUND_FRAMES_A_SECOND);
-            (SOUND_RATE_HZ, 1, vibration::sound(draws, d, hand, frames, SOUND_RATE_HZ))
-        }
-        "ac" => (serial, 3, vibration::acceleration(draws, d, hand, drag, serial)),
-        "fr" => (serial, 2, contact::friction(draws, d, hand, drag, serial)),
-        "ir" => (serial, 1, contact::reflectance(draws, d, hand, drag, serial)),
+    let Some(Outline { rate_hz, channels, frames }) = outline(p, source) else {
+        let rgb = picture::picture(draws, d, source == "ca2");
+        return Image::new(Image::COLS, Image::ROWS, rgb).map(Signal::Image);
+    };
+    let samples = match source {
+        "mi1" => tap::sound(draws, d, hand, frames, rate_hz),
+        "mi2" => vibration::sound(draws, d, hand, frames, rate_hz),
+        "ac" => vibration::acceleration(draws, d, hand, frames, rate_hz),
+        "fr" => contact::friction(draws, d, hand, frames, rate_hz),
+        "ir" => contact::reflectance(draws, d, hand, frames, rate_hz),
         // The scene is LMT108's, so this is the eighth: `me`.
-        _ => (serial, 1, contact::metal(draws, d, conducts(draws, d), drag, serial)),
+        _ => contact::metal(draws, d, conducts(draws, d), frames, rate_hz),
     };
     Series::new(rate_hz, channels, samples).map(Signal::Series)
 }

@@ -186,7 +186,7 @@ fn time_to_generate_a_full_scene() {
 
 /// Accuracy of `reference`, with few samples, on one source of a few surfaces.
 fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
-    use crate::evaluate::{Protocol, folds, run};
+    use crate::evaluate::{Evaluation, Protocol, folds};
     use crate::recognise::{Reference, ReferenceOptions};
 
     let scene = Scene::lmt108().only(&[SourceId::new(source).unwrap()]).unwrap();
@@ -197,8 +197,9 @@ fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
     let keys: Vec<_> = entries.iter().map(|e| e.key.clone()).collect();
     let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
     let options = ReferenceOptions { samples: 200, repetitions: 2, ..Default::default() };
-    let method = Reference::new(scene, options);
-    run(&method, &entries, &folds, Clone::clone, &|_, _, _| {}).unwrap().0.accuracy_mean
+    let method = Reference::new(scene.clone(), options);
+    let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
+    run.measure().unwrap().outcome.accuracy_mean
 }
 
 #[test]
@@ -215,4 +216,13 @@ fn the_calibrated_scene_is_harder_for_cameras_and_easier_for_taps_than_the_demon
 fn between_users_of_the_calibrated_scene_reflectance_tells_little_without_the_shift() {
     let [with, without] = [true, false].map(|shift| accuracy("ir", shift, Difficulty::lmt108()));
     assert!(with > without + 0.15, "{with} {without}");
+}
+
+#[test]
+fn what_is_known_of_a_trial_before_it_is_generated_is_what_is_generated() {
+    let parameters =
+        Parameters { surfaces: 1, trials: 1, drag_seconds: 0.731, ..Default::default() };
+    let entry = &library(&parameters).entries[0];
+    let generated = Entry::in_memory(entry.load().unwrap());
+    assert_eq!(entry.outlines().unwrap(), generated.outlines().unwrap());
 }

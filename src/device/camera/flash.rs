@@ -9,7 +9,7 @@ pub trait FlashLine: Send {
     /// Switches it on or off.
     ///
     /// # Errors
-    /// With a text for people, if it cannot be told whether this has worked.
+    /// With a text for people, if it is not known whether this has worked.
     fn switch(&mut self, on: bool) -> Result<(), String>;
 }
 
@@ -37,12 +37,12 @@ impl FlashControl {
     pub const TORCH: Self = Self { id: 0x009c_0901, on: 2, off: 0 };
 }
 
-/// Asks for pictures in the light of the flash; clones ask the same camera.
+/// Requests pictures with flash; clones use the same camera.
 #[derive(Clone, Debug, Default)]
 pub struct Shutter(Arc<AtomicBool>);
 
 impl Shutter {
-    /// Asks for one picture with flash. Asking again before it is taken changes nothing.
+    /// Requests one picture with flash. A second request before it is taken changes nothing.
     pub fn flash(&self) {
         self.0.store(true, Ordering::Release);
     }
@@ -92,7 +92,7 @@ impl Cycle {
         Self { settle, phase: Phase::Off }
     }
 
-    /// Judges a frame that arrived at `now`; `wanted` asks whether a picture with flash is wanted.
+    /// Judges a frame that arrived at `now`; `wanted` says whether a picture with flash is wanted.
     pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> Verdict {
         let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
         match self.phase {

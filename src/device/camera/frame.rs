@@ -25,7 +25,7 @@ pub enum FrameFormat {
     Bgr,
 }
 
-/// A frame as it came from the camera. `bytes` may go on after the picture.
+/// A frame as it came from the camera. `bytes` may continue after the picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     /// Its coding.
@@ -57,7 +57,7 @@ pub enum FrameError {
     Short {
         /// bytes that came
         got: usize,
-        /// bytes that the size asks for
+        /// bytes that the size requires
         expected: usize,
     },
     /// a width that cannot be coded

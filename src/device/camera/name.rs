@@ -1,4 +1,4 @@
-//! Cameras by names that stay: V4L2 numbers them anew at every plug.
+//! Cameras by names that stay: V4L2 renumbers them at every plug.
 
 use std::path::{Path, PathBuf};
 

@@ -37,7 +37,7 @@ pub trait Frames {
     fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
 }
 
-/// What the reader tells.
+/// News from the reader.
 pub(super) enum News {
     Opened,
     Failed(OpenError),
@@ -48,52 +48,52 @@ pub(super) enum News {
 }
 
 /// A control to be set.
-pub(super) struct Order {
+pub(super) struct ControlRequest {
     pub control: u32,
     pub value: i64,
 }
 
-/// Starts to read. Frames that find nobody ready for them are dropped: the next one is fresher.
+/// Starts to read. Frames that cannot be taken at once are dropped: the next one is fresher.
 pub(super) fn start(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<Order>, Receiver<News>), DeviceError> {
+) -> Result<(Sender<ControlRequest>, Receiver<News>), DeviceError> {
     let (orders, ordered) = crossbeam_channel::bounded(4);
-    let (tell, news) = crossbeam_channel::bounded(1);
+    let (send, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
         .name("camera-read".into())
         .spawn(move || {
             let last = match video.open() {
-                Ok(frames) => read(frames, &stop, &ordered, &tell),
+                Ok(frames) => read(frames, &stop, &ordered, &send),
                 Err(error) => Some(News::Failed(error)),
             };
             if let Some(last) = last {
-                let _ = tell.send(last);
+                let _ = send.send(last);
             }
         })
         .map_err(|error| DeviceError::Failed(format!("no thread to read the camera: {error}")))?;
     Ok((orders, news))
 }
 
-/// Reads until the end, and gives the last news; none if nobody listens any more.
+/// Reads until the end, and gives the last news; none if there is no receiver any more.
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<Order>,
-    tell: &Sender<News>,
+    ordered: &Receiver<ControlRequest>,
+    send: &Sender<News>,
 ) -> Option<News> {
-    tell.send(News::Opened).ok()?;
+    send.send(News::Opened).ok()?;
     loop {
         // Orders come first, and also after a request to stop: the last one puts out the light.
-        for Order { control, value } in ordered.try_iter() {
+        for ControlRequest { control, value } in ordered.try_iter() {
             let obeyed = frames.control(control, value);
-            let _ = tell.send(News::Obeyed(obeyed));
+            let _ = send.send(News::Obeyed(obeyed));
         }
         if stop.requested() {
             return None;
         }
         match frames.next() {
-            Ok(frame) => drop(tell.try_send(News::Frame(frame, Instant::now()))),
+            Ok(frame) => drop(send.try_send(News::Frame(frame, Instant::now()))),
             Err(why) => return Some(News::Ended(why)),
         }
     }

@@ -4,8 +4,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::*;
-use crate::device::{Report, ReportKind};
-use crate::ring::{Bell, ImageTap, images};
+use crate::device::{DeviceReport, DeviceReportKind};
+use crate::ring::{ImageTap, Waker, images};
 
 /// What a camera does next.
 enum Act {
@@ -86,7 +86,7 @@ fn camera(video: Scripted) -> Camera {
 /// A camera that runs on a thread of its own.
 struct Running {
     taps: Vec<ImageTap>,
-    reports: crossbeam_channel::Receiver<Report>,
+    reports: crossbeam_channel::Receiver<DeviceReport>,
     stop: Stop,
     thread: std::thread::JoinHandle<Result<(), DeviceError>>,
 }
@@ -94,7 +94,7 @@ struct Running {
 fn start(mut camera: Camera) -> Running {
     let (mut sinks, mut taps) = (Vec::new(), Vec::new());
     for _ in camera.streams() {
-        let (sink, tap) = images(1000, Bell::new().0);
+        let (sink, tap) = images(1000, Waker::new().0);
         sinks.push(Sink::Images(sink));
         taps.push(tap);
     }
@@ -110,7 +110,7 @@ impl Running {
     fn state(&self) -> (DeviceState, String) {
         loop {
             let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();
-            if let ReportKind::State { state, detail } = report.kind {
+            if let DeviceReportKind::State { state, detail } = report.kind {
                 return (state, detail);
             }
         }
@@ -119,7 +119,7 @@ impl Running {
     fn warning(&self) -> String {
         loop {
             let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();
-            if let ReportKind::Warning(text) = report.kind {
+            if let DeviceReportKind::Warning(text) = report.kind {
                 return text;
             }
         }

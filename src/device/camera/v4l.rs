@@ -136,7 +136,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
 /// The cameras of this machine, with names that stay, and what is wrong with each.
 ///
 /// # Errors
-/// If V4L2 cannot be asked.
+/// If V4L2 refuses the list.
 pub fn cameras() -> Result<Vec<Listed>, OpenError> {
     let found = nokhwa::query(ApiBackend::Video4Linux)
         .map_err(|error| OpenError::Failed(error.to_string()))?;

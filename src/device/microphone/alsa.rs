@@ -10,7 +10,7 @@ use cpal::{
 };
 use crossbeam_channel::Sender;
 
-use super::{Intake, Pcm, RATE_HZ, Sound, Trouble};
+use super::{CallbackSink, Pcm, RATE_HZ, Sound, StreamError};
 use crate::device::list::Listed;
 use crate::device::open::OpenError;
 
@@ -67,8 +67,8 @@ impl Sound for Alsa {
 
     fn open(
         &mut self,
-        intake: Intake,
-        troubles: Sender<Trouble>,
+        sink: CallbackSink,
+        errors: Sender<StreamError>,
     ) -> Result<Box<dyn Any>, OpenError> {
         let said = |error: cpal::Error| explain(&self.id, &error);
         let device = find(&self.id)?;
@@ -89,13 +89,13 @@ impl Sound for Alsa {
             .build_input_stream_raw(
                 config,
                 format,
-                callback(format, usize::from(config.channels), intake),
+                callback(format, usize::from(config.channels), sink),
                 move |error| {
-                    // Some errors come again and again; whoever listens needs only the first ones.
+                    // Some errors repeat endlessly; only the first ones matter.
                     let _ = match error.kind() {
-                        ErrorKind::Xrun => troubles.try_send(Trouble::Overrun),
+                        ErrorKind::Xrun => errors.try_send(StreamError::Overrun),
                         ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),
-                        _ => troubles.try_send(Trouble::Gone(error.to_string())),
+                        _ => errors.try_send(StreamError::Gone(error.to_string())),
                     };
                 },
                 Some(POLL),
@@ -106,18 +106,18 @@ impl Sound for Alsa {
     }
 }
 
-/// Hands each block of the stream to `intake` in the format that it comes in.
+/// Hands each block of the stream to `sink` in the format that it comes in.
 fn callback(
     format: SampleFormat,
     channels: usize,
-    mut intake: Intake,
+    mut sink: CallbackSink,
 ) -> impl FnMut(&Data, &cpal::InputCallbackInfo) + Send + 'static {
     macro_rules! take {
         ($data:ident as $($format:ident: $type:ty),*) => {
             match format {
                 $(SampleFormat::$format => {
                     if let Some(samples) = $data.as_slice::<$type>() {
-                        intake.take(samples, channels);
+                        sink.take(samples, channels);
                     }
                 })*
                 // `choose` takes no other format.
@@ -192,7 +192,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
 /// The microphones of this machine, with names that stay, and what is wrong with each.
 ///
 /// # Errors
-/// If ALSA cannot be asked.
+/// If ALSA refuses the list.
 pub fn microphones() -> Result<Vec<Listed>, OpenError> {
     let host = cpal::default_host();
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;

@@ -4,20 +4,20 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// As it should.
-    Heard,
+    Normal,
     /// Nothing at all: not even the noise that every microphone has.
     Silent,
-    /// Louder than it can tell.
+    /// Louder than the converter's range.
     Clipped,
 }
 
-/// A window in seconds. What fills a whole one is told at its end, so at most two of them later.
+/// A window in seconds. What fills a whole one is reported at its end, so at most two of them later.
 const WINDOW_S: f64 = 0.4;
 /// The last bit of a 16-bit converter, full scale being ±1. No more than that is silence.
 const LAST_BIT: f32 = 1.0 / 32_768.0;
 /// From here on a sample is at the limit, even of an 8-bit converter (127 / 128).
 const LIMIT: f32 = 0.99;
-/// So many samples in a row at a limit are no chance.
+/// This many samples in a row at a limit are no chance.
 const RUN: usize = 3;
 
 /// Watches the level of one channel.
@@ -42,7 +42,7 @@ impl LevelWatch {
             high: f32::NEG_INFINITY,
             run: 0,
             clipped: false,
-            level: Level::Heard,
+            level: Level::Normal,
         }
     }
 
@@ -51,7 +51,7 @@ impl LevelWatch {
         self.level
     }
 
-    /// Hears samples; the new level if it changed.
+    /// Takes samples; the new level if it changed.
     pub fn take(&mut self, samples: &[f32]) -> Option<Level> {
         let before = self.level;
         for &x in samples {
@@ -71,7 +71,7 @@ impl LevelWatch {
         self.level = match () {
             () if self.clipped => Level::Clipped,
             () if self.high - self.low <= LAST_BIT => Level::Silent,
-            () => Level::Heard,
+            () => Level::Normal,
         };
         (self.seen, self.clipped) = (0, false);
         (self.low, self.high) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -90,7 +90,7 @@ mod tests {
             .collect()
     }
 
-    /// The changes within so many seconds, each with the moment it was told, in blocks of 10 ms.
+    /// The changes within some seconds of sound, each with its time, in blocks of 10 ms.
     fn changes(watch: &mut LevelWatch, samples: &[f32]) -> Vec<(f64, Level)> {
         let blocks = samples.chunks(RATE / 100).enumerate();
         blocks.filter_map(|(i, block)| Some(((i + 1) as f64 * 0.01, watch.take(block)?))).collect()
@@ -101,11 +101,11 @@ mod tests {
         let mut watch = LevelWatch::new(RATE as f64);
         assert_eq!(changes(&mut watch, &noise(3.0)), []);
         // A constant offset is no sound.
-        let told = changes(&mut watch, &vec![0.25; 5 * RATE]);
-        assert_eq!(told.len(), 1);
-        assert!(told[0].0 <= 1.0 && told[0].1 == Level::Silent, "{told:?}");
-        let told = changes(&mut watch, &noise(3.0));
-        assert_eq!((told.len(), watch.level()), (1, Level::Heard));
+        let changed = changes(&mut watch, &vec![0.25; 5 * RATE]);
+        assert_eq!(changed.len(), 1);
+        assert!(changed[0].0 <= 1.0 && changed[0].1 == Level::Silent, "{changed:?}");
+        let changed = changes(&mut watch, &noise(3.0));
+        assert_eq!((changed.len(), watch.level()), (1, Level::Normal));
     }
 
     #[test]
@@ -113,9 +113,9 @@ mod tests {
         let mut watch = LevelWatch::new(RATE as f64);
         let loud: Vec<_> =
             (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();
-        let told = changes(&mut watch, &loud);
-        assert_eq!(told.len(), 1);
-        assert!(told[0].0 <= 1.0 && told[0].1 == Level::Clipped, "{told:?}");
+        let changed = changes(&mut watch, &loud);
+        assert_eq!(changed.len(), 1);
+        assert!(changed[0].0 <= 1.0 && changed[0].1 == Level::Clipped, "{changed:?}");
     }
 
     #[test]
@@ -134,7 +134,7 @@ mod tests {
             samples.chunks(size).for_each(|block| {
                 watch.take(block);
             });
-            assert_eq!(watch.level(), Level::Heard);
+            assert_eq!(watch.level(), Level::Normal);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! One channel of numbers from −1 to 1, out of whatever a sound device delivers.
+//! One channel of numbers from −1 to 1, from the samples of any sound device.
 
 /// A number as a sound device delivers it.
 pub trait Pcm: Copy {
@@ -38,7 +38,7 @@ pub enum Pick {
     One(usize),
 }
 
-/// Appends one value for each whole frame of `channels` interleaved samples to `mono`, and tells
+/// Appends one value for each whole frame of `channels` interleaved samples to `mono`, and gives
 /// how many of them were not finite: these became 0. A frame that is cut short is left out.
 /// Allocates only if `mono` lacks the room.
 pub fn mix<T: Pcm>(interleaved: &[T], channels: usize, pick: Pick, mono: &mut Vec<f32>) -> u64 {

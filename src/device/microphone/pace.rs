@@ -28,7 +28,7 @@ impl Pace {
         Self { rate_hz, begin: None, first: None }
     }
 
-    /// The stream was opened anew: it may begin with what was waiting in a buffer.
+    /// The stream was reopened: it may begin with what was waiting in a buffer.
     pub fn reopened(&mut self) {
         self.first = None;
     }
@@ -68,7 +68,7 @@ mod tests {
     const RATE_HZ: f64 = 44_100.0;
     const BLOCK: u64 = 441;
 
-    /// Runs for so many seconds on a clock that is off by `drift`, and with a delay that changes.
+    /// Runs for some seconds on a clock that is off by `drift`, and with a delay that changes.
     fn run(pace: &mut Pace, from: (f64, u64), seconds: f64, drift: f64) -> (f64, u64) {
         let (mut now_s, mut position) = from;
         for i in 0..(seconds * 100.0) as u64 {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::*;
-use crate::device::{Report, ReportKind};
+use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::Stop;
 
 /// What a sound system does next.
@@ -45,8 +45,8 @@ impl Sound for Scripted {
 
     fn open(
         &mut self,
-        mut intake: Intake,
-        troubles: Sender<Trouble>,
+        mut sink: CallbackSink,
+        errors: Sender<StreamError>,
     ) -> Result<Box<dyn Any>, OpenError> {
         let opening = self.openings.fetch_add(1, Ordering::SeqCst);
         if let (Some(error), 0) = (&self.first, opening) {
@@ -64,11 +64,13 @@ impl Sound for Scripted {
                 let act = script(opening, step);
                 match act {
                     _ if ended.load(Ordering::SeqCst) => return,
-                    Act::Gone => return drop(troubles.try_send(Trouble::Gone("unplugged".into()))),
+                    Act::Gone => {
+                        return drop(errors.try_send(StreamError::Gone("unplugged".into())));
+                    }
                     Act::Pause(ms) => wait(ms),
                     Act::Overrun(ms) => {
                         wait(ms);
-                        let _ = troubles.try_send(Trouble::Overrun);
+                        let _ = errors.try_send(StreamError::Overrun);
                     }
                     Act::Rush | Act::Play(_) => {
                         let value = if let Act::Play(value) = act { value } else { 0.1 };
@@ -77,7 +79,7 @@ impl Sound for Scripted {
                             wait(10);
                         }
                         // Mono, as if each value were a frame; two blocks are 20 ms.
-                        intake.take(&block[..441], 1);
+                        sink.take(&block[..441], 1);
                     }
                 }
             }
@@ -88,7 +90,7 @@ impl Sound for Scripted {
 
 struct Running {
     tap: SeriesTap,
-    reports: Receiver<Report>,
+    reports: Receiver<DeviceReport>,
     stop: Stop,
     openings: Arc<AtomicUsize>,
     thread: std::thread::JoinHandle<Result<(), DeviceError>>,
@@ -99,7 +101,7 @@ fn start(script: Script, first: Option<OpenError>) -> Running {
     let openings = Arc::new(AtomicUsize::new(0));
     let sound = Scripted { script, openings: openings.clone(), first };
     let mut microphone = Microphone::new(SourceId::new("sound").unwrap(), Box::new(sound));
-    let (sink, tap) = series(1, 60 * 44_100, Bell::new().0);
+    let (sink, tap) = series(1, 60 * 44_100, Waker::new().0);
     let mut sinks = [Sink::Series(sink)];
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
@@ -111,8 +113,8 @@ fn start(script: Script, first: Option<OpenError>) -> Running {
 impl Running {
     fn next(&self) -> String {
         match self.reports.recv_timeout(Duration::from_secs(10)).unwrap().kind {
-            ReportKind::State { state, .. } => state.to_string(),
-            ReportKind::Warning(text) => text,
+            DeviceReportKind::State { state, .. } => state.to_string(),
+            DeviceReportKind::Warning(text) => text,
             other => panic!("{other:?}"),
         }
     }
@@ -190,7 +192,7 @@ fn silence_and_clipping_are_told_once_a_change_and_within_a_second() {
     let second = |step: u64| Duration::from_millis(10 * step + 1000);
     running.says(&["opening", "streaming", "is silent"]);
     assert!(running.begin.elapsed() < second(60) + Duration::from_millis(100));
-    running.says(&["heard well again", "is clipped"]);
+    running.says(&["level is normal again", "is clipped"]);
     assert!(running.begin.elapsed() < second(400) + Duration::from_millis(100));
     wait(1.0);
     assert!(running.reports.is_empty());

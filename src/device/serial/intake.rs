@@ -1,7 +1,7 @@
 //! From bytes on the line to frames of the streams: no I/O, no clock.
 //!
 //! Indexes count the stylus's sampling clock, so a jump in them is the length of a gap. Where they
-//! start anew (a reset, a replug) the length is taken from the arrival times instead, and is never
+//! start reopened (a reset, a replug) the length is taken from the arrival times instead, and is never
 //! less than [`LEAST_RESTART_S`], so that no such gap is bridged in silence.
 
 use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
@@ -13,7 +13,7 @@ pub const LEAST_RESTART_S: f64 = 2e-3;
 /// A jump of the index may be so much longer than the silence before it, in seconds, since
 /// what the system had buffered arrives late. Beyond, the index is not believed.
 const LATEST_S: f64 = 10.0;
-/// After the line was opened anew, index and arrival times may differ by this much, in seconds.
+/// After the line was opened reopened, index and arrival times may differ by this much, in seconds.
 const ANEW_S: f64 = 1.0;
 
 /// What a value becomes.
@@ -39,9 +39,9 @@ pub struct Wanted {
     pub value: Value,
 }
 
-/// What the line told.
+/// What came over the line.
 #[derive(Debug)]
-pub enum Heard<'a> {
+pub enum IntakeEvent<'a> {
     /// Frames of a stream, interleaved.
     Frames {
         /// number of the stream among those wanted
@@ -62,12 +62,12 @@ pub enum Heard<'a> {
         who: String,
         /// streams that it has no channels for
         lacking: Vec<SourceId>,
-        /// whether its channels changed since it was last heard
+        /// whether its channels differ from those of its last hello
         changed: bool,
     },
     /// What introduced itself cannot be used: why, for people.
     Refused(String),
-    /// The index started anew: the stylus was reset, or the line lost it for long.
+    /// The index restarted: the stylus was reset, or the line lost it for long.
     Restarted,
     /// Its status.
     Status(Status),
@@ -95,9 +95,9 @@ struct Table {
 pub struct Unused {
     /// Frames of the wire that were damaged or not understood.
     pub damaged: u64,
-    /// Samples that came while no hello had told what they are.
+    /// Samples that came before a hello that describes them.
     pub unknown: u64,
-    /// Times that the index started anew.
+    /// Restarts of the index.
     pub restarts: u64,
 }
 
@@ -108,15 +108,15 @@ pub struct Intake {
     rate_hz: u32,
     decoder: Decoder,
     table: Option<Table>,
-    /// The table before it was lost, to tell whether it changed.
+    /// The table before it was lost, to see whether it changes.
     last_table: Option<Table>,
     /// Index of the next sample; none before the first.
     next: Option<u64>,
     /// When the last samples came, in seconds.
     last_s: f64,
-    anew: bool,
-    /// Frames that a stream without channels is behind the others.
-    owed: Vec<u64>,
+    reopened: bool,
+    /// Frames by which a stream without channels lags behind the others.
+    lag: Vec<u64>,
     block: Vec<f32>,
     unused: Unused,
 }
@@ -125,7 +125,7 @@ impl Intake {
     /// Makes `wanted` of what comes, which is to be sampled at `rate_hz`.
     pub fn new(wanted: Vec<Wanted>, rate_hz: u32) -> Self {
         Self {
-            owed: vec![0; wanted.len()],
+            lag: vec![0; wanted.len()],
             wanted,
             rate_hz,
             decoder: Decoder::new(),
@@ -133,7 +133,7 @@ impl Intake {
             last_table: None,
             next: None,
             last_s: 0.0,
-            anew: false,
+            reopened: false,
             block: Vec::new(),
             unused: Unused::default(),
         }
@@ -149,16 +149,16 @@ impl Intake {
         self.table.is_some()
     }
 
-    /// The line was opened anew: what comes next has to introduce itself.
+    /// The line was reopened: what comes next has to introduce itself.
     pub fn reopened(&mut self) {
         self.decoder.reset();
         self.table = None;
-        self.anew = true;
+        self.reopened = true;
     }
 
-    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and tells
-    /// `on` what they hold, in order. Returns whether there were samples that are understood.
-    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(Heard<'_>)) -> bool {
+    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes `on`
+    /// what they hold, in order. Returns whether there were samples that are understood.
+    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(IntakeEvent<'_>)) -> bool {
         let mut any = false;
         let mut input = bytes;
         // Taken out, so that a message that borrows from it leaves the rest usable.
@@ -167,12 +167,12 @@ impl Intake {
             match result {
                 Ok(Message::Samples(samples)) => any |= self.samples(&samples, now_s, &mut on),
                 Ok(Message::Hello(hello)) => self.hello(&hello, &mut on),
-                Ok(Message::Status(status)) => on(Heard::Status(status)),
-                // Its own echo; the stylus commands nobody.
+                Ok(Message::Status(status)) => on(IntakeEvent::Status(status)),
+                // An echo; the stylus sends no commands.
                 Ok(Message::Command(_)) => {}
                 Err(error) => {
                     self.unused.damaged += 1;
-                    on(Heard::Damaged(error));
+                    on(IntakeEvent::Damaged(error));
                 }
             }
         }
@@ -180,13 +180,21 @@ impl Intake {
         any
     }
 
-    fn hello(&mut self, hello: &Hello<'_>, on: &mut impl FnMut(Heard<'_>)) {
+    fn hello(&mut self, hello: &Hello<'_>, on: &mut impl FnMut(IntakeEvent<'_>)) {
         if hello.sample_rate_hz != self.rate_hz {
             self.table = None;
-            return on(Heard::Refused(format!(
+            return on(IntakeEvent::Refused(format!(
                 "it samples at {} Hz, but {} Hz is expected; change rate_hz of the stylus in the \
                  configuration, or its firmware",
                 hello.sample_rate_hz, self.rate_hz
+            )));
+        }
+        let unusable = |scale: f32| !(scale * f32::from(i16::MIN)).is_finite();
+        if let Some(channel) = hello.channels.iter().find(|channel| unusable(channel.scale)) {
+            self.table = None;
+            return on(IntakeEvent::Refused(format!(
+                "its channel {} has a scale of {}, which makes infinite values; mend its firmware",
+                channel.name, channel.scale
             )));
         }
         let find = |name: &str, value| {
@@ -206,7 +214,7 @@ impl Intake {
         if places.iter().all(Option::is_none) {
             let names: Vec<_> = hello.channels.iter().map(|c| c.name).collect();
             self.table = None;
-            return on(Heard::Refused(format!(
+            return on(IntakeEvent::Refused(format!(
                 "it has the channels {}, and none of the streams can be made of them; see \
                  [stylus.streams] in the configuration",
                 names.join(", ")
@@ -222,7 +230,7 @@ impl Intake {
         if !known {
             let [major, minor, patch] = hello.firmware;
             let who = format!("{}, firmware {major}.{minor}.{patch}", hello.serial);
-            on(Heard::Hello { who, lacking, changed });
+            on(IntakeEvent::Hello { who, lacking, changed });
         }
     }
 
@@ -230,9 +238,9 @@ impl Intake {
         &mut self,
         samples: &Samples<'_>,
         now_s: f64,
-        on: &mut impl FnMut(Heard<'_>),
+        on: &mut impl FnMut(IntakeEvent<'_>),
     ) -> bool {
-        // A frame of another width than hello's belongs to another table: ask, do not guess.
+        // A frame of another width than the table's belongs to another table: wait for its hello.
         let fits = |table: &&Table| table.channels == samples.channels();
         let Some(table) = self.table.as_ref().filter(fits) else {
             self.unused.unknown += samples.count() as u64;
@@ -241,22 +249,22 @@ impl Intake {
         };
         let count = samples.count() as u64;
         let (missing, restarted) =
-            gap(self.next, samples, now_s - self.last_s, f64::from(self.rate_hz), self.anew);
+            gap(self.next, samples, now_s - self.last_s, f64::from(self.rate_hz), self.reopened);
         if restarted {
             self.unused.restarts += 1;
-            on(Heard::Restarted);
+            on(IntakeEvent::Restarted);
         }
         self.next = Some(samples.next_index());
         self.last_s = now_s;
-        self.anew = false;
+        self.reopened = false;
         for (stream, place) in table.places.iter().enumerate() {
             let Some(Place { picks }) = place else {
-                self.owed[stream] += missing + count;
+                self.lag[stream] += missing + count;
                 continue;
             };
-            let frames = missing + std::mem::take(&mut self.owed[stream]);
+            let frames = missing + std::mem::take(&mut self.lag[stream]);
             if frames > 0 {
-                on(Heard::Missing { stream, frames });
+                on(IntakeEvent::Missing { stream, frames });
             }
             self.block.clear();
             for sample in samples.bytes().chunks_exact(2 * table.channels) {
@@ -266,29 +274,29 @@ impl Intake {
                 };
                 self.block.extend(picks.iter().map(value));
             }
-            on(Heard::Frames { stream, samples: &self.block });
+            on(IntakeEvent::Frames { stream, samples: &self.block });
         }
         true
     }
 }
 
-/// How many samples are missing before these, and whether their index started anew.
+/// How many samples are missing before these, and whether their index restarted.
 fn gap(
     next: Option<u64>,
     samples: &Samples<'_>,
     silent_s: f64,
     rate_hz: f64,
-    anew: bool,
+    reopened: bool,
 ) -> (u64, bool) {
     let Some(next) = next else { return (0, false) };
     // Casts saturate; a clock that went back counts as no silence.
     let by_time = (silent_s * rate_hz).round().max(0.0) as u64;
     let by_time = by_time.saturating_sub(samples.count() as u64);
     if let Some(by_index) = samples.first_index().checked_sub(next) {
-        let most = if anew { ANEW_S } else { LATEST_S } * rate_hz;
+        let most = if reopened { ANEW_S } else { LATEST_S } * rate_hz;
         let believed = by_index <= by_time.saturating_add(most as u64)
-            && !(anew && by_time > by_index.saturating_add(most as u64));
-        if by_index == 0 && !anew || believed {
+            && !(reopened && by_time > by_index.saturating_add(most as u64));
+        if by_index == 0 && !reopened || believed {
             return (by_index, false);
         }
     }

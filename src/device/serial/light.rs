@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crate::device::camera::FlashLine;
 
-/// How long the stylus is given to confirm.
+/// How long the stylus may take to confirm.
 const CONFIRM: Duration = Duration::from_millis(500);
 
 /// Switches the camera's light on the stylus; clones switch the same one.
@@ -14,7 +14,7 @@ const CONFIRM: Duration = Duration::from_millis(500);
 pub struct Light(Arc<[AtomicBool; 2]>);
 
 impl Light {
-    /// Asks for the light to be on or off; the driver repeats it until the stylus confirms.
+    /// Requests the light on or off; the driver repeats the command until the stylus confirms it.
     pub fn set(&self, on: bool) {
         self.0[0].store(on, Ordering::Release);
     }
@@ -28,7 +28,8 @@ impl Light {
         self.0[0].load(Ordering::Acquire)
     }
 
-    pub(super) fn told(&self, on: bool) {
+    /// Notes what the stylus says of it.
+    pub(super) fn confirm(&self, on: bool) {
         self.0[1].store(on, Ordering::Release);
     }
 }

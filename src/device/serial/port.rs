@@ -28,7 +28,7 @@ pub trait OpenPort: Send {
     /// For people: which stylus.
     fn name(&self) -> String;
 
-    /// Opens the line and gives it with its path, or whatever names it.
+    /// Opens the line and gives it with its path or name.
     ///
     /// # Errors
     /// If it is not there, or not to be had.
@@ -155,7 +155,7 @@ impl OpenPort for Selector {
     }
 }
 
-/// The crate tells a port that is locked as `NoDevice`, and one that is gone as several others.
+/// The crate reports a locked port as `NoDevice`, and a missing one as several other errors.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn denied_busy_and_absent_are_told_apart() {
+    fn denied_busy_and_absent_are_distinguished() {
         let of = |kind, path: &str| failed(path, &serialport::Error::new(kind, ""));
         let denied = of(ErrorKind::Io(std::io::ErrorKind::PermissionDenied), "/dev/null");
         assert!(denied.to_string().contains("usermod -aG dialout"), "{denied}");

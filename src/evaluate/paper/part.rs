@@ -1,4 +1,4 @@
-//! What came of a shard of the evaluation, and how shards are joined.
+//! The result of a shard of the evaluation, and how shards are joined.
 
 use std::fmt;
 use std::str::FromStr;
@@ -103,9 +103,7 @@ impl Part {
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum MergeError {
     /// nothing to join
-    #[error(
-        "no shards; name the files that `surfaced eval --paper --shard` wrote, or their folder"
-    )]
+    #[error("no shards to join")]
     Nothing,
     /// shards of two runs
     #[error("shard {0} is of another run than shard {1}: other data or settings")]

@@ -3,6 +3,7 @@
 //! The score of one source between two trials does not depend on which other sources are used. So
 //! it is computed once, and every row of the paper's tables is a sum of logarithms.
 
+use crate::recognise::{log_discrepancy, medians};
 use crate::trial::TrialKey;
 
 /// ln of the scores of one query in one stream.
@@ -28,24 +29,13 @@ impl LogScores {
 /// smaller key: `keys` must ascend. `None` if no trial has a score.
 pub fn nearest(library: &[usize], terms: &[(f64, &LogScores)], keys: &[TrialKey]) -> Option<usize> {
     debug_assert!(keys.is_sorted());
-    let scores: Vec<Vec<Option<f64>>> = (terms.iter())
-        .map(|(_, scores)| library.iter().map(|&trial| scores.of(trial)).collect())
-        .collect();
-    let median = |of_term: &Vec<Option<f64>>| {
-        let mut known: Vec<f64> = of_term.iter().flatten().copied().collect();
-        known.sort_by(f64::total_cmp);
-        known.get(known.len() / 2).copied().unwrap_or(0.0)
-    };
-    let medians: Vec<f64> = scores.iter().map(median).collect();
+    let scores_of = |&trial: &usize| terms.iter().map(|(_, scores)| scores.of(trial)).collect();
+    let scores: Vec<Vec<Option<f64>>> = library.iter().map(scores_of).collect();
+    let weights: Vec<f64> = terms.iter().map(|(weight, _)| *weight).collect();
+    let medians = medians(terms.len(), &scores);
     let mut best: Option<(f64, usize)> = None;
-    for (at, &trial) in library.iter().enumerate() {
-        if scores.iter().all(|of_term| of_term[at].is_none()) {
-            continue;
-        }
-        let mut log_ds = 0.0;
-        for (((weight, _), of_term), median) in terms.iter().zip(&scores).zip(&medians) {
-            log_ds += weight * of_term[at].unwrap_or(*median);
-        }
+    for (&trial, scores) in library.iter().zip(&scores) {
+        let Some(log_ds) = log_discrepancy(&weights, scores, &medians) else { continue };
         let better = best.is_none_or(|(least, found)| {
             log_ds.total_cmp(&least).then_with(|| trial.cmp(&found)).is_lt()
         });

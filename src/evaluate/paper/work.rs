@@ -7,9 +7,9 @@ use super::part::{Part, RowPart, Shard};
 use super::rows::{Row, rows};
 use super::stream::Stream;
 use super::table::{LogScores, nearest};
-use crate::evaluate::{EvaluateError, Fold, Progress, Protocol, folds, prepare};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Protocol, folds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Method, Ranking, RecogniseError, Reference, ReferenceOptions};
+use crate::recognise::{Reference, ReferenceOptions};
 use crate::trial::TrialKey;
 
 /// Names the queries of a shard in all settings of the paper.
@@ -33,12 +33,12 @@ pub fn work(
     let streams: BTreeSet<Stream> =
         plans.iter().flat_map(|plan| plan.terms.iter().map(|(_, stream)| *stream)).collect();
     let mut scores: BTreeMap<Stream, BTreeMap<usize, LogScores>> = BTreeMap::new();
-    // Every score is asked for, so nothing may be left out early.
+    // Every score is needed, so nothing may be left out early.
     let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
     for (done, stream) in streams.iter().enumerate() {
         progress("comparing source by source", done, streams.len());
-        let asked = Asked::new(&plans, *stream, shard);
-        scores.insert(*stream, score(*stream, library, &entries, &asked, &options)?);
+        let wanted = WantedScores::new(&plans, *stream, shard);
+        scores.insert(*stream, score(*stream, library, &entries, &wanted, &options)?);
     }
     progress("comparing source by source", streams.len(), streams.len());
 
@@ -165,32 +165,32 @@ impl Plan {
     }
 }
 
-/// Which scores of a stream the settings ask for: for each query the protocols in which it is one,
+/// Which scores of a stream the settings need: for each query the protocols in which it is one,
 /// for each protocol its library.
 #[derive(Default)]
-struct Asked {
+struct WantedScores {
     queries: BTreeMap<usize, BTreeSet<&'static str>>,
     libraries: BTreeMap<&'static str, BTreeSet<usize>>,
 }
 
-impl Asked {
+impl WantedScores {
     fn new(plans: &[Plan], stream: Stream, shard: Shard) -> Self {
-        let mut asked = Self::default();
+        let mut wanted = Self::default();
         for plan in plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream)) {
             let protocol: Protocol = plan.row.protocol;
             for fold in &plan.folds {
-                let library = asked.libraries.entry(protocol.name()).or_default();
+                let library = wanted.libraries.entry(protocol.name()).or_default();
                 library.extend(&fold.library);
                 for &query in fold.queries.iter().filter(|&&query| shard.has(query)) {
-                    asked.queries.entry(query).or_default().insert(protocol.name());
+                    wanted.queries.entry(query).or_default().insert(protocol.name());
                 }
             }
         }
-        asked
+        wanted
     }
 
-    /// Queries that meet the same library, and that library.
-    fn groups(&self) -> Vec<(BTreeSet<usize>, Vec<usize>)> {
+    /// Queries that are compared with the same library, and that library, as far as `has` keeps them.
+    fn folds(&self, has: impl Fn(&usize) -> bool) -> Vec<Fold> {
         let mut groups: BTreeMap<&BTreeSet<&'static str>, Vec<usize>> = BTreeMap::new();
         for (query, protocols) in &self.queries {
             groups.entry(protocols).or_default().push(*query);
@@ -199,60 +199,39 @@ impl Asked {
             let of = |name: &&'static str| self.libraries.get(name).into_iter().flatten().copied();
             protocols.iter().flat_map(of).collect()
         };
-        groups.into_iter().map(|(protocols, queries)| (library(protocols), queries)).collect()
+        let fold = |(protocols, mut queries): (&BTreeSet<&'static str>, Vec<usize>)| {
+            let library: BTreeSet<usize> = library(protocols);
+            queries.retain(&has);
+            let library = library.into_iter().filter(&has).collect();
+            Fold { name: String::new(), library, queries }
+        };
+        groups.into_iter().map(fold).filter(|fold| fold.library.len() >= 2).collect()
     }
 }
 
 /// ln of the scores of one stream, by query.
-///
-/// Every library trial is a class of its own here, so that the ranking of the method `reference`
-/// holds the score of each of them.
 fn score(
     stream: Stream,
     library: &Library,
     entries: &[Entry],
-    asked: &Asked,
+    wanted: &WantedScores,
     options: &ReferenceOptions,
 ) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
     let mut scores = BTreeMap::new();
     let Some(scene) = stream.scene(&library.scene) else { return Ok(scores) };
-    let own: Vec<Entry> = (entries.iter().enumerate())
-        .map(|(at, entry)| {
-            let mut entry = stream.entry(entry, &scene);
-            entry.key.surface = at.to_string();
-            entry
-        })
-        .collect();
-    let has = |at: &usize| !own[*at].sources.is_empty();
-    let groups = asked.groups();
-    let wanted: BTreeSet<usize> =
-        groups.iter().flat_map(|(library, _)| library.iter().copied().filter(has)).collect();
-    let method = Reference::new(scene, options.clone());
-    let prepared = prepare(&method, &own, &wanted, &|_, _, _| {})?;
-    for (library, queries) in groups {
-        let library: Arc<[usize]> = library.into_iter().filter(has).collect();
-        if library.len() < 2 {
-            continue;
-        }
-        let trials = library.iter().filter_map(|&at| prepared[at].clone()).collect();
-        let model = method.fit(trials)?;
-        for query in queries.into_iter().filter(has) {
-            let trial = own[query].load().map_err(RecogniseError::from)?;
-            let ranking = method.rank(&model, &method.prepare(&own[query], &trial)?)?;
-            let values = by_trial(&ranking, &library);
+    let own: Vec<Entry> = entries.iter().map(|entry| stream.entry(entry, &scene)).collect();
+    let folds = wanted.folds(|&at| !own[at].sources.is_empty());
+    let method = Reference::new(scene.clone(), options.clone());
+    let run = Evaluation::new(&scene, &own, &folds).prepare(&method)?;
+    for fold in &folds {
+        let model = method.model(&run.prepared(&fold.library))?;
+        let library: Arc<[usize]> = fold.library.clone().into();
+        for &query in &fold.queries {
+            // A scene of one source: a dead one is compared, since nothing else would be left.
+            let values = model.log_scores(&run.query(&model, query, None)?.prepared)?;
+            let values = values.into_iter().map(|score| score.unwrap_or(f64::NAN)).collect();
             scores.insert(query, LogScores { library: Arc::clone(&library), values });
         }
     }
     Ok(scores)
-}
-
-fn by_trial(ranking: &Ranking, library: &[usize]) -> Vec<f64> {
-    let mut values = vec![f64::NAN; library.len()];
-    for ranked in &ranking.ranked {
-        let at = ranked.surface.parse().ok().and_then(|at: usize| library.binary_search(&at).ok());
-        if let Some(at) = at {
-            values[at] = ranked.score.ln();
-        }
-    }
-    values
 }

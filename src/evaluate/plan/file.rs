@@ -5,8 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::Setting;
-use crate::recognise::MethodName;
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::{Scene, SceneError, SourceId};
 
 /// Why a plan cannot be used.
@@ -37,7 +36,7 @@ pub enum PlanError {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expected {
-    /// The accuracy that was asked for.
+    /// The accuracy to reach.
     pub target: f64,
     /// Whether cross-validation reaches it.
     pub reached: bool,
@@ -72,9 +71,7 @@ pub struct Plan {
     pub sources: Vec<SourceId>,
     /// How trials are compared.
     #[serde(flatten)]
-    pub setting: Setting,
-    /// Surfaces of matching conductivity alone are compared.
-    pub by_conductivity: bool,
+    pub method: MethodSpec,
     /// How much of the drag is used, in seconds; all of it where nothing is said.
     pub scan_s: Option<f64>,
     /// What comes of it.
@@ -93,8 +90,6 @@ struct PlanFile {
     method: MethodName,
     n: Option<usize>,
     repetitions: Option<usize>,
-    #[serde(default)]
-    by_conductivity: bool,
     scan_s: Option<f64>,
     expected: Expected,
 }
@@ -123,9 +118,12 @@ impl Plan {
         let sources = file.sources.iter().map(|name| SourceId::new(name));
         let sources: Vec<SourceId> =
             sources.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
-        let setting = match (file.method, file.n, file.repetitions) {
-            (MethodName::Reference, Some(n), Some(repetitions)) if n > 0 && repetitions > 0 => {
-                Setting::Reference { n, repetitions }
+        let method = match (file.method, file.n, file.repetitions) {
+            (MethodName::Reference, Some(samples), Some(repetitions))
+                if samples > 0 && repetitions > 0 =>
+            {
+                let usual = ReferenceOptions::default();
+                MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..usual })
             }
             (MethodName::Reference, _, _) => {
                 return Err("method = \"reference\" needs n and repetitions, 1 or more".into());
@@ -133,20 +131,17 @@ impl Plan {
             (_, Some(_), _) | (_, _, Some(_)) => {
                 return Err("n and repetitions go with method = \"reference\" alone".into());
             }
-            (MethodName::Joint, None, None) => Setting::Joint,
-            (MethodName::Embedding, None, None) => Setting::Embedding,
+            (MethodName::Embedding, None, None) => MethodName::Embedding.into(),
             (other, None, None) => {
-                let name = other.name();
-                return Err(format!(
-                    "method = \"{name}\"; a plan knows reference, joint and embedding"
-                ));
+                let name = other.as_str();
+                return Err(format!("method = \"{name}\"; a plan knows reference and embedding"));
             }
         };
         if let Some(x) = file.scan_s.filter(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(format!("scan_s = {x}; expected a positive number of seconds"));
         }
-        let PlanFile { library, synthetic, by_conductivity, scan_s, expected, .. } = file;
-        Ok(Self { library, synthetic, sources, setting, by_conductivity, scan_s, expected })
+        let PlanFile { library, synthetic, scan_s, expected, .. } = file;
+        Ok(Self { library, synthetic, sources, method, scan_s, expected })
     }
 
     /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
@@ -181,15 +176,11 @@ impl Plan {
         }
         line("\n# Sources to compare; devices for others need not be opened.".into());
         line(format!("sources = [{}]", sources.join(", ")));
-        line(format!("method = {}", quoted(self.setting.method().name())));
-        if let Setting::Reference { n, repetitions } = self.setting {
+        line(format!("method = {}", quoted(self.method.name().as_str())));
+        if let MethodSpec::Reference(options) = &self.method {
+            let ReferenceOptions { samples, repetitions, .. } = options;
             line("# Samples drawn from a source, and repetitions.".into());
-            line(format!("n = {n}\nrepetitions = {repetitions}"));
-        }
-        if self.by_conductivity {
-            line(
-                "# Compare surfaces of matching conductivity alone.\nby_conductivity = true".into(),
-            );
+            line(format!("n = {samples}\nrepetitions = {repetitions}"));
         }
         match self.scan_s {
             Some(scan_s) => {
@@ -224,13 +215,12 @@ impl Plan {
 mod tests {
     use super::*;
 
-    fn plan(setting: Setting) -> Plan {
+    fn plan(method: MethodSpec) -> Plan {
         Plan {
             library: "a \"quoted\" name".into(),
             synthetic: true,
             sources: vec![SourceId::new("ca1").unwrap(), SourceId::new("mi2").unwrap()],
-            setting,
-            by_conductivity: true,
+            method,
             scan_s: Some(0.5),
             expected: Expected {
                 target: 0.99,
@@ -250,10 +240,9 @@ mod tests {
 
     #[test]
     fn a_plan_survives_being_written() {
-        for setting in
-            [Setting::Embedding, Setting::Joint, Setting::Reference { n: 100, repetitions: 1 }]
-        {
-            let mut plan = plan(setting);
+        let few = ReferenceOptions { samples: 100, repetitions: 1, ..Default::default() };
+        for method in [MethodName::Embedding.into(), MethodSpec::Reference(few)] {
+            let mut plan = plan(method);
             assert_eq!(Plan::from_toml(&plan.to_toml()).unwrap(), plan);
             (plan.scan_s, plan.synthetic) = (None, false);
             plan.expected.reached = false;
@@ -263,7 +252,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_with_its_place() {
-        let good = plan(Setting::Embedding).to_toml();
+        let good = plan(MethodName::Embedding.into()).to_toml();
         let error = |from: &str, to: &str| Plan::from_toml(&good.replace(from, to)).unwrap_err();
         let unknown = error("format = 1", "format = 1\ncolour = 3");
         assert!(unknown.contains("line 4") && unknown.contains("colour"), "{unknown}");

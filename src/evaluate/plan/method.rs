@@ -2,52 +2,29 @@
 
 use std::path::Path;
 
-use serde::Serialize;
-
-use crate::evaluate::run::{Progress, first_seconds, prepare_folds, run_prepared};
-use crate::evaluate::{EvaluateError, Fold, Outcome};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, Progress};
 use crate::library::Entry;
-use crate::recognise::{
-    AnyMethod, ByConductivity, Embedding, EmbeddingOptions, Joint, MethodName, Reference,
-    ReferenceOptions, metal_detector,
-};
-use crate::scene::{Scene, SourceId};
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
+use crate::scene::Scene;
 
-/// Settings of `reference` that may take the place of `embedding`, the cheapest first.
-const CHEAPER: [Setting; 3] = [
-    Setting::Reference { n: 100, repetitions: 1 },
-    Setting::Reference { n: 400, repetitions: 1 },
-    Setting::Reference { n: 100, repetitions: 10 },
-];
+/// Settings of `reference` that may take the place of `embedding`, n and R, the cheapest first.
+const CHEAPER: [(usize, usize); 3] = [(100, 1), (400, 1), (100, 10)];
 
 /// They do where they take at most this share of its time: differences of less are noise.
 const CHEAPER_BY: f64 = 0.25;
 
-/// Settings that are tried where `embedding` does not reach the target.
-const SHARPER: [Setting; 2] = [Setting::Joint, Setting::Reference { n: 400, repetitions: 10 }];
-
-/// Surfaces of the other conductivity are passed over where that takes at most this share of the
-/// time.
-const NARROWED_BY: f64 = 0.8;
+/// Setting of `reference` that is tried where `embedding` does not reach the target.
+const SHARPER: (usize, usize) = (400, 10);
 
 /// Queries by which a setting's time is first guessed.
 const GLIMPSE: usize = 5;
 
-/// A method and its settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(tag = "method", rename_all = "lowercase")]
-pub enum Setting {
-    /// The method `embedding`.
-    Embedding,
-    /// The method `joint`.
-    Joint,
-    /// The method `reference`.
-    Reference {
-        /// samples drawn from a source
-        n: usize,
-        /// repetitions whose scores are averaged
-        repetitions: usize,
-    },
+fn embedding() -> MethodSpec {
+    MethodSpec::from(MethodName::Embedding)
+}
+
+fn reference((samples, repetitions): (usize, usize)) -> MethodSpec {
+    MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..Default::default() })
 }
 
 /// What a setting is tried on.
@@ -57,92 +34,53 @@ pub(super) struct Trying<'a> {
     pub entries: &'a [Entry],
     pub folds: &'a [Fold],
     pub scan_s: Option<f64>,
-    /// The source by which surfaces of matching conductivity are found, if others are passed over.
-    pub detector: Option<&'a SourceId>,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
-}
-
-impl Setting {
-    /// The method's name.
-    pub fn method(self) -> MethodName {
-        match self {
-            Self::Embedding => MethodName::Embedding,
-            Self::Joint => MethodName::Joint,
-            Self::Reference { .. } => MethodName::Reference,
-        }
-    }
-
-    /// Names all queries as `surfaced eval` would.
-    pub(super) fn run(
-        self,
-        on: Trying<'_>,
-        progress: Progress<'_>,
-    ) -> Result<Outcome, EvaluateError> {
-        let scene = on.scene.clone();
-        let method = match self {
-            Self::Embedding => AnyMethod::new(Embedding::new(scene, EmbeddingOptions::default())),
-            Self::Joint => AnyMethod::new(Joint::new(scene)),
-            Self::Reference { n, repetitions } => {
-                let options = ReferenceOptions { samples: n, repetitions, ..Default::default() };
-                AnyMethod::new(Reference::new(scene, options))
-            }
-        };
-        match on.detector {
-            Some(detector) => {
-                let method = AnyMethod::new(ByConductivity::new(method, detector.clone()));
-                run(&method, on, progress)
-            }
-            None => run(&method, on, progress),
-        }
-    }
-}
-
-/// How many queries were named right.
-pub(super) fn right(outcome: &Outcome) -> usize {
-    outcome.folds.iter().map(|f| (f.accuracy * f.queries as f64).round() as usize).sum()
 }
 
 /// The choice of a method, once sources and scan time are chosen.
 pub(super) struct ChoosingMethod<'a> {
     pub on: Trying<'a>,
-    /// Whether so many right ones reach the target.
+    /// Whether this number of right answers reaches the target.
     pub reaches: &'a dyn Fn(usize) -> bool,
     /// For people: what was done, a line each.
-    pub told: &'a mut Vec<String>,
+    pub steps: &'a mut Vec<String>,
     pub progress: Progress<'a>,
 }
 
 impl ChoosingMethod<'_> {
-    /// The setting, whether surfaces of the other conductivity are passed over, and what it does.
-    pub fn choose(mut self) -> Result<(Setting, bool, Outcome), EvaluateError> {
-        let embedded = Setting::Embedding.run(self.on, self.progress)?;
-        let (setting, outcome) = match self.cheaper(&embedded)? {
-            Some(cheaper) => cheaper,
-            None if (self.reaches)(right(&embedded)) => (Setting::Embedding, embedded),
-            None => self.sharper(embedded)?,
-        };
-        let narrowed = self.narrowed(setting, &outcome)?;
-        Ok((setting, narrowed.is_some(), narrowed.unwrap_or(outcome)))
+    /// The setting, and what it does.
+    pub fn choose(mut self) -> Result<(MethodSpec, Outcome), EvaluateError> {
+        let embedded = run(&embedding(), self.on, self.progress)?;
+        match self.cheaper(&embedded)? {
+            Some(cheaper) => Ok(cheaper),
+            None if (self.reaches)(embedded.right()) => Ok((embedding(), embedded)),
+            None => self.sharper(embedded),
+        }
     }
 
     /// A setting that reaches the target and is far cheaper than `embedding`.
-    fn cheaper(&mut self, embedded: &Outcome) -> Result<Option<(Setting, Outcome)>, EvaluateError> {
+    fn cheaper(
+        &mut self,
+        embedded: &Outcome,
+    ) -> Result<Option<(MethodSpec, Outcome)>, EvaluateError> {
         let limit_ms = CHEAPER_BY * embedded.query_ms_p50;
-        for setting in CHEAPER {
+        for setting in CHEAPER.map(reference) {
             let mut glimpse = self.on.folds[..1].to_vec();
             glimpse[0].queries.truncate(GLIMPSE);
             let glimpse = Trying { folds: &glimpse, ..self.on };
             // One that cannot compare these sources is no candidate.
-            let Ok(quick) = setting.run(glimpse, self.progress) else { continue };
+            let Ok(quick) = run(&setting, glimpse, self.progress) else { continue };
             if quick.query_ms_p50 > limit_ms {
                 continue;
             }
-            let outcome = setting.run(self.on, self.progress)?;
-            if (self.reaches)(right(&outcome)) {
-                self.told.push(format!(
-                    "{setting:?} is as good, and takes {:.2} ms instead of {:.2} ms",
-                    outcome.query_ms_p50, embedded.query_ms_p50
+            let outcome = run(&setting, self.on, self.progress)?;
+            if (self.reaches)(outcome.right()) {
+                self.steps.push(format!(
+                    "{} is as good, and takes {:.2} ms instead of {:.2} ms",
+                    shown(&setting),
+                    outcome.query_ms_p50,
+                    embedded.query_ms_p50
                 ));
                 return Ok(Some((setting, outcome)));
             }
@@ -150,45 +88,31 @@ impl ChoosingMethod<'_> {
         Ok(None)
     }
 
-    /// The best of `embedding`, which has missed the target, and of what may yet reach it; of
+    /// The better of `embedding`, which has missed the target, and of what may yet reach it; of
     /// equals the first.
-    fn sharper(&mut self, embedded: Outcome) -> Result<(Setting, Outcome), EvaluateError> {
-        let mut best = (Setting::Embedding, embedded);
-        for setting in SHARPER {
-            let outcome = setting.run(self.on, self.progress)?;
-            let (found, so_far) = (right(&outcome), right(&best.1));
-            self.told.push(format!("{setting:?} names {found} right, {:?} {so_far}", best.0));
-            if found > so_far {
-                best = (setting, outcome);
-            }
-            if (self.reaches)(right(&best.1)) {
-                break;
-            }
-        }
-        Ok(best)
-    }
-
-    /// The same setting on surfaces of matching conductivity alone, where a metal detector is among
-    /// the sources, if it names as many right in clearly less time.
-    fn narrowed(
-        &mut self,
-        setting: Setting,
-        whole: &Outcome,
-    ) -> Result<Option<Outcome>, EvaluateError> {
-        let Some(detector) = metal_detector(self.on.scene) else { return Ok(None) };
-        let outcome = setting.run(Trying { detector: Some(detector), ..self.on }, self.progress)?;
-        let (found, of_whole) = (right(&outcome), right(whole));
-        let (found_ms, whole_ms) = (outcome.query_ms_p50, whole.query_ms_p50);
-        self.told.push(format!(
-            "surfaces of matching conductivity alone: {found} right instead of {of_whole}, \
-             {found_ms:.2} ms instead of {whole_ms:.2} ms"
-        ));
-        Ok((found >= of_whole && found_ms <= NARROWED_BY * whole_ms).then_some(outcome))
+    fn sharper(&mut self, embedded: Outcome) -> Result<(MethodSpec, Outcome), EvaluateError> {
+        let setting = reference(SHARPER);
+        let outcome = run(&setting, self.on, self.progress)?;
+        let (found, so_far) = (outcome.right(), embedded.right());
+        let (its, others) = (shown(&setting), shown(&embedding()));
+        self.steps.push(format!("{its} names {found} right, {others} {so_far}"));
+        Ok(if found > so_far { (setting, outcome) } else { (embedding(), embedded) })
     }
 }
 
+/// A setting for people.
+fn shown(setting: &MethodSpec) -> String {
+    match setting {
+        MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
+            format!("reference at n = {samples}, R = {repetitions}")
+        }
+        other => other.name().as_str().into(),
+    }
+}
+
+/// Names all queries as `surfaced eval` would.
 fn run(
-    method: &AnyMethod,
+    setting: &MethodSpec,
     on: Trying<'_>,
     progress: Progress<'_>,
 ) -> Result<Outcome, EvaluateError> {
@@ -200,9 +124,11 @@ fn run(
         queries: fold.queries.iter().copied().filter(has_any).collect(),
     });
     let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
-    let as_query = |entry: &Entry| first_seconds(entry, on.scene, on.scan_s);
-    let prepared = prepare_folds(method, &entries, &folds, on.cache, progress)?;
-    let (outcome, _) =
-        run_prepared(method, &entries, &folds, &prepared.trials, as_query, progress)?;
-    Ok(outcome)
+    let evaluation = Evaluation {
+        query_seconds: on.scan_s,
+        cache: on.cache,
+        progress,
+        ..Evaluation::new(on.scene, &entries, &folds)
+    };
+    Ok(evaluation.prepare(&*setting.build(on.scene))?.measure()?.outcome)
 }

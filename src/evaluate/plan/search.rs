@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::file::{Expected, Plan};
-use super::method::{ChoosingMethod, Trying, right};
+use super::method::{ChoosingMethod, Trying};
 use super::study::Study;
 use crate::evaluate::{EvaluateError, Outcome, Progress, Protocol, folds, wilson_interval};
 use crate::library::{Entry, Library};
@@ -13,7 +13,7 @@ use crate::recognise::jeffreys_quantile;
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
-/// What is asked for.
+/// What a plan must reach, and by which folds.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanOptions<'a> {
     /// The accuracy to reach, a fraction.
@@ -90,21 +90,19 @@ pub fn search(
         entries: &entries,
         folds: &folds,
         scan_s: study.times[choice.time].filter(|_| dragged),
-        detector: None,
         cache: options.cache,
     };
-    let mut told = Vec::new();
+    let mut steps = Vec::new();
     let reaches = |right| search.reaches(right);
-    let (setting, by_conductivity, outcome) =
-        ChoosingMethod { on, reaches: &reaches, told: &mut told, progress }.choose()?;
-    search.steps.extend(told);
+    let (method, outcome) =
+        ChoosingMethod { on, reaches: &reaches, steps: &mut steps, progress }.choose()?;
+    search.steps.extend(steps);
     let expected = search.expected(&outcome, &choice, options.protocol);
     let plan = Plan {
         library: library.name.clone(),
         synthetic: library.synthetic,
         sources: ids,
-        setting,
-        by_conductivity,
+        method,
         scan_s: on.scan_s,
         expected,
     };
@@ -218,7 +216,7 @@ impl<'a> Search<'a> {
         chosen
     }
 
-    /// Leaves out what is not needed, the dearest first.
+    /// Leaves out sources that are not needed, the most expensive first.
     fn prune(&mut self, mut chosen: Choice, least: Option<usize>) -> Choice {
         for s in self.by_cost.clone().into_iter().rev() {
             let others: Vec<usize> = chosen.sources.iter().copied().filter(|o| *o != s).collect();
@@ -252,7 +250,7 @@ impl<'a> Search<'a> {
     }
 
     fn expected(&self, outcome: &Outcome, choice: &Choice, protocol: Protocol) -> Expected {
-        let (right, queries) = (right(outcome), outcome.queries);
+        let (right, queries) = (outcome.right(), outcome.queries);
         let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
         Expected {
             target: self.target,
@@ -297,7 +295,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Whether so many queries can show the target at all.
+/// Whether this number of queries can show the target at all.
 fn shown(queries: usize, target: f64) -> bool {
     jeffreys_quantile(queries, queries, 0.5) >= target
 }

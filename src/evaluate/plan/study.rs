@@ -1,12 +1,13 @@
-//! What every source tells of every query, fold by fold: enough to know the accuracy of any subset
-//! of sources at any of the scan times, without comparing a trial again.
+//! Every query of every fold, ready to be named by any subset of its sources at any of the scan times,
+//! without embedding a trial again.
 
-use std::time::Instant;
+use std::sync::Arc;
 
-use crate::evaluate::run::{Progress, first_seconds, prepare_folds};
-use crate::evaluate::{EvaluateError, Fold};
+use rayon::prelude::*;
+
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
 use crate::library::Entry;
-use crate::recognise::{Embedding, EmbeddingOptions, Method, RecogniseError, SourceDistances};
+use crate::recognise::{BySources, MethodName, MethodSpec, Model, RecogniseError};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
@@ -48,13 +49,30 @@ impl StudiedSource {
     }
 }
 
-/// One query.
+/// One query: what it is, and for each scan time how it is named by some of its sources.
 struct Query {
-    /// Place of its surface among those of its fold's library.
-    truth: usize,
-    surfaces: usize,
-    /// For each time, what each source told, if it told anything.
-    told: Vec<Vec<Option<SourceDistances>>>,
+    truth: String,
+    times: Vec<Option<Box<dyn BySources>>>,
+}
+
+impl Query {
+    fn new(
+        run: &Run<'_, '_>,
+        model: &Arc<dyn Model>,
+        trial: &Trial,
+        times: &[Option<f64>],
+    ) -> Result<Self, RecogniseError> {
+        let at_time = |&time: &Option<f64>| {
+            let query = run.query_of(&**model, trial.clone(), time)?;
+            match Arc::clone(model).by_sources(&query.prepared) {
+                // Such a query is not named by any of its sources.
+                Err(RecogniseError::TooLittle) => Ok(None),
+                other => other,
+            }
+        };
+        let times = times.iter().map(at_time).collect::<Result<_, RecogniseError>>()?;
+        Ok(Self { truth: trial.key.surface.clone(), times })
+    }
 }
 
 /// See the module.
@@ -72,8 +90,9 @@ impl Study {
         folds: &[Fold],
         progress: Progress<'_>,
     ) -> Result<Self, EvaluateError> {
-        let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
-        let prepared = prepare_folds(&method, entries, folds, None, progress)?.trials;
+        let method = MethodSpec::from(MethodName::Embedding).build(scene);
+        let evaluation = Evaluation { progress, ..Evaluation::new(scene, entries, folds) };
+        let run = evaluation.prepare(&*method)?;
         let mut sources = studied(scene, entries)?;
         let longest =
             sources.iter().filter(|s| s.phase == Phase::Drag).fold(0.0, |t, s| s.whole_s.max(t));
@@ -83,33 +102,15 @@ impl Study {
         let mut queries = Vec::with_capacity(total);
         let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
         for fold in folds {
-            let library = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-            let model = method.fit(library)?;
+            let model = run.fit(&fold.library)?;
             for &i in &fold.queries {
-                let entry = &entries[i];
-                let trial = entry.load().map_err(RecogniseError::from)?;
-                let kept = Entry::in_memory(trial.clone());
-                let mut told = Vec::with_capacity(times.len());
-                for &time in &times {
-                    let query = first_seconds(&kept, scene, time);
-                    let query = query.load().map_err(RecogniseError::from)?;
-                    let query = method.prepare(&kept, &query)?;
-                    let mut by_source = model.by_source(&query)?;
-                    let of_source = |source: &StudiedSource| {
-                        let at = by_source.iter().position(|told| told.source == source.id)?;
-                        Some(by_source.swap_remove(at))
-                    };
-                    told.push(sources.iter().map(of_source).collect());
-                }
-                if queries.len() < TIMED {
+                let trial = run.recording(i)?;
+                queries.push(Query::new(&run, &model, &trial, &times)?);
+                if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
-                        latencies.extend(time_alone(&method, &model, &trial, &source.id));
+                        latencies.extend(time_alone(&run, &*model, &trial, &source.id));
                     }
                 }
-                let surfaces = model.surfaces();
-                // Every query's surface is in its fold's library.
-                let truth = surfaces.iter().position(|s| *s == entry.key.surface).unwrap_or(0);
-                queries.push(Query { truth, surfaces: surfaces.len(), told });
                 progress("trying sources", queries.len(), total);
             }
         }
@@ -125,44 +126,25 @@ impl Study {
         self.queries.len()
     }
 
-    /// How many queries some sources, by their places, name right at a scan time, by its place.
-    /// Exactly as `embedding` does with these sources, but for several of which none is trained:
-    /// there it takes the nearest trial by all, and this the nearest by each.
+    /// How many queries some sources, by their places, name right at a scan time, by its place: as
+    /// `embedding` does with these sources alone.
     pub fn right(&self, sources: &[usize], time: usize) -> usize {
+        let ids: Vec<&SourceId> = sources.iter().map(|&s| &self.sources[s].id).collect();
         let is_right = |query: &&Query| {
-            let mut told: Vec<&SourceDistances> =
-                sources.iter().filter_map(|&s| query.told[time][s].as_ref()).collect();
-            if told.iter().any(|told| told.trained) {
-                told.retain(|told| told.trained);
-            }
-            let sum = |surface: usize| told.iter().map(|t| t.distances[surface]).sum::<f64>();
-            let mut best = (f64::INFINITY, None);
-            for surface in 0..query.surfaces {
-                let sum = sum(surface);
-                if sum < best.0 {
-                    best = (sum, Some(surface));
-                }
-            }
-            !told.is_empty() && best.1 == Some(query.truth)
+            let named = query.times[time].as_ref().and_then(|query| query.surface(&ids));
+            named == Some(query.truth.as_str())
         };
-        self.queries.iter().filter(is_right).count()
+        self.queries.par_iter().filter(is_right).count()
     }
 }
 
 /// Milliseconds from the raw samples of one source to its answer.
-fn time_alone(
-    method: &Embedding,
-    model: &<Embedding as Method>::Model,
-    trial: &Trial,
-    id: &SourceId,
-) -> Option<f64> {
+fn time_alone(run: &Run<'_, '_>, model: &dyn Model, trial: &Trial, id: &SourceId) -> Option<f64> {
     let signal = trial.signals.get(id)?.clone();
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
-    let entry = Entry::in_memory(alone.clone());
-    let start = Instant::now();
-    let query = method.prepare(&entry, &alone).ok()?;
-    method.rank(model, &query).ok()?;
-    Some(start.elapsed().as_secs_f64() * 1e3)
+    let query = run.query_of(model, alone, None).ok()?;
+    model.rank(&query.prepared).ok()?;
+    Some(query.started.elapsed().as_secs_f64() * 1e3)
 }
 
 /// The sources that some trial has, by the first such trial.

@@ -1,4 +1,4 @@
-//! What came of a stress run.
+//! The result of a stress run.
 
 use std::fmt::Write as _;
 
@@ -28,7 +28,7 @@ pub struct Cell {
 pub struct Level {
     /// In the disturbance's unit.
     pub level: f64,
-    /// What came of it.
+    /// What was measured.
     #[serde(flatten)]
     pub cell: Cell,
 }
@@ -95,7 +95,7 @@ pub struct Report {
     pub sources: Vec<String>,
     /// Number of queries.
     pub queries: usize,
-    /// Number of those that were also asked of a library without their surface.
+    /// Number of those that were also compared with a library without their surface.
     pub unknown_queries: usize,
     /// Whether sources with a dead or stuck sensor were compared all the same.
     pub keep_flawed: bool,

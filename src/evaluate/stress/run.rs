@@ -7,14 +7,14 @@ use rayon::prelude::*;
 
 use super::disturb::{Disturbance, Kind, Setting};
 use super::report::{Cell, Level, MethodReport, Series};
-use crate::evaluate::{EvaluateError, Fold, Progress, prepare};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
 use crate::library::Entry;
-use crate::recognise::{Method, Ranking, RecogniseError, without_flawed};
+use crate::recognise::{Method, Model, Ranking, RecogniseError};
 use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
 
-/// One in so many surfaces is taken out of the library for the unknown queries.
+/// One in this number of surfaces is taken out of the library for the unknown queries.
 const UNKNOWN_SHARE: usize = 4;
 /// Share of undisturbed answers that may be rejected.
 const REJECTED: f64 = 0.05;
@@ -38,7 +38,12 @@ pub struct Plan<'a> {
 }
 
 impl Plan<'_> {
-    /// The first folds that hold so many queries; the last is thinned out to fit.
+    fn evaluation<'a>(&'a self, entries: &'a [Entry], folds: &'a [Fold]) -> Evaluation<'a> {
+        let keep_dead_sources = self.keep_flawed;
+        Evaluation { keep_dead_sources, ..Evaluation::new(self.scene, entries, folds) }
+    }
+
+    /// The first folds that hold this number of queries; the last is thinned out to fit.
     pub fn limited(folds: Vec<Fold>, queries: usize) -> Vec<Fold> {
         let mut left = queries;
         let mut kept = Vec::new();
@@ -54,7 +59,7 @@ impl Plan<'_> {
         kept
     }
 
-    /// Whether a query is also asked of a library without its surface.
+    /// Whether a query is also compared with a library without its surface.
     pub fn is_unknown(&self, query: usize) -> bool {
         let surfaces: BTreeSet<&str> =
             self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();
@@ -83,30 +88,28 @@ struct Named {
 ///
 /// # Errors
 /// If the library cannot be prepared. Queries that a method refuses count as named wrong.
-pub fn run<M: Method>(
-    method: &M,
+pub fn run(
+    method: &dyn Method,
     plan: &Plan<'_>,
     progress: Progress<'_>,
 ) -> Result<MethodReport, EvaluateError> {
-    let wanted: BTreeSet<usize> =
-        plan.folds.iter().flat_map(|fold| fold.library.iter().copied()).collect();
-    let prepared = prepare(method, plan.entries, &wanted, progress)?;
+    let evaluation = plan.evaluation(plan.entries, plan.folds);
+    let run = Evaluation { progress, ..evaluation }.prepare(method)?;
     let levels: usize = plan.disturbances.iter().map(|d| d.levels.len()).sum();
     let (mut done, total) = (0, plan.folds.len() * levels);
     let mut clean = Vec::new();
     let mut cells: Vec<Vec<Vec<Answer>>> =
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
-        let library: Vec<_> = fold.library.iter().filter_map(|&i| prepared[i].clone()).collect();
-        let models = Models::fit(method, plan, fold, library)?;
-        let queries = Queries::load(method, plan, fold)?;
-        clean.extend(queries.answers(&models, Trial::clone));
+        let models = Models::fit(&run, plan, fold, &fold.library)?;
+        let queries = Queries::load(&run, plan, fold)?;
+        clean.extend(queries.answers(&run, &models, Trial::clone));
         // Level by level, so that a library that has to be cut to the length of disturbed queries
         // is cut once for all of them.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
                 of_level.extend(match d.kind {
-                    Kind::Query(change) => queries.answers(&models, |raw| {
+                    Kind::Query(change) => queries.answers(&run, &models, |raw| {
                         let (mut trial, key) = (raw.clone(), raw.key.to_string());
                         let rng = seed::rng(
                             plan.seed,
@@ -121,10 +124,15 @@ pub fn run<M: Method>(
                         let entries = fold.library.iter().map(|&i| plan.entries[i].clone());
                         let entries =
                             change(entries.collect(), level, &mut seed::rng(plan.seed, &key));
-                        let all = (0..entries.len()).collect();
-                        let prepared = prepare(method, &entries, &all, &|_, _, _| {})?;
-                        let prepared = prepared.into_iter().flatten().collect();
-                        queries.answers(&Models::fit(method, plan, fold, prepared)?, Trial::clone)
+                        let all = Fold {
+                            name: fold.name.clone(),
+                            library: (0..entries.len()).collect(),
+                            queries: Vec::new(),
+                        };
+                        let folds = std::slice::from_ref(&all);
+                        let changed = plan.evaluation(&entries, folds).prepare(method)?;
+                        let models = Models::fit(&changed, plan, fold, &all.library)?;
+                        queries.answers(&changed, &models, Trial::clone)
                     }
                 });
                 done += 1;
@@ -135,61 +143,60 @@ pub fn run<M: Method>(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The queries of a fold, undisturbed, and who answers them.
-struct Queries<'a, M: Method> {
-    method: &'a M,
+/// The queries of a fold, undisturbed.
+struct Queries<'a> {
     plan: &'a Plan<'a>,
     trials: Vec<(usize, Trial)>,
 }
 
-impl<'a, M: Method> Queries<'a, M> {
-    fn load(method: &'a M, plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
-        let load = |&query: &usize| Ok((query, plan.entries[query].load()?));
+impl<'a> Queries<'a> {
+    fn load(run: &Run<'_, '_>, plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
+        let load = |&query: &usize| Ok((query, run.recording(query)?));
         let trials = fold.queries.par_iter().map(load).collect::<Result<_, RecogniseError>>()?;
-        Ok(Self { method, plan, trials })
+        Ok(Self { plan, trials })
     }
 
     /// What a library answers to each of them, changed.
-    fn answers(&self, models: &Models<M>, change: impl Fn(&Trial) -> Trial + Sync) -> Vec<Answer> {
-        let answer = |(query, raw): &(usize, Trial)| {
-            models.answer(self.method, self.plan, *query, change(raw))
-        };
+    fn answers(
+        &self,
+        run: &Run<'_, '_>,
+        models: &Models,
+        change: impl Fn(&Trial) -> Trial + Sync,
+    ) -> Vec<Answer> {
+        let answer =
+            |(query, raw): &(usize, Trial)| models.answer(run, self.plan, *query, change(raw));
         self.trials.par_iter().map(answer).collect()
     }
 }
 
 /// A model of the library, and one without the surfaces that are to be unknown.
-struct Models<M: Method> {
-    all: M::Model,
-    without: Option<M::Model>,
+struct Models {
+    all: Arc<dyn Model>,
+    without: Option<Arc<dyn Model>>,
 }
 
-impl<M: Method> Models<M> {
+impl Models {
+    /// `places` are those of the fold's trials in the prepared library. A library that was changed
+    /// in size has no unknown surfaces.
     fn fit(
-        method: &M,
+        run: &Run<'_, '_>,
         plan: &Plan<'_>,
         fold: &Fold,
-        library: Vec<Arc<M::Prepared>>,
+        places: &[usize],
     ) -> Result<Self, EvaluateError> {
-        // Prepared trials do not tell their surface, so the smaller library goes by the fold's own
-        // trials; a changed library has no unknown surfaces.
-        let without = (library.len() == fold.library.len())
-            .then(|| {
-                (fold.library.iter().zip(&library))
-                    .filter(|(trial, _)| !plan.is_unknown(**trial))
-                    .map(|(_, prepared)| Arc::clone(prepared))
-                    .collect::<Vec<_>>()
-            })
-            .filter(|kept| kept.len() < library.len());
-        let without = without.map(|kept| method.fit(kept)).transpose()?;
-        Ok(Self { all: method.fit(library)?, without })
+        let known = (fold.library.iter().zip(places))
+            .filter(|(trial, _)| !plan.is_unknown(**trial))
+            .map(|(_, place)| place);
+        let known: Vec<&usize> = known.collect();
+        let some_unknown = fold.library.len() == places.len() && known.len() < places.len();
+        let without = some_unknown.then(|| run.fit(known)).transpose()?;
+        Ok(Self { all: run.fit(places)?, without })
     }
 
-    fn answer(&self, method: &M, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
+    fn answer(&self, run: &Run<'_, '_>, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
         let truth = &plan.entries[query].key.surface;
-        let trial = if plan.keep_flawed { trial } else { without_flawed(trial, plan.scene).0 };
-        let trial = Arc::new(trial);
-        let Ok(prepared) = method.prepare(&Entry::in_memory(Arc::clone(&trial)), &trial) else {
+        // The two libraries have one shape.
+        let Ok(disturbed) = run.query_of(&*self.all, trial, None) else {
             return Answer::default();
         };
         let named = |ranking: Ranking| Named {
@@ -197,7 +204,7 @@ impl<M: Method> Models<M> {
             margin: ranking.margin,
             confidence: ranking.confidence,
         };
-        let rank = |model| method.rank(model, &prepared).ok().map(named);
+        let rank = |model: &Arc<dyn Model>| model.rank(&disturbed.prepared).ok().map(named);
         let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));
         Answer { known: rank(&self.all), unknown: unknown.map(rank) }
     }

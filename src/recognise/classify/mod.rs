@@ -24,11 +24,16 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
+use super::checks::{check_surfaces, nothing_in_common};
+use super::error::RecogniseError;
 use super::features::FeatureVector;
+use super::method::{Method, Model};
+use super::prepared::Prepared;
 use super::rank::{Candidate, Ranking, rank};
-use super::{Method, RecogniseError};
+use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
+use crate::seed;
 use crate::trial::{Trial, TrialKey};
 
 /// Standardised features lie no farther than this from 0: what is farther is a broken sensor, and
@@ -51,7 +56,7 @@ pub enum Scores {
 }
 
 /// A way of telling surfaces apart by standardised features.
-pub trait Classifier: Send + Sync {
+pub trait Classifier: Clone + Send + Sync + 'static {
     /// What is learnt from a library.
     type Model: Send + Sync;
 
@@ -142,10 +147,11 @@ struct Columns {
 }
 
 /// A library, standardised and learnt.
-pub struct FeatureModel<M> {
+pub struct FeatureModel<C: Classifier> {
+    method: OnFeatures<C>,
     columns: BTreeMap<SourceId, Columns>,
     training: Training,
-    learnt: M,
+    learnt: C::Model,
 }
 
 /// Places and scales of all features of a library.
@@ -216,31 +222,44 @@ fn standardised(
     Ok(row)
 }
 
-impl<C: Classifier> Method for OnFeatures<C> {
-    type Prepared = FeatureVector;
-    type Model = FeatureModel<C::Model>;
+impl<C: Classifier> OnFeatures<C> {
+    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        let features = FeatureVector::new(&entry.key, trial, &self.scene)?;
+        Ok(Prepared::Features(Arc::new(features)))
+    }
+}
 
+impl<C: Classifier> Method for OnFeatures<C> {
     fn name(&self) -> &'static str {
         self.classifier.name()
     }
 
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FeatureVector, RecogniseError> {
-        FeatureVector::new(&entry.key, trial, &self.scene)
+    fn settings_key(&self, _: &LibraryShape) -> u64 {
+        let sources: Vec<_> = self.scene.sources().collect();
+        seed::stable_hash(&[format!("{sources:?}").as_bytes()])
     }
 
-    fn of_features(&self, features: FeatureVector) -> Option<FeatureVector> {
-        Some(features)
+    fn prepare(
+        &self,
+        entry: &Entry,
+        trial: &Trial,
+        _: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError> {
+        self.features(entry, trial)
     }
 
-    fn fit(&self, mut library: Vec<Arc<FeatureVector>>) -> Result<Self::Model, RecogniseError> {
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        _: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        let library = library.iter().map(|trial| trial.features(self.name()).cloned());
+        let mut library: Vec<Arc<FeatureVector>> = library.collect::<Result<_, _>>()?;
         library.sort_by(|a, b| a.key.cmp(&b.key));
         let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
         let mut surfaces: Vec<String> = keys.iter().map(|key| key.surface.clone()).collect();
         surfaces.dedup();
-        if surfaces.len() < 2 {
-            let (surfaces, trials) = (surfaces.len(), keys.len());
-            return Err(RecogniseError::TooFewSurfaces { surfaces, trials });
-        }
+        check_surfaces(keys.iter())?;
         let columns = columns(&library)?;
         let mut features = Array2::zeros((keys.len(), width(&columns)));
         for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
@@ -251,24 +270,25 @@ impl<C: Classifier> Method for OnFeatures<C> {
             .collect();
         let training = Training { features, class, surfaces, keys };
         let learnt = self.classifier.train(&training);
-        Ok(FeatureModel { columns, training, learnt })
+        Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, learnt }))
+    }
+}
+
+impl<C: Classifier> Model for FeatureModel<C> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        self.method.features(entry, trial)
     }
 
-    fn rank(&self, model: &Self::Model, query: &FeatureVector) -> Result<Ranking, RecogniseError> {
-        let FeatureModel { columns, training, learnt } = model;
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        let Self { method: OnFeatures { classifier, .. }, columns, training, learnt } = self;
+        let query = query.features(classifier.name())?;
         let sources: Vec<SourceId> =
             query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
         if sources.is_empty() {
-            let names = |ids: Vec<&str>| {
-                if ids.is_empty() { "none".into() } else { ids.join(", ") }
-            };
-            return Err(RecogniseError::NothingInCommon {
-                query: names(query.sources.keys().map(SourceId::as_str).collect()),
-                library: names(columns.keys().map(SourceId::as_str).collect()),
-            });
+            return Err(nothing_in_common(query.sources.keys(), columns.keys()));
         }
         let row = standardised(columns, query)?;
-        let (candidates, k) = match self.classifier.scores(learnt, training, row.view()) {
+        let (candidates, k) = match classifier.scores(learnt, training, row.view()) {
             Scores::Trials { log_scores, k } => {
                 let pairs = training.keys.iter().zip(log_scores);
                 (pairs.map(|(key, log_ds)| Candidate { key: key.clone(), log_ds }).collect(), k)
@@ -278,7 +298,7 @@ impl<C: Classifier> Method for OnFeatures<C> {
         // A library has trials, and each is a candidate or its surface has one.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
         ranking.confidence =
-            self.classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
+            classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
         Ok(ranking)
     }
 }

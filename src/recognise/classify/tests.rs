@@ -4,7 +4,7 @@ use super::*;
 use crate::recognise::features::SourceFeatures;
 
 /// Four surfaces in three dimensions, one of which says nothing, six trials each.
-fn library() -> Vec<Arc<FeatureVector>> {
+fn library() -> Vec<Prepared> {
     let vector = |surface: usize, number: u32| {
         let wobble = |k: u32| (f64::from(number * 7 + k) * 1.7 + surface as f64).sin() * 0.3;
         let values = vec![
@@ -14,24 +14,26 @@ fn library() -> Vec<Arc<FeatureVector>> {
         ];
         of("x", ["a", "b", "c", "d"][surface], number, values)
     };
-    (0..4).flat_map(|s| (1..=6).map(move |n| Arc::new(vector(s, n)))).collect()
+    (0..4).flat_map(|s| (1..=6).map(move |n| vector(s, n))).collect()
 }
 
-fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> FeatureVector {
+fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> Prepared {
     let features = SourceFeatures { values, rate_hz: 10.0 };
     let sources = BTreeMap::from([(SourceId::new(source).unwrap(), features)]);
-    FeatureVector { key: TrialKey::new(surface, "expert", number), sources }
+    let key = TrialKey::new(surface, "expert", number);
+    Prepared::Features(Arc::new(FeatureVector { key, sources }))
 }
 
 fn check<C: Classifier>(classifier: C) {
     let method = OnFeatures::new(Scene::lmt108(), classifier);
-    let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key.number == 3);
-    let model = method.fit(rest.clone()).unwrap();
+    let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key().number == 3);
+    let shape = Arc::default();
+    let model = method.fit(rest.clone(), &shape).unwrap();
     for query in &held {
-        let ranking = method.rank(&model, query).unwrap();
-        assert_eq!(ranking.surface(), query.key.surface, "{}", method.name());
+        let ranking = model.rank(query).unwrap();
+        assert_eq!(ranking.surface(), query.key().surface, "{}", method.name());
         assert_eq!(ranking.ranked.len(), 4);
-        assert_eq!(ranking.nearest.surface, query.key.surface);
+        assert_eq!(ranking.nearest.surface, query.key().surface);
         assert!(ranking.ranked.is_sorted_by(|a, b| a.score <= b.score));
         if let Some(p) = ranking.confidence {
             let sum: f64 = ranking.ranked.iter().map(|r| r.score.recip()).sum();
@@ -45,17 +47,17 @@ fn check<C: Classifier>(classifier: C) {
     // Neither the order of the library nor chance matters.
     let mut turned = rest;
     turned.reverse();
-    let again = method.fit(turned).unwrap();
-    assert_eq!(method.rank(&model, &held[1]).unwrap(), method.rank(&again, &held[1]).unwrap());
+    let again = method.fit(turned, &shape).unwrap();
+    assert_eq!(model.rank(&held[1]).unwrap(), again.rank(&held[1]).unwrap());
     // What is far beyond anything in the library still has an answer, with finite scores.
     let far = of("x", "a", 3, vec![1e30, -1e30, 0.0]);
-    let ranking = method.rank(&model, &far).unwrap();
+    let ranking = model.rank(&far).unwrap();
     assert!(ranking.ranked.iter().all(|r| r.score.is_finite()), "{}", method.name());
-    assert!(method.rank(&model, &of("x", "a", 3, vec![1.0])).is_err(), "another rate");
-    let error = method.rank(&model, &of("y", "a", 3, vec![1.0])).unwrap_err().to_string();
+    assert!(model.rank(&of("x", "a", 3, vec![1.0])).is_err(), "another rate");
+    let error = model.rank(&of("y", "a", 3, vec![1.0])).unwrap_err().to_string();
     assert!(error.contains("the query has y"), "{error}");
-    let one = library().into_iter().filter(|v| v.key.surface == "a").collect();
-    assert!(method.fit(one).is_err());
+    let one = library().into_iter().filter(|v| v.key().surface == "a").collect();
+    assert!(method.fit(one, &shape).is_err());
 }
 
 #[test]
@@ -85,14 +87,14 @@ fn a_source_that_a_query_lacks_counts_as_the_mean() {
     let method = OnFeatures::new(Scene::lmt108(), NaiveBayes);
     let mut both = Vec::new();
     for vector in library() {
-        let mut vector = FeatureVector::clone(&vector);
+        let mut vector = FeatureVector::clone(vector.features(method.name()).unwrap());
         let more = SourceFeatures { values: vec![f64::from(vector.key.number)], rate_hz: 1.0 };
         vector.sources.insert(SourceId::new("y").unwrap(), more);
-        both.push(Arc::new(vector));
+        both.push(Prepared::Features(Arc::new(vector)));
     }
-    let model = method.fit(both).unwrap();
+    let model = method.fit(both, &Arc::default()).unwrap();
     let query = &library()[8];
-    let ranking = method.rank(&model, query).unwrap();
-    assert_eq!(ranking.surface(), query.key.surface);
+    let ranking = model.rank(query).unwrap();
+    assert_eq!(ranking.surface(), query.key().surface);
     assert_eq!(ranking.sources.len(), 1, "what was not there was not compared");
 }

@@ -2,13 +2,8 @@
 //!
 //! A posterior is softmax(−d/(2τ)). Windows of one trial are not independent, so distances are too
 //! sure of themselves, the more so the shorter the scan; τ(T) makes up for it (Guo et al. 2017,
-//! "On calibration of modern neural networks", for a τ by likelihood on held-out data).
-
-/// Lengths of a scan at which τ is fitted, in seconds; the whole trial comes last.
-pub const PREFIXES_S: [f64; 10] = [0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0];
-
-/// τ of libraries too small to fit it: measured on the real sounds.
-const DEFAULT: [(f64, f64); 5] = [(0.2, 10.5), (0.4, 5.0), (0.5, 3.0), (2.0, 3.0), (3.0, 2.0)];
+//! "On calibration of modern neural networks", for a τ by likelihood on held-out data). It is never
+//! below 1, and no probability is stated beyond what so many left-out trials can show.
 
 /// Highest τ that is tried.
 const HIGHEST: f64 = 200.0;
@@ -24,33 +19,23 @@ pub type HeldOut = (Vec<f64>, usize);
 pub struct Temperature {
     /// (T in seconds, τ), T rising.
     points: Vec<(f64, f64)>,
-    /// Whether left-out trials of the library say so.
-    pub calibrated: bool,
 }
 
 impl Temperature {
-    /// Where there is nothing to calibrate with.
-    pub fn uncalibrated() -> Self {
-        Self { points: DEFAULT.to_vec(), calibrated: false }
-    }
-
-    /// Fits τ at each length; it never rises with the length.
-    pub fn fit(held_out: Vec<(f64, Vec<HeldOut>)>) -> Self {
+    /// Fits τ at each length; it never rises with the length. Without left-out trials it is 1.
+    pub fn fit(held_out: &[(f64, Vec<HeldOut>)]) -> Self {
         let mut points: Vec<(f64, f64)> = held_out
             .iter()
             .filter(|(_, trials)| !trials.is_empty())
             .map(|(seconds, trials)| (*seconds, best_temperature(trials)))
             .collect();
-        if points.is_empty() {
-            return Self::uncalibrated();
-        }
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut highest = 1.0;
         for (_, tau) in points.iter_mut().rev() {
             highest = f64::max(highest, *tau);
             *tau = highest;
         }
-        Self { points, calibrated: true }
+        Self { points }
     }
 
     /// τ for a scan of so many seconds, interpolated.
@@ -85,6 +70,16 @@ pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     logits.iter().map(|x| x - total).collect()
 }
 
+/// Probabilities held to what `trials` left-out trials can show: none above (m + ½)/(m + 1), the
+/// share that rests on their having all been named right. What is taken from the sure ones is
+/// spread over all classes alike.
+pub fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
+    let classes = log_posterior.len() as f64;
+    let doubt = 0.5 / (trials as f64 + 1.0);
+    let shared = (doubt / (1.0 - 1.0 / classes)).min(1.0);
+    log_posterior.iter().map(|p| (1.0 - shared) * p.exp() + shared / classes).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,9 +104,24 @@ mod tests {
     fn temperatures_fall_with_the_length_of_a_scan() {
         let trial = |wrong: usize, i: usize| (vec![0.0, 40.0], usize::from(i < wrong));
         let at = |seconds, wrong| (seconds, (0..100).map(|i| trial(wrong, i)).collect());
-        let fitted = Temperature::fit(vec![at(1.0, 5), at(0.5, 2), at(2.0, 0)]);
+        let fitted = Temperature::fit(&[at(1.0, 5), at(0.5, 2), at(2.0, 0)]);
         assert!(fitted.at(0.1) >= fitted.at(0.75) && fitted.at(0.75) >= fitted.at(1.5));
         assert!(fitted.at(9.0) >= 1.0);
-        assert_eq!(Temperature::uncalibrated().at(0.45), 4.0);
+        assert_eq!(Temperature::fit(&[]).at(0.45), 1.0);
+    }
+
+    #[test]
+    fn no_probability_is_beyond_what_the_left_out_trials_can_show() {
+        for (trials, classes) in [(0, 2), (7, 3), (200, 20)] {
+            let mut sure = vec![-f64::INFINITY; classes];
+            sure[0] = 0.0;
+            let held = held_back(&sure, trials);
+            let most = (trials as f64 + 0.5) / (trials as f64 + 1.0);
+            assert!(
+                (held[0] - most).abs() < 1e-12 && (held.iter().sum::<f64>() - 1.0).abs() < 1e-12
+            );
+        }
+        let even = held_back(&[0.5f64.ln(); 2], 3);
+        assert!((even[0] - 0.5).abs() < 1e-12);
     }
 }

@@ -1,17 +1,17 @@
 //! The shrinkage discriminant: linear discriminant analysis on embeddings.
 //!
-//! With class means μ_c over all training vectors and the pooled scatter within classes W, the
-//! metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances d_c = ‖u − m_c‖² are taken in the space
+//! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
+//! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
+//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances d_c = ‖u − m_c‖² are taken in the space
 //! that the class means span after whitening by S: they order classes as the full Mahalanobis
 //! distance does, and what is left out tells nothing between classes.
 
-use ndarray::{Array1, Array2, ArrayView1, s};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 
 use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
 
-/// γ: how much of the metric is a multiple of the identity. Anything from 0.01 to 0.3 does as well
-/// on the real sounds; estimates that count windows as independent trials give far too little.
-pub const SHRINKAGE: f64 = 0.1;
+/// γ: how much of the metric is a multiple of the identity (method §9).
+pub const SHRINKAGE: f64 = 0.03;
 
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
@@ -23,20 +23,20 @@ const ROWS_A_SUM: usize = 512;
 /// Sums over some training vectors; they add and subtract.
 #[derive(Clone, Debug)]
 pub struct Scatter {
-    /// Number of vectors of each class.
+    /// Number of vectors of each label.
     counts: Vec<f64>,
-    /// Sum of the vectors of each class, shape (C, D).
+    /// Sum of the vectors of each label, shape (labels, D).
     sums: Array2<f64>,
     /// Σ z·zᵀ.
     gram: Array2<f64>,
 }
 
 impl Scatter {
-    /// Sums over `vectors`, shape (n, D), each with its class below `classes`.
-    pub fn new(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Self {
+    /// Sums over `vectors`, shape (n, D), each with its label below `count`.
+    pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
         let dims = vectors.ncols();
-        let mut counts = vec![0.0; classes];
-        let mut sums = Array2::zeros((classes, dims));
+        let mut counts = vec![0.0; count];
+        let mut sums = Array2::zeros((count, dims));
         for (vector, &class) in vectors.rows().into_iter().zip(labels) {
             counts[class] += 1.0;
             sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
@@ -49,26 +49,22 @@ impl Scatter {
         Self { counts, sums, gram }
     }
 
-    /// Sums over no vectors.
-    pub fn none(classes: usize, dims: usize) -> Self {
-        let (sums, gram) = (Array2::zeros((classes, dims)), Array2::zeros((dims, dims)));
-        Self { counts: vec![0.0; classes], sums, gram }
-    }
-
-    /// Adds the sums of other vectors.
-    pub fn add(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine += other);
-        self.sums += &other.sums;
-        self.gram += &other.gram;
-    }
-
     /// Takes the sums of some of the vectors off again.
-    pub fn without(&self, other: &Self) -> Self {
-        let counts = self.counts.iter().zip(&other.counts).map(|(mine, other)| mine - other);
+    pub fn subtract(&mut self, other: &Self) {
+        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine -= other);
+        self.sums -= &other.sums;
+        self.gram -= &other.gram;
+    }
+
+    /// The sums of some columns, in rising order.
+    pub fn select(&self, columns: &[usize]) -> Self {
+        if columns.len() == self.sums.ncols() {
+            return self.clone();
+        }
         Self {
-            counts: counts.collect(),
-            sums: &self.sums - &other.sums,
-            gram: &self.gram - &other.gram,
+            counts: self.counts.clone(),
+            sums: self.sums.select(Axis(1), columns),
+            gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),
         }
     }
 }
@@ -87,27 +83,27 @@ pub struct Discriminant {
 }
 
 impl Discriminant {
-    /// Trains on sums. Returns `None` where all vectors are equal, no class has two, or fewer than
-    /// two classes have any.
-    pub fn new(scatter: &Scatter, shrinkage: f64) -> Option<Self> {
-        let dims = scatter.sums.ncols();
-        let present: Vec<bool> = scatter.counts.iter().map(|&n| n > 0.5).collect();
-        let classes = present.iter().filter(|&&p| p).count();
-        let freedom = scatter.counts.iter().sum::<f64>() - classes as f64;
-        if classes < 2 || freedom < 0.5 {
+    /// Trains on sums over whole trials and excerpts of `classes`. `dims` is the number of features
+    /// that the identity stands for: more than the columns where these are coordinates of a space
+    /// within.
+    ///
+    /// Returns `None` where all vectors are equal, no label has two, or fewer than two classes have
+    /// any.
+    pub fn new(scatter: &Scatter, classes: usize, dims: usize) -> Option<Self> {
+        let present: Vec<bool> = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
+        let known = present.iter().filter(|&&p| p).count();
+        let vectors = scatter.counts.iter().sum::<f64>();
+        let freedom = vectors - scatter.counts.iter().filter(|&&n| n > 0.5).count() as f64;
+        if known < 2 || freedom < 0.5 {
             return None;
         }
         let mut means = scatter.sums.clone();
         for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
             mean /= n.max(1.0);
         }
-        let mut weighted = means.clone();
-        for (mut mean, &n) in weighted.rows_mut().into_iter().zip(&scatter.counts) {
-            mean *= n;
-        }
-        let mut metric = &scatter.gram - &weighted.t().dot(&means);
-        let mean_square = scatter.gram.diag().sum() / scatter.counts.iter().sum::<f64>();
-        let overall = scatter.sums.sum_axis(ndarray::Axis(0)) / scatter.counts.iter().sum::<f64>();
+        let mut metric = &scatter.gram - &scatter.sums.t().dot(&means);
+        let mean_square = scatter.gram.diag().sum() / vectors;
+        let overall = scatter.sums.sum_axis(Axis(0)) / vectors;
         let total = (mean_square - overall.dot(&overall)) / dims as f64;
         // The sums of squares are good to about 1e-6 of themselves: less is noise.
         if total.is_nan() || total <= 1e-5 * mean_square / dims as f64 {
@@ -115,15 +111,16 @@ impl Discriminant {
         }
         let within = metric.diag().iter().map(|x| x.max(0.0)).sum::<f64>() / freedom / dims as f64;
         let trace = within.max(LEAST_WITHIN * total);
-        metric *= (1.0 - shrinkage) / freedom;
-        metric.diag_mut().map_inplace(|x| *x = x.max(0.0) + shrinkage * trace);
+        metric *= (1.0 - SHRINKAGE) / freedom;
+        metric.diag_mut().map_inplace(|x| *x = x.max(0.0) + SHRINKAGE * trace);
+        let mut means = means.slice_move(s![..classes, ..]);
         let factor = cholesky(metric)?;
 
-        let mut centre = Array1::zeros(dims);
+        let mut centre = Array1::zeros(means.ncols());
         for (mean, _) in means.rows().into_iter().zip(&present).filter(|(_, p)| **p) {
             centre += &mean;
         }
-        centre /= classes as f64;
+        centre /= known as f64;
         for (mut mean, &present) in means.rows_mut().into_iter().zip(&present) {
             if present { mean -= &centre } else { mean.fill(0.0) }
         }
@@ -140,11 +137,67 @@ impl Discriminant {
         sound.then_some(Self { projection, origin, means, present })
     }
 
+    /// Distances in the features' own units, to the means of the first `classes` labels.
+    pub fn of_means(scatter: &Scatter, classes: usize) -> Self {
+        let mut means = scatter.sums.slice(s![..classes, ..]).to_owned();
+        for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
+            mean /= n.max(1.0);
+        }
+        let present = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
+        let dims = means.ncols();
+        Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
+    }
+
+    /// Whether a class had training vectors.
+    pub fn knows(&self, class: usize) -> bool {
+        self.present[class]
+    }
+
+    /// The same with another projection onto the space of the class means.
+    pub fn map_projection(self, change: impl FnOnce(Array2<f32>) -> Array2<f32>) -> Self {
+        Self { projection: change(self.projection), ..self }
+    }
+
+    /// The same for vectors of `dims` features, of which these are the `columns`; the others count
+    /// for nothing.
+    pub fn spread(self, columns: &[usize], dims: usize) -> Self {
+        self.map_projection(|projection| {
+            if columns.len() == dims {
+                return projection;
+            }
+            let mut wide = Array2::zeros((projection.nrows(), dims));
+            for (narrow, &column) in projection.columns().into_iter().zip(columns) {
+                wide.column_mut(column).assign(&narrow);
+            }
+            wide
+        })
+    }
+
+    /// u, a vector in the space of the class means: what distances are taken of.
+    pub fn project(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
+        let projected = self.projection.dot(&vector);
+        projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect()
+    }
+
+    /// u·m_c, taken apart by stretches of the vector: how much each speaks for each class, shape
+    /// (stretches, C). A class's distance is |u|² + |m_c|² less twice their sum.
+    pub fn terms(
+        &self,
+        vector: ArrayView1<'_, f32>,
+        stretches: &[std::ops::Range<usize>],
+    ) -> Array2<f64> {
+        let weights = self.means.mapv(|x| x as f32).dot(&self.projection);
+        let offset = self.means.dot(&self.origin);
+        Array2::from_shape_fn((stretches.len(), self.means.nrows()), |(s, class)| {
+            let stretch = s![stretches[s].clone()];
+            let own = weights.row(class).slice(stretch).dot(&vector.slice(stretch));
+            f64::from(own) - offset[class] / stretches.len() as f64
+        })
+    }
+
     /// d_c for each class; infinite for those without training vectors.
-    pub fn distances(&self, vector: &[f32]) -> Vec<f64> {
-        let projected = self.projection.dot(&ArrayView1::from(vector));
-        let u: Vec<f64> =
-            projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect();
+    pub fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
+        let u = self.project(vector);
         let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
             if present {
                 mean.iter().zip(&u).map(|(m, u)| (m - u).powi(2)).sum()
@@ -169,31 +222,44 @@ mod tests {
         (vectors, labels)
     }
 
+    fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
+        Discriminant::new(&Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
+    }
+
     #[test]
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
         let (vectors, labels) = data();
-        let trained = Discriminant::new(&Scatter::new(&vectors, &labels, 3), SHRINKAGE).unwrap();
+        // Every third round is of excerpts, whose means are their own.
+        let labels: Vec<usize> = labels
+            .iter()
+            .enumerate()
+            .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
+            .collect();
+        let trained = trained(&vectors, &labels, 3).unwrap();
         let z = vectors.mapv(f64::from);
-        let mut means = Array2::<f64>::zeros((3, 8));
-        for (row, &c) in z.rows().into_iter().zip(&labels) {
-            means.row_mut(c).scaled_add(1.0 / 30.0, &row);
+        let mut means = Array2::<f64>::zeros((6, 8));
+        for label in 0..6 {
+            let members: Vec<usize> = (0..90).filter(|&i| labels[i] == label).collect();
+            let mean = z.select(Axis(0), &members).mean_axis(Axis(0)).unwrap();
+            means.row_mut(label).assign(&mean);
         }
         let mut w = Array2::<f64>::zeros((8, 8));
-        for (row, &c) in z.rows().into_iter().zip(&labels) {
-            let r = (&row - &means.row(c)).insert_axis(ndarray::Axis(1));
-            w += &(r.dot(&r.t()) / 87.0);
+        for (row, &label) in z.rows().into_iter().zip(&labels) {
+            let r = (&row - &means.row(label)).insert_axis(Axis(1));
+            w += &(r.dot(&r.t()) / 84.0);
         }
         let trace = w.diag().sum() / 8.0;
-        let metric = w * 0.9 + Array2::<f64>::eye(8) * (0.1 * trace);
+        let metric = w * (1.0 - SHRINKAGE) + Array2::<f64>::eye(8) * (SHRINKAGE * trace);
         let factor = cholesky(metric).unwrap();
         let full = |c: usize| {
-            let mut d = (&z.row(5) - &means.row(c)).insert_axis(ndarray::Axis(1));
+            let mut d = (&z.row(5) - &means.row(c)).insert_axis(Axis(1));
             solve_lower(&factor, &mut d);
             d.iter().map(|x| x * x).sum::<f64>()
         };
-        let ours = trained.distances(vectors.row(5).as_slice().unwrap());
+        let ours = trained.distances(vectors.row(5));
         for (a, b) in [(0, 1), (1, 2)] {
-            assert!(((ours[a] - ours[b]) - (full(a) - full(b))).abs() < 1e-3);
+            let (ours, full) = (ours[a] - ours[b], full(a) - full(b));
+            assert!((ours - full).abs() < 1e-3 * (1.0 + full.abs()), "{ours} vs {full}");
         }
         assert!(ours[0] <= full(0) + 1e-3, "a projection shortens");
     }
@@ -201,27 +267,56 @@ mod tests {
     #[test]
     fn leaving_out_is_subtracting() {
         let (vectors, labels) = data();
-        let all = Scatter::new(&vectors, &labels, 4);
-        let part = Scatter::new(&vectors.slice(s![..30, ..]).to_owned(), &labels[..30], 4);
-        let rest = Scatter::new(&vectors.slice(s![30.., ..]).to_owned(), &labels[30..], 4);
-        let query: Vec<f32> = vectors.row(2).to_vec();
-        let distances = |s: &Scatter| Discriminant::new(s, SHRINKAGE).unwrap().distances(&query);
-        for (a, b) in distances(&all.without(&part)).iter().zip(distances(&rest)) {
+        let sums = |from: usize, to: usize| {
+            Scatter::new(&vectors.slice(s![from..to, ..]).to_owned(), &labels[from..to], 8)
+        };
+        let mut all = sums(0, 90);
+        let distances = |s: &Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
+        assert_eq!(distances(&all)[3], f64::INFINITY, "a class without vectors");
+        all.subtract(&sums(0, 30));
+        for (a, b) in distances(&all).iter().zip(distances(&sums(30, 90))) {
             assert!((a - b).abs() < 1e-3 * (1.0 + b) || a == &b, "{a} vs {b}");
         }
-        assert_eq!(distances(&all)[3], f64::INFINITY, "a class without vectors");
+    }
+
+    #[test]
+    fn columns_that_are_left_out_count_for_nothing() {
+        let (vectors, labels) = data();
+        let columns = [0, 1, 2, 5];
+        let some = Scatter::new(&vectors, &labels, 6).select(&columns);
+        let wide = Discriminant::new(&some, 3, 4).unwrap().spread(&columns, 8);
+        let mut changed = vectors.row(7).to_owned();
+        changed[6] = 1e6;
+        assert_eq!(wide.distances(vectors.row(7)), wide.distances(changed.view()));
+        let narrow = trained(&vectors.select(Axis(1), &columns), &labels, 3).unwrap();
+        let own = vectors.row(7).select(Axis(0), &columns);
+        for (a, b) in wide.distances(vectors.row(7)).iter().zip(narrow.distances(own.view())) {
+            assert!((a - b).abs() < 1e-3 * (1.0 + b));
+        }
+    }
+
+    #[test]
+    fn terms_of_all_stretches_make_the_distance() {
+        let (vectors, labels) = data();
+        let trained = trained(&vectors, &labels, 3).unwrap();
+        let (z, stretches) = (vectors.row(4), [0..3, 3..8]);
+        let terms = trained.terms(z, &stretches).sum_axis(Axis(0));
+        let distances = trained.distances(z);
+        let u: f64 = trained.project(z).iter().map(|x| x * x).sum();
+        for class in 0..3 {
+            let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
+            assert!((distances[class] - (u + mean - 2.0 * terms[class])).abs() < 1e-2);
+        }
     }
 
     #[test]
     fn a_detector_that_never_errs_is_trusted_within_bounds_and_a_constant_is_not() {
         let labels = [0, 1, 0, 1, 0, 1];
         let switch = Array2::from_shape_fn((6, 3), |(i, j)| ((i % 2) + j) as f32);
-        let trained = Discriminant::new(&Scatter::new(&switch, &labels, 2), SHRINKAGE).unwrap();
-        let d = trained.distances(&[1.0, 2.0, 3.0]);
+        let d = trained(&switch, &labels, 2).unwrap().distances(ArrayView1::from(&[1.0, 2.0, 3.0]));
         assert!(d[1] < 1e-3 && d[0].is_finite() && d[0] > 1.0, "{d:?}");
-        let constant = Array2::from_elem((6, 3), 0.7);
-        assert!(Discriminant::new(&Scatter::new(&constant, &labels, 2), SHRINKAGE).is_none());
+        assert!(trained(&Array2::from_elem((6, 3), 0.7), &labels, 2).is_none());
         let two = switch.slice(s![..2, ..]).to_owned();
-        assert!(Discriminant::new(&Scatter::new(&two, &labels[..2], 2), SHRINKAGE).is_none());
+        assert!(trained(&two, &labels[..2], 2).is_none());
     }
 }

@@ -3,33 +3,34 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use super::scan::ScanSums;
 use super::{EmbeddingModel, Posterior};
-use crate::recognise::RecogniseError;
-use crate::recognise::flawed::left_out;
+use crate::recognise::decide::conformal::Rejection;
+use crate::recognise::decide::dead_sensor::left_out;
+use crate::recognise::decide::settle::{Look, Settling, Watch};
+use crate::recognise::error::RecogniseError;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
-use crate::recognise::framed::FramedStream;
-use crate::recognise::settle::{Look, Settling, Watch};
-use crate::recognise::unknown::Rejection;
-use crate::scene::{Phase, Scene, SourceId};
-use crate::trial::{Image, Rest, Series, Signal, TrialKey, is_plain};
+use crate::scene::{Phase, SourceId};
+use crate::trial::{Image, Rest, is_plain};
 
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
 
 /// See [`Follow`].
 pub(super) struct Follower {
-    scene: Scene,
     model: Arc<EmbeddingModel>,
     rejection: Option<Rejection>,
     settling: Settling,
     scan: ScanSoFar,
 }
 
-/// What is known of the scan that goes on.
+/// What is known of the present scan.
 struct ScanSoFar {
-    stream: FramedStream,
+    sums: ScanSums,
     waiting: BTreeMap<SourceId, Waiting>,
-    /// Pictures of one colour.
+    /// Pictures that came.
+    pictures: BTreeSet<SourceId>,
+    /// Those of one colour.
     plain: BTreeSet<SourceId>,
     looks: u64,
     watch: Option<Watch>,
@@ -51,36 +52,38 @@ struct Waiting {
 }
 
 impl Follower {
-    pub fn new(scene: &Scene, model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
+    pub fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
         let settling = model.settling(options);
-        let scan = ScanSoFar::new(scene, &settling);
-        let (scene, model, rejection) = (scene.clone(), model.clone(), options.rejection.clone());
-        Self { scene, model, rejection, settling, scan }
+        let scan = ScanSoFar::new(model, &settling);
+        let (model, rejection) = (model.clone(), options.rejection.clone());
+        Self { model, rejection, settling, scan }
     }
 
-    fn guess(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
-        let mut so_far = self.scan.stream.so_far();
-        so_far.sources.retain(|id, _| !self.scan.waiting.get(id).is_some_and(|w| w.broken));
+    fn guess(&mut self, scan_s: f64) -> Option<GuessSoFar> {
+        let scan = &self.scan;
         // Dead or stuck so far: as for whole scans, see `without_flawed`.
-        let flaw = |id| self.scan.is_flawed(id).then_some(());
-        let flawed = left_out(&self.scene, so_far.sources.keys().map(|id| (id, flaw(id))));
-        flawed.iter().for_each(|(id, ())| drop(so_far.sources.remove(id)));
-        if so_far.sources.is_empty() {
-            return Ok(None);
+        let flaw = |id| scan.is_flawed(&self.model, id).then_some(());
+        let came = scan.waiting.iter().filter(|(_, w)| !w.broken && w.passed_on > 0);
+        let known: Vec<&SourceId> = came.map(|(id, _)| id).chain(&scan.pictures).collect();
+        let flawed = left_out(&self.model.scene, known.iter().map(|id| (*id, flaw(*id))));
+        let keep = |id: &SourceId| known.contains(&id) && !flawed.iter().any(|(f, ())| f == id);
+        let (vector, present) = scan.sums.vector(&self.model.joint, keep);
+        if !present.contains(&true) {
+            return None;
         }
-        let Some(posterior) = self.model.posterior(&so_far)? else { return Ok(None) };
+        let posterior = self.model.posterior_at(&vector, &present, scan_s);
         let label = posterior.best();
         let rejection = self.rejection.as_ref();
-        let rejected = posterior.fit.zip(rejection).is_some_and(|(fit, r)| r.rejects(fit));
+        let rejected = posterior.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
         let probability = posterior.log_posterior[label].exp();
         let look = Look { scan_s, label, probability, fits: !rejected };
         let settled = self.scan.watch.as_mut().and_then(|watch| watch.see(look));
-        Ok(Some(GuessSoFar {
+        Some(GuessSoFar {
             scan_s,
             named: named(&posterior),
-            fit: posterior.fit,
+            p_value: posterior.p_value,
             settled: settled.map(|(label, at)| (posterior.surfaces[label].clone(), at)),
-        }))
+        })
     }
 }
 
@@ -88,15 +91,16 @@ impl Follower {
 fn named(posterior: &Posterior) -> Vec<(String, f64)> {
     let mut order: Vec<usize> = (0..posterior.surfaces.len()).collect();
     order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
-    let name = |&i: &usize| (posterior.surfaces[i].clone(), posterior.log_posterior[i].exp());
+    let name = |&i: &usize| (posterior.surfaces[i].clone(), posterior.probabilities[i]);
     order.iter().take(NAMED).map(name).collect()
 }
 
 impl ScanSoFar {
-    fn new(scene: &Scene, settling: &Settling) -> Self {
+    fn new(model: &EmbeddingModel, settling: &Settling) -> Self {
         Self {
-            stream: FramedStream::new(scene.clone(), TrialKey::new("", "", 0)),
+            sums: ScanSums::new(&model.joint, &model.shape),
             waiting: BTreeMap::new(),
+            pictures: BTreeSet::new(),
             plain: BTreeSet::new(),
             looks: 0,
             watch: settling.rule.map(Watch::new),
@@ -104,15 +108,16 @@ impl ScanSoFar {
         }
     }
 
-    fn is_flawed(&self, id: &SourceId) -> bool {
+    fn is_flawed(&self, model: &EmbeddingModel, id: &SourceId) -> bool {
         let stuck = |waiting: &Waiting| {
-            waiting.rest.iter().enumerate().any(|(c, rest)| rest.flaw(c).is_some())
+            let mut channels = waiting.rest.iter().enumerate();
+            channels.any(|(c, rest)| rest.flaw(c).is_some() && model.joint.moves(id, c))
         };
         self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
     }
 
     /// Hands on what each source had by `scan_s` seconds of drag; of taps, all there is.
-    fn pass_on(&mut self, scan_s: f64) -> Result<(), RecogniseError> {
+    fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<(), RecogniseError> {
         for (id, waiting) in self.waiting.iter_mut().filter(|(_, waiting)| !waiting.broken) {
             let there = waiting.samples.len() / waiting.channels;
             let frames = if waiting.drag {
@@ -129,9 +134,10 @@ impl ScanSoFar {
             for frame in samples.chunks_exact(waiting.channels) {
                 waiting.rest.iter_mut().zip(frame).for_each(|(rest, &x)| rest.add(x));
             }
-            match Series::new(waiting.rate_hz, waiting.channels, samples) {
-                Ok(series) => self.stream.push(id, &Signal::Series(series))?,
-                Err(_) => waiting.broken = true,
+            if samples.iter().all(|x| x.is_finite()) {
+                self.sums.push(&model.joint, id, waiting.rate_hz, &samples)?;
+            } else {
+                waiting.broken = true;
             }
         }
         Ok(())
@@ -140,13 +146,23 @@ impl ScanSoFar {
 
 impl Follow for Follower {
     fn begin(&mut self) {
-        self.scan = ScanSoFar::new(&self.scene, &self.settling);
+        self.scan = ScanSoFar::new(&self.model, &self.settling);
     }
 
     fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
-        let Some(model) = self.model.sources.get(fresh.source) else { return Ok(()) };
         let FreshFrames { source, rate_hz, channels, samples } = fresh;
-        let drag = model.spec.phase == Phase::Drag;
+        let stretches = &self.model.joint.stretches;
+        let Some(stretch) = stretches.iter().find(|s| s.spec.id == *source) else { return Ok(()) };
+        if stretch.spec.channels != channels {
+            self.scan.failed = true;
+            return Err(RecogniseError::Channels {
+                source_name: source.clone(),
+                found: channels,
+                expected: stretch.spec.channels,
+                trial: "the scan".into(),
+            });
+        }
+        let drag = stretch.spec.phase == Phase::Drag;
         let begin = || Waiting {
             rate_hz,
             channels,
@@ -157,31 +173,19 @@ impl Follow for Follower {
             broken: false,
         };
         let waiting = self.scan.waiting.entry(source.clone()).or_insert_with(begin);
-        if waiting.channels != channels || channels == 0 {
-            self.scan.failed = true;
-            return Err(RecogniseError::Channels {
-                source_name: source.clone(),
-                found: channels,
-                expected: model.spec.channels,
-                trial: "the scan".into(),
-            });
-        }
         waiting.samples.extend_from_slice(samples);
         Ok(())
     }
 
     fn add_picture(&mut self, source: &SourceId, picture: &Image) -> Result<(), RecogniseError> {
-        if !self.model.sources.contains_key(source) {
-            return Ok(());
-        }
         if is_plain(picture) {
             self.scan.plain.insert(source.clone());
         } else {
             self.scan.plain.remove(source);
         }
-        let pushed = self.scan.stream.push(source, &Signal::Image(picture.clone()));
-        self.scan.failed |= pushed.is_err();
-        pushed
+        self.scan.sums.push_picture(&self.model.joint, source, picture);
+        self.scan.pictures.insert(source.clone());
+        Ok(())
     }
 
     fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
@@ -189,9 +193,11 @@ impl Follow for Follower {
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
             self.scan.looks += 1;
             let at = self.scan.looks as f64 * LOOK_S;
-            let guess = self.scan.pass_on(at).and_then(|()| self.guess(at));
-            self.scan.failed = guess.is_err();
-            said = guess?.or(said);
+            if let Err(error) = self.scan.pass_on(&self.model, at) {
+                self.scan.failed = true;
+                return Err(error);
+            }
+            said = self.guess(at).or(said);
         }
         Ok(said)
     }

@@ -1,184 +1,160 @@
-//! What left-out library trials tell of a model: how sure it may be, how strange a trial of the
-//! library can look, and when an answer is settled.
+//! What left-out library trials show of a model: how sure it may be, how unlike all surfaces a trial
+//! of the library can look, and when an answer is settled.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::calibrate::{HeldOut, PREFIXES_S, log_posterior};
-use super::source::Window;
-use super::train::{Labels, SourceModel};
-use super::{EmbeddingModel, most_probable};
+use super::EmbeddingModel;
+use super::calibrate::{HeldOut, Temperature};
+use super::discriminant::Discriminant;
+use super::joint::{Excerpt, JointEmbedder, Present};
+use super::labels::Labels;
+use super::training::Training;
+use crate::recognise::decide::conformal::{Conformity, nonconformity};
+use crate::recognise::decide::settle::{Look, Settling, Stops};
+use crate::recognise::features::frame_features::FrameFeatures;
 use crate::recognise::follow::{FollowOptions, LOOK_S};
-use crate::recognise::framed::{FramedSource, FramedTrial};
-use crate::recognise::settle::{Look, Settling, Stops};
-use crate::recognise::unknown::{Conformity, strangeness};
-use crate::scene::{Phase, SourceId};
 
-/// Combined distances of left-out trials, by the trial's place in the library; at `seconds` of the
-/// drag, or whole.
-pub(super) struct LeftOut<'a> {
-    pub library: &'a [Arc<FramedTrial>],
-    pub labels: &'a Labels,
-    pub sources: &'a BTreeMap<SourceId, SourceModel>,
+/// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
+const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
+
+/// Trials whose beginnings are looked at, at most: as many more would change no digit that is
+/// stated.
+const MOST_BEGUN: usize = 400;
+
+/// Discriminants trained without each group of trials, by the sources that these have.
+type WithoutGroups = BTreeMap<(usize, Present), Option<Discriminant>>;
+
+/// What left-out trials showed.
+pub(super) struct LeftOut {
+    without: WithoutGroups,
+    /// τ by the length of a scan.
+    pub temperature: Temperature,
+    /// How unlike all surfaces left-out trials look.
+    pub conformity: Conformity,
+    /// Distances of whole left-out trials, with their classes.
+    pub held_out: Vec<HeldOut>,
 }
 
-impl LeftOut<'_> {
-    fn distances(&self, trial: usize, seconds: Option<f64>) -> Option<Vec<f64>> {
-        let mut sum = vec![0.0; self.labels.classes];
-        let ids = || self.library[trial].sources.keys();
-        let alone = is_alone(self.sources, ids());
-        for model in ids().filter_map(|id| trained(self.sources, id)) {
-            let (whole, beginnings) = model.held_out[trial].as_ref()?.split_last()?;
-            let (length_s, distances) = match seconds {
-                Some(t) if model.spec.phase == Phase::Drag => {
-                    beginnings.iter().find(|(length_s, _)| *length_s == t)?
-                }
-                _ => whole,
-            };
-            model.add_evidence(&mut sum, distances.clone(), *length_s, alone);
-        }
-        sum.iter().any(|&d| d > 0.0).then_some(sum)
-    }
-
-    /// Combined distances of whole trials, with the class of each.
-    pub fn whole(&self) -> Vec<HeldOut> {
-        let of_trial = |i: usize| Some((self.distances(i, None)?, self.labels.class[i]));
-        (0..self.library.len()).filter_map(of_trial).collect()
-    }
-
-    /// Strangeness of those trials that have all sources that are trained.
-    pub fn conformity(&self) -> Conformity {
-        let is_full = |trial: &FramedTrial| {
-            let mut all = self.sources.keys().filter(|id| trained(self.sources, id).is_some());
-            all.all(|id| trial.sources.contains_key(id))
-        };
-        let full: Vec<usize> =
-            (0..self.library.len()).filter(|&i| is_full(&self.library[i])).collect();
+impl LeftOut {
+    /// Leaves each group of trials out in turn.
+    pub fn new(
+        joint: &JointEmbedder,
+        training: &Training,
+        labels: &Labels,
+        library: &[Arc<FrameFeatures>],
+    ) -> Self {
+        let parts: BTreeSet<(usize, Present)> =
+            (labels.group.iter().copied()).zip(training.present.iter().cloned()).collect();
+        let without: WithoutGroups = parts
+            .into_par_iter()
+            .map(|(group, present)| {
+                let trained = training.discriminant(joint, &present, Some(group));
+                ((group, present), trained)
+            })
+            .collect();
+        let trained = |i: usize| Self::trained(&without, labels, training, i);
+        let whole = |i: usize| Some((trained(i)?.distances(training.whole(i)), labels.class[i]));
+        let whole: Vec<Option<HeldOut>> = (0..library.len()).into_par_iter().map(whole).collect();
+        let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
-            full.iter().filter_map(|&i| drag_s(self.sources, &self.library[i])).collect();
+            (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();
         lengths.sort_by(f64::total_cmp);
-        let middle = lengths.get(lengths.len() / 2).copied();
-        let of_length = |seconds: Option<f64>| {
-            let strange = |&i: &usize| strangeness(&self.distances(i, seconds)?);
-            full.iter().filter_map(strange).collect::<Vec<f64>>()
+        let middle_s = lengths.get(lengths.len() / 2).copied();
+        let begun_s: Vec<f64> = middle_s.map_or(Vec::new(), |s| BEGINNINGS.map(|b| b * s).to_vec());
+        let excerpts: Vec<Excerpt> = begun_s.iter().map(|&s| Excerpt::beginning(s)).collect();
+        let begun = |i: usize| {
+            let trained = trained(i)?;
+            let long_enough = joint.drag_s(&library[i])? >= *begun_s.last()?;
+            let (vectors, _) = joint.embed(&library[i], &excerpts);
+            let distances =
+                vectors.iter().map(|v| (trained.distances(v[..].into()), labels.class[i]));
+            long_enough.then(|| (i, distances.collect::<Vec<HeldOut>>()))
         };
-        let beginnings = PREFIXES_S.iter().filter(|&&t| middle.is_some_and(|middle| t < middle));
-        let mut by_length: Vec<_> = beginnings.map(|&t| (t, of_length(Some(t)))).collect();
-        by_length.push((middle.unwrap_or(0.0), of_length(None)));
-        Conformity::new(by_length)
+        let begun: Vec<(usize, Vec<HeldOut>)> = if begun_s.is_empty() {
+            Vec::new()
+        } else {
+            evenly(library.len()).into_par_iter().filter_map(begun).collect()
+        };
+        let held_out = |keep: &dyn Fn(&usize) -> bool| -> Vec<(f64, Vec<HeldOut>)> {
+            let of_beginning = |(b, &s): (usize, &f64)| {
+                let kept = begun.iter().filter(|(i, _)| keep(i));
+                (s, kept.map(|(_, of_trial)| of_trial[b].clone()).collect())
+            };
+            let mut all: Vec<_> = begun_s.iter().enumerate().map(of_beginning).collect();
+            let kept = (0..library.len()).filter(|i| keep(i));
+            all.push((middle_s.unwrap_or(0.0), kept.filter_map(|i| whole[i].clone()).collect()));
+            all
+        };
+        let strange = |(s, of_length): (f64, Vec<HeldOut>)| {
+            (s, of_length.iter().filter_map(|(d, _)| nonconformity(d)).collect())
+        };
+        Self {
+            temperature: Temperature::fit(&held_out(&|_| true)),
+            conformity: Conformity::new(held_out(&is_full).into_iter().map(strange).collect()),
+            held_out: whole.into_iter().flatten().collect(),
+            without,
+        }
+    }
+
+    /// The discriminant that a trial did not train, if its class is known without it.
+    fn trained<'a>(
+        without: &'a WithoutGroups,
+        labels: &Labels,
+        training: &Training,
+        trial: usize,
+    ) -> Option<&'a Discriminant> {
+        let part = (labels.group[trial], training.present[trial].clone());
+        without.get(&part)?.as_ref().filter(|trained| trained.knows(labels.class[trial]))
     }
 }
 
-/// A source's model, if it has a discriminant.
-fn trained<'a>(
-    sources: &'a BTreeMap<SourceId, SourceModel>,
-    id: &SourceId,
-) -> Option<&'a SourceModel> {
-    sources.get(id).filter(|model| model.discriminant.is_some())
-}
-
-/// Whether but one of a trial's sources has a discriminant.
-pub(super) fn is_alone<'a>(
-    sources: &BTreeMap<SourceId, SourceModel>,
-    ids: impl Iterator<Item = &'a SourceId>,
-) -> bool {
-    ids.filter_map(|id| trained(sources, id)).count() == 1
-}
-
-/// Length in seconds of the longest trained source of a trial's drag, if it has one.
-pub(super) fn drag_s(
-    sources: &BTreeMap<SourceId, SourceModel>,
-    trial: &FramedTrial,
-) -> Option<f64> {
-    let drags = trial.sources.iter().filter_map(|(id, source)| {
-        let model = trained(sources, id)?;
-        (model.spec.phase == Phase::Drag).then_some(source.duration_s)
-    });
-    drags.max_by(f64::total_cmp)
+/// At most [`MOST_BEGUN`] of so many trials, evenly spread.
+fn evenly(trials: usize) -> Vec<usize> {
+    let used = trials.min(MOST_BEGUN);
+    (0..used).map(|i| i * trials / used).collect()
 }
 
 impl EmbeddingModel {
     /// The stop rule, found but once.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
-        let (asked, settling) =
-            self.calibrated.get_or_init(|| (options.clone(), self.calibrate(options)));
-        if asked == options { settling.clone() } else { self.calibrate(options) }
+        let (found_for, settling) =
+            self.settling.get_or_init(|| (options.clone(), self.calibrate(options)));
+        if found_for == options { settling.clone() } else { self.calibrate(options) }
     }
 
-    /// Looks at each library trial as [`crate::recognise::Follow`] would, with models trained
-    /// without it.
+    /// Looks at library trials as [`crate::recognise::Follow`] would, with models trained without
+    /// them.
     fn calibrate(&self, options: &FollowOptions) -> Settling {
-        let stops: Vec<Stops> = (0..self.library.len())
-            .into_par_iter()
-            .filter_map(|i| self.stops(i, options))
-            .collect();
+        let trials = evenly(self.library.len());
+        let stops: Vec<Stops> =
+            trials.into_par_iter().filter_map(|i| self.stops(i, options)).collect();
         Settling::choose(&stops, options.loss)
     }
 
     fn stops(&self, trial: usize, options: &FollowOptions) -> Option<Stops> {
-        let framed = &self.library[trial];
-        let drag_s = drag_s(&self.sources, framed)?;
-        let mut at_rest = vec![0.0; self.surfaces.len()];
-        let mut dragged = Vec::new();
-        for (id, source) in &framed.sources {
-            let Some(model) = trained(&self.sources, id) else { continue };
-            // A trial whose class is not known without it says nothing.
-            model.without.get(self.labels.group[trial])?.as_ref()?;
-            if model.spec.phase == Phase::Drag {
-                dragged.push((model, source));
-            } else {
-                self.add_left_out(&mut at_rest, model, source, trial, None)?;
-            }
-        }
-        let distances = |seconds: Option<f64>| {
-            let mut sum = at_rest.clone();
-            for (model, source) in &dragged {
-                self.add_left_out(&mut sum, model, source, trial, seconds)?;
-            }
-            Some(sum)
-        };
-        let look = |step: usize| {
-            let scan_s = step as f64 * LOOK_S;
-            let sum = distances(Some(scan_s))?;
-            let log_posterior = log_posterior(&sum, self.temperature);
-            let label = most_probable(&log_posterior);
-            let fit = strangeness(&sum).and_then(|s| self.conformity.fit(scan_s, s));
-            let fits = fit.is_none_or(|fit| {
-                options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(fit))
-            });
-            Some(Look { scan_s, label, probability: log_posterior[label].exp(), fits })
-        };
-        let whole = most_probable(&log_posterior(&distances(None)?, self.temperature));
+        let LeftOut { without, .. } = &self.left_out;
+        let trained = LeftOut::trained(without, &self.labels, &self.training, trial)?;
+        let drag_s = self.joint.drag_s(&self.library[trial])?;
         let steps = (drag_s / LOOK_S + 1e-9).floor() as usize;
-        let looks = (1..=steps).map_while(look);
+        let excerpts: Vec<Excerpt> =
+            (1..=steps).map(|step| Excerpt::beginning(step as f64 * LOOK_S)).collect();
+        let (vectors, present) = self.joint.embed(&self.library[trial], &excerpts);
+        let look = |(step, vector): (usize, &Vec<f32>)| {
+            let scan_s = (step + 1) as f64 * LOOK_S;
+            let distances = trained.distances(vector[..].into());
+            let posterior = self.posterior_of(distances, &present, scan_s);
+            let fits = posterior.p_value.is_none_or(|p_value| {
+                options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(p_value))
+            });
+            let label = posterior.best();
+            Look { scan_s, label, probability: posterior.log_posterior[label].exp(), fits }
+        };
+        let whole = trained.distances(self.training.whole(trial));
+        let whole = self.posterior_of(whole, &present, drag_s).best();
+        let looks = vectors.iter().enumerate().map(look);
         Some(Stops::new(looks, self.labels.class[trial], whole, drag_s))
-    }
-
-    /// Adds the distances of a source of a library trial, by the model trained without its group.
-    fn add_left_out(
-        &self,
-        sum: &mut [f64],
-        model: &SourceModel,
-        source: &FramedSource,
-        trial: usize,
-        seconds: Option<f64>,
-    ) -> Option<()> {
-        let without = model.without[self.labels.group[trial]].as_ref()?;
-        let (window, length_s) = match seconds {
-            Some(t) if t < source.duration_s => (Window::Seconds(0.0, t), t),
-            _ => (Window::Whole, source.duration_s),
-        };
-        let distances = match window {
-            Window::Whole => without.distances(model.vectors[trial].as_ref()?),
-            _ => without.distances(&model.embedder.embed(source, window)),
-        };
-        if !distances[self.labels.class[trial]].is_finite() {
-            return None;
-        }
-        let alone = is_alone(&self.sources, self.library[trial].sources.keys());
-        model.add_evidence(sum, distances, length_s, alone);
-        Some(())
     }
 }

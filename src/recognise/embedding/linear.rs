@@ -113,6 +113,64 @@ pub fn orthonormal_rows(a: &Array2<f64>) -> Array2<f64> {
     rows
 }
 
+/// Eigenvalues of a matrix logarithm's argument are at least this.
+const LEAST_EIGENVALUE: f64 = 1e-12;
+
+/// ln of a symmetric matrix of shape (n, n), row by row, by its eigenvalues (those below 1e-12 count
+/// as that): cyclic Jacobi rotations (Golub & Van Loan, §8.5), right for small n.
+pub fn log_symmetric(mut a: Vec<f64>, n: usize) -> Vec<f64> {
+    /// Sweeps converge quadratically: ten are plenty.
+    const SWEEPS: usize = 30;
+    let mut v = vec![0.0; n * n];
+    (0..n).for_each(|i| v[i * n + i] = 1.0);
+    let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
+    for _ in 0..SWEEPS {
+        let off: f64 = (0..n)
+            .flat_map(|i| (0..i).map(move |j| (i, j)))
+            .map(|(i, j)| a[i * n + j].powi(2))
+            .sum();
+        if off <= 1e-24 * diagonal {
+            break;
+        }
+        for p in 0..n {
+            for q in p + 1..n {
+                rotate(&mut a, &mut v, n, (p, q));
+            }
+        }
+    }
+    let logs: Vec<f64> = (0..n).map(|i| a[i * n + i].max(LEAST_EIGENVALUE).ln()).collect();
+    let entry = |k: usize| {
+        let (i, j) = (k / n, k % n);
+        (0..n).map(|e| v[i * n + e] * logs[e] * v[j * n + e]).sum()
+    };
+    (0..n * n).map(entry).collect()
+}
+
+/// One rotation that makes a_pq zero.
+fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
+    let off = a[p * n + q];
+    if off == 0.0 {
+        return;
+    }
+    let tau = (a[q * n + q] - a[p * n + p]) / (2.0 * off);
+    let t = tau.signum() / (tau.abs() + (1.0 + tau * tau).sqrt());
+    let c = 1.0 / (1.0 + t * t).sqrt();
+    let s = t * c;
+    for k in 0..n {
+        let (x, y) = (a[k * n + p], a[k * n + q]);
+        a[k * n + p] = c * x - s * y;
+        a[k * n + q] = s * x + c * y;
+        let (x, y) = (v[k * n + p], v[k * n + q]);
+        v[k * n + p] = c * x - s * y;
+        v[k * n + q] = s * x + c * y;
+    }
+    for k in 0..n {
+        let (x, y) = (a[p * n + k], a[q * n + k]);
+        a[p * n + k] = c * x - s * y;
+        a[q * n + k] = s * x + c * y;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -151,5 +209,23 @@ mod tests {
         assert_eq!(basis.nrows(), 3);
         let gram = basis.dot(&basis.t());
         assert!((gram - Array2::<f64>::eye(3)).iter().all(|x| x.abs() < 1e-12));
+    }
+
+    #[test]
+    fn the_logarithm_of_a_matrix_undoes_its_exponential() {
+        let n = 6;
+        let value = |i: usize, j: usize| ((i * j + i + j) as f64 * 0.7).sin() * 0.3;
+        let m = Array2::from_shape_fn((n, n), |(i, j)| value(i.min(j), i.max(j)));
+        // e^m by its series: m is small.
+        let (mut exponential, mut term) = (Array2::<f64>::eye(n), Array2::<f64>::eye(n));
+        for k in 1..40 {
+            term = term.dot(&m) / f64::from(k);
+            exponential += &term;
+        }
+        let log = log_symmetric(exponential.into_raw_vec_and_offset().0, n);
+        for (got, expected) in log.iter().zip(m.iter()) {
+            assert!((got - expected).abs() < 1e-9, "{got} vs {expected}");
+        }
+        assert_eq!(log_symmetric(vec![0.0], 1), [LEAST_EIGENVALUE.ln()]);
     }
 }

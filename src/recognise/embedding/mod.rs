@@ -1,66 +1,80 @@
-//! The method `embedding`: one vector of Fourier features a source and trial, and a shrinkage
-//! discriminant on them.
+//! The method `embedding` (method §9): all sources of a trial in one vector, a shrinkage
+//! discriminant on it.
 //!
-//! The squared distance of two vectors is the MMD² of a kernel that compares values of one band
-//! (or of one channel and lag) on a circle, summed over bands: see [`circle`]. With
-//! `discriminant` off, the nearest library trial wins, as in `reference`. With it on (the default)
-//! a discriminant is trained when the library is loaded, from its trials, windows of them, and
-//! copies with noise; distances of several sources add up, each divided by a temperature fitted on
-//! left-out library trials, and held back where it is far beyond what those show, so that no
-//! source overrules all others. The score of a surface is 1/posterior, so that, as everywhere,
-//! smaller is more alike, and the margin is the log of the odds.
+//! The vector holds kernel mean embeddings: Fourier features of log-band frames ([`fourier`]),
+//! whose squared distance is an MMD², the moments and the lag covariance of each series
+//! ([`series`]), and the same for neighbouring pixels ([`picture`]). A discriminant is trained when
+//! the library is loaded, from whole trials and random excerpts ([`training`]). Probabilities, the
+//! stop rule and the threshold of `unknown` come from leaving library trials out, by user where
+//! there are several ([`left_out`]). Missing sources cost their own columns: a discriminant of
+//! those that are there is made of the same sums.
+//!
+//! The score of a surface is 1/posterior, so that, as everywhere, smaller is more alike, and the
+//! margin is the log of the odds.
 
 pub mod calibrate;
-pub mod circle;
 pub mod discriminant;
 mod follower;
+mod fourier;
+mod joint;
+mod labels;
 mod left_out;
 pub mod linear;
-mod source;
-mod train;
+mod picture;
+mod pixel_pairs;
+mod posterior;
+mod scan;
+mod series;
+mod training;
+mod view_sums;
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use self::calibrate::{HeldOut, best_temperature, log_posterior};
-use self::discriminant::SHRINKAGE;
+use self::calibrate::HeldOut;
+use self::discriminant::Discriminant;
 use self::follower::Follower;
-use self::left_out::{LeftOut, drag_s, is_alone};
-use self::source::{Window, squared_distance};
-use self::train::{Labels, SourceModel, train};
+use self::joint::{Excerpt, JointEmbedder, Present};
+use self::labels::Labels;
+use self::left_out::LeftOut;
+pub use self::posterior::Posterior;
+use self::posterior::QueryVector;
+use self::training::Training;
+use super::checks::{check_surfaces, nothing_in_common};
+use super::decide::conformal::{Rejection, RejectionError};
+use super::decide::settle::Settling;
+use super::error::RecogniseError;
+use super::features::FrameFeatures;
 use super::follow::{Follow, FollowOptions};
-use super::framed::{FramedSource, FramedTrial, check_rates, nothing_in_common, sorted_library};
-use super::merge::{SourceScores, merge};
-use super::rank::{Candidate, Ranking, rank};
-use super::settle::Settling;
-use super::unknown::{Conformity, Rejection, RejectionError, strangeness};
-use super::{Method, RecogniseError};
+use super::method::{BySources, Evidence, Method, Model};
+use super::prepared::Prepared;
+use super::rank::Ranking;
+use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Trial, TrialKey};
+use crate::trial::Trial;
 
-/// The least squared distance that enters a logarithm.
-const DISTANCE_FLOOR: f64 = 1e-9;
+/// The method's name.
+const NAME: &str = "embedding";
 
-/// Settings of the method.
-#[derive(Clone, Debug)]
+/// Settings of the method; what is usual is left out where settings are written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct EmbeddingOptions {
-    /// Train a discriminant; without it the nearest trial wins.
-    pub discriminant: bool,
-    /// Harmonics of each band of a spectrum, 1 to 4; by default 4, and 2 where a source has
-    /// several channels.
-    pub harmonics: Option<usize>,
-    /// Train with copies of the library's spectra to which noise is added.
-    pub noise_copies: bool,
-    /// γ of the discriminant.
-    pub shrinkage: f64,
+    /// Seed of the random excerpts.
+    #[serde(skip_serializing_if = "is_usual_seed")]
+    pub seed: u64,
+}
+
+fn is_usual_seed(seed: &u64) -> bool {
+    *seed == EmbeddingOptions::default().seed
 }
 
 impl Default for EmbeddingOptions {
     fn default() -> Self {
-        Self { discriminant: true, harmonics: None, noise_copies: true, shrinkage: SHRINKAGE }
+        Self { seed: 1 }
     }
 }
 
@@ -76,313 +90,227 @@ impl Embedding {
     pub fn new(scene: Scene, options: EmbeddingOptions) -> Self {
         Self { scene, options }
     }
+
+    /// Embeds a library and trains on it.
+    ///
+    /// # Errors
+    /// As [`Method::fit`].
+    pub fn train(
+        &self,
+        mut library: Vec<Arc<FrameFeatures>>,
+        shape: &Arc<LibraryShape>,
+    ) -> Result<EmbeddingModel, RecogniseError> {
+        library.sort_by(|a, b| a.key.cmp(&b.key));
+        check_surfaces(library.iter().map(|trial| &trial.key))?;
+        let labels = Labels::new(&library.iter().map(|trial| &trial.key).collect::<Vec<_>>());
+        let mut joint = JointEmbedder::new(&self.scene, &library);
+        for trial in &library {
+            joint.check(trial, &library)?;
+        }
+        let training = Training::new(&mut joint, &library, &labels, self.options.seed);
+        let left_out = LeftOut::new(&joint, &training, &labels, &library);
+        let remarks = remarks(&library, &labels, &left_out);
+        Ok(EmbeddingModel {
+            scene: self.scene.clone(),
+            shape: shape.clone(),
+            library,
+            labels,
+            joint,
+            training,
+            left_out,
+            discriminants: Mutex::default(),
+            settling: OnceLock::new(),
+            remarks,
+        })
+    }
 }
 
 /// A library, embedded and trained.
 pub struct EmbeddingModel {
-    library: Vec<Arc<FramedTrial>>,
-    surfaces: Vec<String>,
+    scene: Scene,
+    shape: Arc<LibraryShape>,
+    library: Vec<Arc<FrameFeatures>>,
     labels: Labels,
-    sources: BTreeMap<SourceId, SourceModel>,
-    /// τ of the sum over sources.
-    temperature: f64,
-    /// Combined distances of left-out library trials, with their classes.
-    held_out: Vec<HeldOut>,
-    /// How strange left-out library trials look.
-    conformity: Conformity,
-    /// The stop rule that was asked for first: scans are followed by one again and again.
-    calibrated: OnceLock<(FollowOptions, Settling)>,
+    joint: JointEmbedder,
+    training: Training,
+    left_out: LeftOut,
+    /// By the sources of the queries so far.
+    discriminants: Mutex<HashMap<Present, Arc<Discriminant>>>,
+    /// The stop rule that was wanted first: scans are followed by one again and again.
+    settling: OnceLock<(FollowOptions, Settling)>,
     /// For people: what the library was too small for.
     remarks: Vec<String>,
 }
 
-/// How far a query is from each surface, and what that means.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Posterior {
-    /// The surfaces, sorted.
-    pub surfaces: Vec<String>,
-    /// Combined distance to each, Σ w_s·f_s(d_s/τ_s).
-    pub distances: Vec<f64>,
-    /// ln of the posterior probability of each.
-    pub log_posterior: Vec<f64>,
-    /// The sources that were used.
-    pub sources: Vec<SourceId>,
-    /// As [`Ranking::fit`]: told where the query has all sources that the model was trained on.
-    pub fit: Option<f64>,
-}
-
-/// How far a query is from each surface by one source.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SourceDistances {
-    /// The source.
-    pub source: SourceId,
-    /// Whether it has a discriminant.
-    pub trained: bool,
-    /// w·f(d/τ) for each surface; of an untrained source w·ln d² to the surface's nearest trial.
-    pub distances: Vec<f64>,
-}
-
-impl Posterior {
-    /// Index of the most probable surface; the first of equal ones.
-    pub fn best(&self) -> usize {
-        most_probable(&self.log_posterior)
-    }
-}
-
-fn most_probable(log_posterior: &[f64]) -> usize {
-    let mut best = 0;
-    for (i, p) in log_posterior.iter().enumerate() {
-        if *p > log_posterior[best] {
-            best = i;
-        }
-    }
-    best
-}
-
 impl EmbeddingModel {
-    /// For people: what the library was too small for, a line each.
-    pub fn remarks(&self) -> &[String] {
-        &self.remarks
-    }
-
-    /// The surfaces, sorted.
-    pub fn surfaces(&self) -> &[String] {
-        &self.surfaces
-    }
-
-    /// Combined distances of left-out library trials under models trained without them, with the
-    /// index of each trial's surface. Empty where there is nothing to leave out.
+    /// Distances of left-out library trials under models trained without them, with the index of
+    /// each trial's surface. Empty where there is nothing to leave out.
     pub fn held_out(&self) -> &[HeldOut] {
-        &self.held_out
+        &self.left_out.held_out
     }
 
-    /// How probable each surface is. `None` without a discriminant for any of the query's sources.
+    /// How probable each surface is.
     ///
     /// # Errors
-    /// If the query has no source in common with the library, or a rate that cannot be compared.
-    pub fn posterior(&self, query: &FramedTrial) -> Result<Option<Posterior>, RecogniseError> {
-        let vectors = self.embed(query)?;
-        Ok(self.posterior_of(query, &vectors))
+    /// If the query has no source in common with the library, a rate that cannot be compared, or
+    /// too little in it to be named.
+    pub fn posterior(&self, query: &FrameFeatures) -> Result<Posterior, RecogniseError> {
+        let (vector, present) = self.embed(query)?;
+        Ok(self.posterior_at(&vector, &present, self.scan_s(query)))
     }
 
-    /// What each of the query's sources says alone. Where some of a set of sources are trained,
-    /// the distances of a model with that set alone are the sums over those.
+    fn scan_s(&self, query: &FrameFeatures) -> f64 {
+        self.joint.drag_s(query).unwrap_or(f64::INFINITY)
+    }
+
+    fn embed(&self, query: &FrameFeatures) -> Result<(Vec<f32>, Present), RecogniseError> {
+        self.joint.check(query, &self.library)?;
+        if !self.joint.says_something(query) {
+            return Err(RecogniseError::TooLittle);
+        }
+        let (mut vectors, present) = self.joint.embed(query, &[Excerpt::WHOLE]);
+        Ok((vectors.swap_remove(0), present))
+    }
+
+    /// The discriminant of some sources. Where the library cannot train one, classes are as far as
+    /// their means.
+    fn discriminant(&self, present: &Present) -> Arc<Discriminant> {
+        let lock = || self.discriminants.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = lock().get(present) {
+            return known.clone();
+        }
+        let trained = self.training.discriminant(&self.joint, present, None);
+        let trained =
+            Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
+        lock().insert(present.clone(), trained.clone());
+        trained
+    }
+
+    /// Ranks the surfaces for a query.
     ///
     /// # Errors
     /// As [`EmbeddingModel::posterior`].
-    pub fn by_source(&self, query: &FramedTrial) -> Result<Vec<SourceDistances>, RecogniseError> {
-        let vectors = self.embed(query)?;
-        let trained = self.terms(query, &vectors).into_iter();
-        let trained =
-            trained.map(|(source, distances)| SourceDistances { source, trained: true, distances });
-        let untrained = vectors.iter().filter(|v| v.model.discriminant.is_none()).map(|v| {
-            let mut distances = vec![f64::INFINITY; self.surfaces.len()];
-            for (of_trial, &class) in v.model.vectors.iter().zip(&self.labels.class) {
-                let Some(of_trial) = of_trial else { continue };
-                let d2 = squared_distance(&v.vector, of_trial).max(DISTANCE_FLOOR);
-                distances[class] = distances[class].min(v.model.spec.weight * d2.ln());
-            }
-            let source = v.model.spec.id.clone();
-            SourceDistances { source, trained: false, distances }
-        });
-        Ok(trained.chain(untrained).collect())
+    pub fn rank_frames(&self, query: &FrameFeatures) -> Result<Ranking, RecogniseError> {
+        let (vector, present) = self.embed(query)?;
+        Ok(self.ranking(&vector, &present, self.scan_s(query)))
     }
-
-    fn embed(&self, query: &FramedTrial) -> Result<Vec<EmbeddedSource<'_>>, RecogniseError> {
-        let shared: Vec<(&SourceModel, &FramedSource)> = (query.sources.iter())
-            .filter_map(|(id, source)| Some((self.sources.get(id)?, source)))
-            .collect();
-        if shared.is_empty() {
-            return Err(nothing_in_common(query, self.sources.keys()));
-        }
-        for (model, source) in &shared {
-            let id = &model.spec.id;
-            let like = self.library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
-            if let Some((like, key)) = like {
-                check_rates(id, source, like, key)?;
-            }
-        }
-        let embed = |(model, source): (&'_ SourceModel, &FramedSource)| {
-            model.embedder.embed(source, Window::Whole)
-        };
-        let vectors: Vec<Vec<f32>> = shared.par_iter().map(|&pair| embed(pair)).collect();
-        let with_model = shared.iter().zip(vectors);
-        Ok(with_model.map(|((model, _), vector)| EmbeddedSource { model, vector }).collect())
-    }
-
-    fn posterior_of(
-        &self,
-        query: &FramedTrial,
-        vectors: &[EmbeddedSource<'_>],
-    ) -> Option<Posterior> {
-        let mut distances = vec![0.0; self.surfaces.len()];
-        let terms = self.terms(query, vectors);
-        if terms.is_empty() {
-            return None;
-        }
-        for (_, of_source) in &terms {
-            distances.iter_mut().zip(of_source).for_each(|(sum, term)| *sum += term);
-        }
-        let sources: Vec<SourceId> = terms.into_iter().map(|(id, _)| id).collect();
-        let trained = self.sources.values().filter(|model| model.discriminant.is_some()).count();
-        let fit = || {
-            let scan_s = drag_s(&self.sources, query).unwrap_or(f64::INFINITY);
-            self.conformity.fit(scan_s, strangeness(&distances)?)
-        };
-        let fit = if sources.len() == trained { fit() } else { None };
-        let log_posterior = log_posterior(&distances, self.temperature);
-        Some(Posterior { surfaces: self.surfaces.clone(), distances, log_posterior, sources, fit })
-    }
-
-    /// What each source that has a discriminant says: see [`SourceModel::add_evidence`].
-    fn terms(
-        &self,
-        query: &FramedTrial,
-        vectors: &[EmbeddedSource<'_>],
-    ) -> Vec<(SourceId, Vec<f64>)> {
-        let alone = is_alone(&self.sources, vectors.iter().map(|v| &v.model.spec.id));
-        let term = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
-            let length_s = query.sources[&model.spec.id].duration_s;
-            let mut term = vec![0.0; self.surfaces.len()];
-            let distances = model.discriminant.as_ref()?.distances(vector);
-            model.add_evidence(&mut term, distances, length_s, alone);
-            Some((model.spec.id.clone(), term))
-        };
-        vectors.iter().filter_map(term).collect()
-    }
-
-    /// Squared distances to library trials, as logarithms, source by source.
-    fn log_distances(&self, vectors: &[EmbeddedSource<'_>]) -> Vec<(f64, SourceScores)> {
-        let of_source = |EmbeddedSource { model, vector }: &EmbeddedSource<'_>| {
-            let distance = |of_trial: &Option<Vec<f32>>| {
-                let d2 = squared_distance(vector, of_trial.as_ref()?);
-                Some(d2.max(DISTANCE_FLOOR).ln())
-            };
-            (model.spec.weight, model.vectors.iter().map(distance).collect())
-        };
-        vectors.par_iter().map(of_source).collect()
-    }
-
-    /// One candidate a surface: its trial nearest to the query, at −ln posterior.
-    fn candidates(&self, posterior: &Posterior, vectors: &[EmbeddedSource<'_>]) -> Vec<Candidate> {
-        let best = posterior.best();
-        let nearness = |i: usize| -> f64 {
-            let each = vectors.iter().filter_map(|EmbeddedSource { model, vector }| {
-                let d2 = squared_distance(vector, model.vectors[i].as_ref()?);
-                Some(model.spec.weight * d2.max(DISTANCE_FLOOR).ln())
-            });
-            each.sum()
-        };
-        let key = |class: usize| -> Option<TrialKey> {
-            let mut members = (0..self.library.len()).filter(|&i| self.labels.class[i] == class);
-            let member = if class == best {
-                members.map(|i| (nearness(i), i)).min_by(|a, b| a.0.total_cmp(&b.0))?.1
-            } else {
-                members.next()?
-            };
-            Some(self.library[member].key.clone())
-        };
-        (posterior.log_posterior.iter().enumerate())
-            .filter_map(|(class, p)| Some(Candidate { key: key(class)?, log_ds: -p }))
-            .collect()
-    }
-}
-
-struct EmbeddedSource<'a> {
-    model: &'a SourceModel,
-    vector: Vec<f32>,
 }
 
 impl Method for Embedding {
-    type Prepared = FramedTrial;
-    type Model = EmbeddingModel;
-
     fn name(&self) -> &'static str {
-        "embedding"
+        NAME
     }
 
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<FramedTrial, RecogniseError> {
-        FramedTrial::new(&entry.key, trial, &self.scene)
+    fn settings_key(&self, shape: &LibraryShape) -> u64 {
+        FrameFeatures::framing_key(&self.scene, shape)
     }
 
-    fn fit(&self, library: Vec<Arc<FramedTrial>>) -> Result<EmbeddingModel, RecogniseError> {
-        let library = sorted_library(library)?;
-        let labels = Labels::new(library.iter().map(|trial| &trial.key));
-        let mut surfaces: Vec<String> =
-            library.iter().map(|trial| trial.key.surface.clone()).collect();
-        surfaces.dedup();
-        let mut sources = BTreeMap::new();
-        for spec in self.scene.sources() {
-            let trials: Vec<_> = library.iter().map(|trial| trial.sources.get(&spec.id)).collect();
-            if trials.iter().any(Option::is_some) {
-                sources.insert(spec.id.clone(), train(spec, &trials, &labels, &self.options));
-            }
-        }
-        let left_out = LeftOut { library: &library, labels: &labels, sources: &sources };
-        let (held_out, conformity) = (left_out.whole(), left_out.conformity());
-        sources.values_mut().for_each(|model| model.held_out = Vec::new());
-        let temperature = if held_out.is_empty() { 1.0 } else { best_temperature(&held_out) };
-        let remarks = if self.options.discriminant { remarks(&sources) } else { Vec::new() };
-        Ok(EmbeddingModel {
-            library,
-            surfaces,
-            labels,
-            sources,
-            temperature,
-            held_out,
-            conformity,
-            calibrated: OnceLock::new(),
-            remarks,
-        })
-    }
-
-    fn rank(&self, model: &EmbeddingModel, query: &FramedTrial) -> Result<Ranking, RecogniseError> {
-        let vectors = model.embed(query)?;
-        let posterior = model.posterior_of(query, &vectors);
-        let (candidates, sources) = match &posterior {
-            Some(posterior) => (model.candidates(posterior, &vectors), posterior.sources.clone()),
-            None => {
-                let ids = vectors.iter().map(|source| source.model.spec.id.clone()).collect();
-                (merge(&model.log_distances(&vectors), &model.library), ids)
-            }
-        };
-        // There is a candidate: every surface has a trial, and some trial has a shared source.
-        let mut ranking = rank(candidates, 1, sources).expect("at least one candidate");
-        ranking.confidence = posterior.as_ref().map(|p| p.log_posterior[p.best()].exp());
-        ranking.fit = posterior.and_then(|posterior| posterior.fit);
-        Ok(ranking)
-    }
-
-    fn follow(
+    fn prepare(
         &self,
-        model: &Arc<EmbeddingModel>,
-        options: &FollowOptions,
-    ) -> Option<Box<dyn Follow>> {
-        let trained = model.sources.values().any(|source| source.discriminant.is_some());
-        trained.then(|| Box::new(Follower::new(&self.scene, model, options)) as Box<dyn Follow>)
+        entry: &Entry,
+        trial: &Trial,
+        shape: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError> {
+        let frames = FrameFeatures::new(&entry.key, trial, &self.scene, shape)?;
+        Ok(Prepared::Frames(Arc::new(frames)))
     }
 
-    fn rejection(&self, model: &EmbeddingModel, rate: f64) -> Result<Rejection, RejectionError> {
-        Rejection::new(model.conformity.trials(), rate)
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        shape: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        let frames = library.iter().map(|trial| trial.frames(NAME).cloned());
+        Ok(Arc::new(self.train(frames.collect::<Result<_, _>>()?, shape)?))
     }
 }
 
-fn remarks(sources: &BTreeMap<SourceId, SourceModel>) -> Vec<String> {
-    let of_source = |(id, model): (&SourceId, &SourceModel)| {
-        if model.discriminant.is_none() {
-            Some(format!(
-                "{id}: too little to train a discriminant with; {}",
-                if sources.values().all(|m| m.discriminant.is_none()) {
-                    "the nearest trial wins"
-                } else {
-                    "it is left out of the comparison"
-                }
-            ))
-        } else if !model.temperature.calibrated {
-            Some(format!("{id}: too few trials a surface to calibrate probabilities"))
-        } else {
-            None
+impl Model for EmbeddingModel {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        let frames = FrameFeatures::new(&entry.key, trial, &self.scene, &self.shape)?;
+        Ok(Prepared::Frames(Arc::new(frames)))
+    }
+
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        self.rank_frames(query.frames(NAME)?)
+    }
+
+    fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        self.joint.moves(source, channel)
+    }
+
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        let (vector, present) = self.embed(query.frames(NAME)?)?;
+        let scan_s = self.scan_s(query.frames(NAME)?);
+        Ok(Some(self.evidence(&vector, &present, scan_s)))
+    }
+
+    fn by_sources(
+        self: Arc<Self>,
+        query: &Prepared,
+    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+        let (vector, present) = self.embed(query.frames(NAME)?)?;
+        Ok(Some(Box::new(QueryVector { model: self, vector, present })))
+    }
+
+    fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {
+        Some(Box::new(Follower::new(&self, options)))
+    }
+
+    fn rejection(&self, rate: f64) -> Result<Rejection, RejectionError> {
+        Rejection::new(self.left_out.conformity.trials(), rate)
+    }
+
+    fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+}
+
+impl JointEmbedder {
+    /// Checks that a query, or a trial of the library itself, can be compared with a library.
+    fn check(
+        &self,
+        query: &FrameFeatures,
+        library: &[Arc<FrameFeatures>],
+    ) -> Result<(), RecogniseError> {
+        let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
+        if !query.sources.keys().any(known) {
+            let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
+            return Err(nothing_in_common(query.sources.keys(), ids));
         }
-    };
-    sources.iter().filter_map(of_source).collect()
+        for (id, source) in &query.sources {
+            let like = library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
+            if let Some((like, key)) = like {
+                source.check_rate(id, like, key)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// For people: what a library is too small for.
+fn remarks(library: &[Arc<FrameFeatures>], labels: &Labels, left_out: &LeftOut) -> Vec<String> {
+    let mut remarks = Vec::new();
+    let mut users: BTreeMap<&str, usize> = BTreeMap::new();
+    library.iter().for_each(|trial| *users.entry(&trial.key.user).or_default() += 1);
+    match left_out.held_out.len() {
+        0 => remarks.push(
+            "probabilities are not calibrated: that takes two trials of each of two surfaces"
+                .to_string(),
+        ),
+        trials if !labels.across_users => {
+            let person = match users.first_key_value() {
+                Some((user, _)) if users.len() == 1 => format!("scans by `{user}`"),
+                _ => "scans by the people in the library".to_string(),
+            };
+            remarks.push(format!(
+                "probabilities rest on {trials} left-out trials, and hold for {person}"
+            ));
+        }
+        trials => remarks.push(format!(
+            "probabilities rest on {trials} trials by {} people, each left out in turn",
+            users.len()
+        )),
+    }
+    remarks
 }

@@ -1,67 +1,28 @@
-//! Hand-made features of a trial, for the comparison classifiers: a fixed list of numbers a source.
+//! What is computed of a trial before any comparison.
+//!
+//! Of frames of log-band levels, block sums and neighbouring pixels: [`FrameFeatures`], for
+//! `embedding`. Of fixed lists of numbers, for the comparison classifiers: [`FeatureVector`], with
 //!
 //! | source | features, for each channel | |
 //! |---|---|---|
-//! | any series | [`series::MOMENTS`] | level, spread, moments and ratios in time |
+//! | any series | [`series_statistics::MOMENTS`] | level, spread, moments and ratios in time |
 //! | domain `spectrum` | log-band levels, mean and deviation over frames of 46 ms | up to 40 bands |
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
-//! | picture | [`picture::FEATURES`] | colour statistics, co-occurrence, gradients |
+//! | picture | [`picture_statistics::FEATURES`] | colour statistics, co-occurrence, gradients |
 //!
-//! Nothing here knows of other trials; standardisation is the classifiers' affair.
+//! Nothing here knows of other trials, but for their lengths, which frames follow.
 
-pub mod picture;
-pub mod series;
+pub(super) mod block_sums;
+mod colour;
+pub(super) mod frame_features;
+pub(super) mod frames;
+pub(super) mod image_features;
+pub mod picture_statistics;
+pub mod series_statistics;
+mod spectrum;
+mod vector;
 
-use std::collections::BTreeMap;
-
-use rayon::prelude::*;
-
-use super::RecogniseError;
-use super::domain::check_signal;
-use crate::scene::{Scene, SourceId, SourceSpec};
-use crate::trial::{Signal, Trial, TrialKey};
-
-/// Features of one source of one trial.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SourceFeatures {
-    /// The values, in the order that the module documentation gives.
-    pub values: Vec<f64>,
-    /// The recording's rate in Hz; 0 for pictures, and where only the features are known.
-    pub rate_hz: f64,
-}
-
-/// Features of a trial, source by source.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FeatureVector {
-    /// Which trial this is.
-    pub key: TrialKey,
-    /// Its features.
-    pub sources: BTreeMap<SourceId, SourceFeatures>,
-}
-
-impl FeatureVector {
-    /// The features of those sources of a trial that the scene describes.
-    ///
-    /// # Errors
-    /// If a source is of another kind, or has another number of channels, than the scene says.
-    pub fn new(key: &TrialKey, trial: &Trial, scene: &Scene) -> Result<Self, RecogniseError> {
-        let known: Vec<(&SourceSpec, &Signal)> = (trial.signals.iter())
-            .filter_map(|(id, signal)| Some((scene.get(id.as_str())?, signal)))
-            .collect();
-        let features = |(spec, signal): (&SourceSpec, &Signal)| {
-            check_signal(spec, signal, key)?;
-            let features = match signal {
-                Signal::Image(image) => {
-                    SourceFeatures { values: picture::features(image), rate_hz: 0.0 }
-                }
-                Signal::Series(series) => SourceFeatures {
-                    values: series::features(series, &spec.domain),
-                    rate_hz: series.rate_hz(),
-                },
-            };
-            Ok((spec.id.clone(), features))
-        };
-        let sources = known.into_par_iter().map(features).collect::<Result<_, RecogniseError>>()?;
-        Ok(Self { key: key.clone(), sources })
-    }
-}
+pub use colour::hsv;
+pub use frame_features::FrameFeatures;
+pub use spectrum::{amplitude_spectrum, band_bins};
+pub use vector::{FeatureVector, SourceFeatures};

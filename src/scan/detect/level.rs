@@ -1,10 +1,10 @@
-//! How much a stream stirs, in multiples of its own noise floor, hop by hop.
+//! The level of a stream in multiples of its own noise floor, hop by hop.
 
 use std::collections::VecDeque;
 
 /// Length of a hop in seconds: the resolution of every onset and end.
 pub const HOP_S: f64 = 0.005;
-/// Nothing is told before so many hops (0.3 s), from which the floor is first taken.
+/// The floor is first taken from this many hops (0.3 s); until then, the level is 0.
 const LEARN: u64 = 60;
 /// Hops over which the floor is smoothed (0.1 s), so that one quiet hop is no floor.
 const SMOOTH: f64 = 20.0;
@@ -18,9 +18,9 @@ const FORCE: f64 = 5e-3;
 /// Vibration is what lies above this frequency in Hz; below are tilt and the hand.
 const HIGH_PASS_HZ: f64 = 20.0;
 
-/// What a stream feels.
+/// What a stream measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Feel {
+pub enum SensorKind {
     /// Force at rest is the lowest of late; a multiple is 0.5 % of full scale above that.
     Force,
     /// A multiple is the noise floor: the lowest RMS of late (minimum statistics: R. Martin,
@@ -31,12 +31,14 @@ pub enum Feel {
 /// The level of one stream.
 #[derive(Debug)]
 pub struct Level {
-    feel: Feel,
+    kind: SensorKind,
     channels: usize,
     /// Frames of a hop.
     hop: f64,
     /// Share of the old mean that one frame leaves.
     keep: f64,
+    /// The last finite sample of each channel.
+    last: Vec<f64>,
     slow: Vec<f64>,
     sum: f64,
     frames: u64,
@@ -48,12 +50,13 @@ pub struct Level {
 
 impl Level {
     /// The level of a stream of `channels` samples a frame, at this rate in Hz.
-    pub fn new(feel: Feel, channels: usize, rate_hz: f64) -> Self {
+    pub fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
         Self {
-            feel,
+            kind,
             channels: channels.max(1),
             hop: (rate_hz * HOP_S).max(1.0),
             keep: (-std::f64::consts::TAU * HIGH_PASS_HZ / rate_hz).exp(),
+            last: Vec::new(),
             slow: Vec::new(),
             sum: 0.0,
             frames: 0,
@@ -64,18 +67,22 @@ impl Level {
         }
     }
 
-    /// Takes interleaved frames and tells `on` the level of every hop that they complete. While
-    /// `held`, as during a drag, the floor may sink but not rise.
+    /// Takes interleaved frames and passes `on` the level of every hop that they complete. While
+    /// `held`, as during a drag, the floor may sink but not rise. A sample that is not a finite
+    /// number counts as the one before it.
     pub fn feed(&mut self, samples: &[f32], held: bool, mut on: impl FnMut(f64)) {
         for frame in samples.chunks_exact(self.channels) {
-            if self.slow.is_empty() {
-                self.slow = frame.iter().map(|x| f64::from(*x)).collect();
+            self.last.resize(self.channels, 0.0);
+            for (last, x) in self.last.iter_mut().zip(frame).filter(|(_, x)| x.is_finite()) {
+                *last = f64::from(*x);
             }
-            match self.feel {
-                Feel::Force => self.sum += frame.iter().map(|x| f64::from(*x)).sum::<f64>(),
-                Feel::Vibration => {
-                    for (slow, x) in self.slow.iter_mut().zip(frame) {
-                        let x = f64::from(*x);
+            if self.slow.is_empty() {
+                self.slow.clone_from(&self.last);
+            }
+            match self.kind {
+                SensorKind::Force => self.sum += self.last.iter().sum::<f64>(),
+                SensorKind::Vibration => {
+                    for (slow, &x) in self.slow.iter_mut().zip(&self.last) {
                         *slow = self.keep * *slow + (1.0 - self.keep) * x;
                         self.sum += (x - *slow).powi(2);
                     }
@@ -88,7 +95,7 @@ impl Level {
         }
     }
 
-    /// Forgets the floor: what seemed to stir was the room.
+    /// Forgets the floor, which was taken for contact.
     pub fn relearn(&mut self) {
         self.blocks.clear();
         self.lowest = f64::INFINITY;
@@ -113,9 +120,9 @@ impl Level {
             return 0.0;
         }
         let floor = self.blocks.iter().copied().fold(self.lowest, f64::min);
-        match self.feel {
-            Feel::Force => (mean - floor) / FORCE,
-            Feel::Vibration => mean.sqrt() / floor.sqrt().max(LEAST_VIBRATION),
+        match self.kind {
+            SensorKind::Force => (mean - floor) / FORCE,
+            SensorKind::Vibration => mean.sqrt() / floor.sqrt().max(LEAST_VIBRATION),
         }
     }
 }

@@ -16,13 +16,18 @@ fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
 }
 
 /// Levels of a stream, and what a detector finds in them.
-fn find(feel: Feel, channels: usize, rate_hz: f64, samples: &[f32]) -> (Vec<f64>, Vec<Found>) {
+fn find(
+    kind: SensorKind,
+    channels: usize,
+    rate_hz: f64,
+    samples: &[f32],
+) -> (Vec<f64>, Vec<DetectorEvent>) {
     let (mut level, mut detector) =
-        (Level::new(feel, channels, rate_hz), Detector::new(Limits::default()));
+        (Level::new(kind, channels, rate_hz), Detector::new(DetectorConfig::default()));
     let (mut levels, mut found) = (Vec::new(), Vec::new());
     for part in samples.chunks(channels * 37) {
         let held = detector.in_contact();
-        if found.last() == Some(&Found::Room) {
+        if found.last() == Some(&DetectorEvent::NoiseTimeout) {
             level.relearn();
         }
         level.feed(part, held, |x| {
@@ -67,8 +72,10 @@ fn tap_and_drag_are_found_in_the_sound_of_every_synthetic_surface() {
     let mut worst = 0.0_f64;
     for entry in (0..synth::embedded().entries.len()).step_by(7) {
         let (rate_hz, samples, [tap_s, start_s, end_s]) = joined(entry);
-        let (_, found) = find(Feel::Vibration, 1, rate_hz, &samples);
-        let [Found::Drag { tap: Some((tap, _)), start }, Found::End { end }] = found[..] else {
+        let (_, found) = find(SensorKind::Vibration, 1, rate_hz, &samples);
+        let [DetectorEvent::Drag { tap: Some((tap, _)), start }, DetectorEvent::End { end }] =
+            found[..]
+        else {
             panic!("entry {entry}: {found:?}, expected {tap_s} {start_s} {end_s}");
         };
         for (hop, true_s) in [(tap, tap_s), (start, start_s), (end, end_s)] {
@@ -86,18 +93,21 @@ fn a_drag_is_found_in_force_above_what_rests_on_the_sensor() {
     let mut samples: Vec<f32> = noise(30_000, 0.001, seed).iter().map(|x| 0.1 + x).collect();
     let push = noise(20_000, 0.02, seed).into_iter().map(|x| 0.3 + x);
     samples.splice(8_000..28_000, push);
-    let (_, found) = find(Feel::Force, 1, RATE_HZ, &samples);
-    assert_eq!(found, [Found::Drag { tap: None, start: 160 }, Found::End { end: 560 }]);
+    let (_, found) = find(SensorKind::Force, 1, RATE_HZ, &samples);
+    assert_eq!(
+        found,
+        [DetectorEvent::Drag { tap: None, start: 160 }, DetectorEvent::End { end: 560 }]
+    );
 }
 
 #[test]
 fn noise_alone_is_nothing_and_a_louder_room_is_learnt() {
     let seed = &mut 5;
     let mut samples = noise(40_000, 0.01, seed);
-    assert_eq!(find(Feel::Vibration, 1, RATE_HZ, &samples).1, []);
+    assert_eq!(find(SensorKind::Vibration, 1, RATE_HZ, &samples).1, []);
     samples.extend(noise(650_000, 0.1, seed));
-    let (_, found) = find(Feel::Vibration, 1, RATE_HZ, &samples);
-    assert_eq!(found[1..], [Found::Room], "{found:?}");
+    let (_, found) = find(SensorKind::Vibration, 1, RATE_HZ, &samples);
+    assert_eq!(found[1..], [DetectorEvent::NoiseTimeout], "{found:?}");
 }
 
 #[test]
@@ -109,30 +119,36 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
         600..=649 => 4.0,
         _ => 1.0,
     };
-    let mut detector = Detector::new(Limits::default());
+    let mut detector = Detector::new(DetectorConfig::default());
     let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(level(hop))).collect();
-    assert_eq!(found, [Found::Drag { tap: Some((100, 110)), start: 200 }, Found::End { end: 650 }]);
+    assert_eq!(
+        found,
+        [
+            DetectorEvent::Drag { tap: Some((100, 110)), start: 200 },
+            DetectorEvent::End { end: 650 }
+        ]
+    );
 }
 
 #[test]
 fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
     let run = |taps: [u64; 2], drag: u64| {
-        let mut detector = Detector::new(Limits::default());
+        let mut detector = Detector::new(DetectorConfig::default());
         let on = |hop: u64| taps.iter().any(|t| (*t..t + 8).contains(&hop)) || hop >= drag;
         let found: Vec<_> = (0..drag + 100)
             .filter_map(|hop| detector.hop(if on(hop) { 9.0 } else { 0.0 }))
             .collect();
         found[0]
     };
-    assert_eq!(run([100, 150], 300), Found::Drag { tap: Some((150, 158)), start: 300 });
-    assert_eq!(run([100, 150], 800), Found::Drag { tap: None, start: 800 });
+    assert_eq!(run([100, 150], 300), DetectorEvent::Drag { tap: Some((150, 158)), start: 300 });
+    assert_eq!(run([100, 150], 800), DetectorEvent::Drag { tap: None, start: 800 });
 }
 
 #[test]
 fn levels_do_not_depend_on_how_the_samples_come() {
     let samples = noise(20_000, 0.1, &mut 1);
     let levels = |chunk: usize| {
-        let (mut level, mut all) = (Level::new(Feel::Vibration, 2, RATE_HZ), Vec::new());
+        let (mut level, mut all) = (Level::new(SensorKind::Vibration, 2, RATE_HZ), Vec::new());
         samples.chunks(chunk).for_each(|part| level.feed(part, false, |x| all.push(x)));
         all
     };
@@ -149,12 +165,32 @@ fn a_constant_offset_between_two_streams_is_read_off_their_taps() {
             let tap = noise((0.06 * rate_hz) as usize, 0.5, seed);
             let at = (tap_s * rate_hz) as usize;
             samples[at..at + tap.len()].copy_from_slice(&tap);
-            find(Feel::Vibration, 1, rate_hz, &samples).0
+            find(SensorKind::Vibration, 1, rate_hz, &samples).0
         };
         let (lead, other) = (stream(10_000.0, 1.0), stream(44_100.0, 1.0 + offset_s));
         let tap = onset_in(&lead, 0, 60..400, 6.0).unwrap();
         let seen = onset_in(&other, 0, tap - 60..tap + 60, 6.0).unwrap();
         let found_s = (seen as f64 - tap as f64) * HOP_S;
         assert!((found_s - offset_s).abs() <= 0.02, "{offset_s}: {found_s}");
+    }
+}
+
+#[test]
+fn infinite_samples_do_not_stop_detection_for_good() {
+    for kind in [SensorKind::Vibration, SensorKind::Force] {
+        let mut seed = 7;
+        let mut samples = noise(10_000, 1e-3, &mut seed);
+        samples[2_000..3_000].fill(f32::INFINITY);
+        samples[3_000..3_500].fill(f32::NAN);
+        samples.extend(noise(10_000, 1e-3, &mut seed));
+        // A drag, and silence.
+        samples.extend(noise(10_000, 0.3, &mut seed).iter().map(|x| x + 0.5));
+        samples.extend(noise(10_000, 1e-3, &mut seed));
+        let (levels, found) = find(kind, 1, RATE_HZ, &samples);
+        assert!(levels.iter().all(|level| level.is_finite()), "{kind:?}");
+        let [DetectorEvent::Drag { start, .. }, DetectorEvent::End { .. }] = found[..] else {
+            panic!("{kind:?}: {found:?}");
+        };
+        assert!(start.abs_diff(400) <= 2, "{kind:?}: {start}");
     }
 }

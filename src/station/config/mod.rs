@@ -1,7 +1,8 @@
-//! The configuration of a station, in two steps: what a file and the defaults say, and what the
+//! The configuration of a station, in two steps: a file laid over the defaults, and what the
 //! program works with.
 
 mod file;
+mod merge;
 mod only;
 mod resolve;
 
@@ -138,8 +139,8 @@ impl StationConfig {
     /// What a file says, and the defaults where it says nothing.
     ///
     /// # Errors
-    /// With the line, if the file cannot be read, is not TOML, has an unknown key, or asks for the
-    /// impossible.
+    /// With the line, if the file cannot be read, is not TOML, has an unknown key, or a value that
+    /// is impossible.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| ConfigError::Io { path: path.to_path_buf(), error })?;

@@ -1,45 +1,71 @@
 //! A station with no more devices than some sources need.
 
+use std::collections::BTreeSet;
+
 use super::StationConfig;
 use crate::scene::SourceId;
 
+/// The devices of a station.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Stylus,
+    Microphone,
+    Camera,
+    Flash,
+}
+
 impl StationConfig {
     /// This station with what a scan of `sources` needs: their devices and cuts and, so that scans
-    /// are found by themselves, one device that shows contact: of those needed, if one does, else
-    /// the stylus, else the microphone.
+    /// are detected, one device that shows contact: of those needed, if one does, else the stylus,
+    /// else the microphone.
     pub fn only(mut self, sources: &[SourceId]) -> Self {
-        let cuts = &mut self.detection.cuts;
-        cuts.retain(|cut| sources.contains(&cut.source));
-        let needed = |stream: &SourceId| cuts.iter().any(|cut| cut.stream == *stream);
-        let groups = &mut self.detection.groups;
-        let shows = |stream: &SourceId| groups.iter().flatten().any(|(of, _)| of == stream);
-        if let Some(camera) = &mut self.camera {
-            camera.flash = camera.flash.take().filter(|flash| needed(&flash.source));
+        self.detection.cuts.retain(|cut| sources.contains(&cut.source));
+        let cuts = &self.detection.cuts;
+        let mut parts: BTreeSet<Part> =
+            cuts.iter().filter_map(|cut| self.part_of(&cut.stream)).collect();
+        if parts.contains(&Part::Flash) {
+            parts.insert(Part::Camera);
+            // The stylus switches the light where the camera cannot.
+            let flash = self.camera.as_ref().and_then(|camera| camera.flash.as_ref());
+            if flash.is_some_and(|flash| flash.control.is_none()) && self.stylus.is_some() {
+                parts.insert(Part::Stylus);
+            }
         }
-        self.camera =
-            self.camera.take().filter(|camera| camera.flash.is_some() || needed(&camera.source));
-        // The stylus switches the light where the camera cannot.
-        let light = (self.camera.as_ref().and_then(|camera| camera.flash.as_ref()))
-            .is_some_and(|flash| flash.control.is_none());
-        let stylus_shows =
-            self.stylus.as_ref().is_some_and(|s| s.streams.iter().any(|w| shows(&w.id)));
-        let microphone_shows = self.microphone.as_ref().is_some_and(|m| shows(&m.stream));
-        let by_stylus = |s: &super::StylusConfig| light || s.streams.iter().any(|w| needed(&w.id));
-        let by_microphone = |m: &super::MicrophoneConfig| needed(&m.stream);
-        let stylus_needed = self.stylus.as_ref().is_some_and(by_stylus);
-        let microphone_needed = self.microphone.as_ref().is_some_and(by_microphone);
-        let found = stylus_needed && stylus_shows || microphone_needed && microphone_shows;
-        let keep_stylus = stylus_needed || !found && stylus_shows;
-        let keep_microphone = microphone_needed || !found && !stylus_shows && microphone_shows;
-        self.stylus = self.stylus.filter(|_| keep_stylus);
-        self.microphone = self.microphone.filter(|_| keep_microphone);
-        let left = |stream: &SourceId| {
-            self.microphone.as_ref().is_some_and(|m| m.stream == *stream)
-                || (self.stylus.iter()).any(|s| s.streams.iter().any(|w| w.id == *stream))
-        };
-        groups.retain(|group| group.iter().all(|(stream, _)| left(stream)));
+        let groups = self.detection.groups.iter().flatten();
+        let contact: BTreeSet<Part> =
+            groups.filter_map(|(stream, _)| self.part_of(stream)).collect();
+        if parts.is_disjoint(&contact) {
+            // The stylus comes before the microphone.
+            parts.extend(contact.first());
+        }
+        let mut groups = std::mem::take(&mut self.detection.groups);
+        let kept = |stream: &SourceId| self.part_of(stream).is_some_and(|p| parts.contains(&p));
+        groups.retain(|group| group.iter().all(|(stream, _)| kept(stream)));
+        self.detection.groups = groups;
+        self.stylus = self.stylus.filter(|_| parts.contains(&Part::Stylus));
+        self.microphone = self.microphone.filter(|_| parts.contains(&Part::Microphone));
+        self.camera = self.camera.filter(|_| parts.contains(&Part::Camera));
+        if let Some(camera) = &mut self.camera {
+            camera.flash = camera.flash.take().filter(|_| parts.contains(&Part::Flash));
+        }
         self.by_t_star.retain(|source| sources.contains(source));
         self
+    }
+
+    /// The device that makes a stream.
+    fn part_of(&self, stream: &SourceId) -> Option<Part> {
+        let camera = self.camera.as_ref();
+        let flash = camera.and_then(|camera| camera.flash.as_ref());
+        let of_stylus = |of: &super::StylusConfig| of.streams.iter().any(|w| w.id == *stream);
+        if self.stylus.as_ref().is_some_and(of_stylus) {
+            Some(Part::Stylus)
+        } else if self.microphone.as_ref().is_some_and(|of| of.stream == *stream) {
+            Some(Part::Microphone)
+        } else if camera.is_some_and(|of| of.source == *stream) {
+            Some(Part::Camera)
+        } else {
+            flash.is_some_and(|of| of.source == *stream).then_some(Part::Flash)
+        }
     }
 }
 

@@ -1,23 +1,25 @@
-//! From what a file and the defaults say to what the program works with.
+//! From a file laid over the defaults to what the program works with.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Duration;
 
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DetectionBlock, FeelName, FlashName, MicrophoneBlock, Said, StationFile,
+    CameraBlock, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
     StylusBlock,
 };
+use super::merge::{is_default, merged};
 use super::{
     CameraConfig, ConfigError, DEFAULTS, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig,
 };
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
-use crate::scan::detect::{Feel, Limits};
+use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::{CutFrom, Detection};
 use crate::scene::config::{line_of, scene};
 use crate::scene::{Phase, Scene, SourceId};
@@ -25,317 +27,264 @@ use crate::scene::{Phase, Scene, SourceId};
 /// Name of the microphone's stream, from which several sources are cut.
 const SOUND: &str = "sound";
 
-/// Names of sources, with their places in the file.
-type Names = Vec<Spanned<String>>;
-
-/// A file beside the defaults, and how its mistakes are told.
-struct Source<'a> {
-    path: &'a Path,
-    text: &'a str,
-    scene: Scene,
+/// What is wrong with a value, and where in the file it stands.
+struct Mistake {
+    at: Range<usize>,
+    problem: String,
 }
 
-/// What was said, or else the default, which the embedded file holds.
-fn or<T: Clone>(said: &Option<T>, default: &Option<T>) -> T {
-    // A test parses the embedded file, and with it every key that is asked for.
-    said.clone().or_else(|| default.clone()).expect("the defaults are complete")
-}
-
-/// The value alone.
-fn plain<T: Clone>(said: &Said<T>, default: &Said<T>) -> T {
-    or(said, default).into_inner()
+fn mistake<T, S>(at: &Spanned<S>, problem: impl Into<String>) -> Result<T, Mistake> {
+    Err(Mistake { at: at.span(), problem: problem.into() })
 }
 
 pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigError> {
     let toml = |error| ConfigError::Toml { path: path.to_path_buf(), error: Box::new(error) };
-    let mut file: StationFile = toml::from_str(text).map_err(toml)?;
-    let defaults: StationFile = toml::from_str(DEFAULTS).map_err(toml)?;
+    let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
     let described = scene(String::new(), std::mem::take(&mut file.sources), text)
         .map_err(|error| ConfigError::Scene { path: path.to_path_buf(), error: Box::new(error) })?;
-    let source = Source { path, text, scene: Scene::lmt108().with(described) };
-    if *file.format.get_ref() != 1 {
-        let problem = "this program reads format = 1; update surfaced";
-        return source.fail(&file.format, problem);
-    }
-    let serve = or(&file.serve, &defaults.serve);
-    let Ok(address) = serve.get_ref().parse::<SocketAddr>() else {
-        let problem =
-            format!("serve = \"{}\"; expected for example \"127.0.0.1:8108\"", serve.get_ref());
-        return source.fail(&serve, problem);
-    };
-    let stylus = source.stylus(&file.stylus, &defaults.stylus)?;
-    let microphone = source.microphone(&file.microphone, &defaults.microphone)?;
-    let camera = source.camera(&file.camera, &defaults.camera)?;
-    let cuts = source.cuts(&stylus, &microphone, &camera, &file)?;
-    let detection =
-        source.detection(&file.detection, &defaults.detection, stylus.as_ref(), cuts)?;
-    let mut by_t_star = Vec::new();
-    for id in or(&file.enroll.t_star, &defaults.enroll.t_star) {
-        by_t_star.push(source.id(&id)?);
-    }
-    let below = |library: &std::path::PathBuf| match path.parent() {
-        Some(folder) => folder.join(library),
-        None => library.clone(),
-    };
-    Ok(StationConfig {
-        library: file.library.as_ref().map(below),
-        serve: address,
-        scene: source.scene.clone(),
-        stylus,
-        microphone: microphone.map(|(microphone, _)| microphone),
-        camera,
-        detection,
-        by_t_star,
-        trials: source.positive("trials", &file.enroll.trials, &defaults.enroll.trials)?,
+    station(file, Scene::lmt108().with(described), path).map_err(|Mistake { at, problem }| {
+        let line = line_of(text, at.start);
+        ConfigError::Value { path: path.to_path_buf(), line, problem }
     })
 }
 
-/// A number that may be asked to be positive.
-trait Positive: Clone + std::fmt::Display {
-    fn is_positive(&self) -> bool;
-}
-
-impl Positive for u32 {
-    fn is_positive(&self) -> bool {
-        *self > 0
+fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig, Mistake> {
+    if *file.format.get_ref() != 1 {
+        return mistake(&file.format, "this program reads format = 1; update surfaced");
     }
-}
-
-impl Positive for u64 {
-    fn is_positive(&self) -> bool {
-        *self > 0
-    }
-}
-
-impl Positive for f64 {
-    fn is_positive(&self) -> bool {
-        self.is_finite() && *self > 0.0
-    }
-}
-
-impl Source<'_> {
-    fn fail<T, S>(&self, at: &Spanned<S>, problem: impl Into<String>) -> Result<T, ConfigError> {
-        let line = line_of(self.text, at.span().start);
-        Err(ConfigError::Value { path: self.path.to_path_buf(), line, problem: problem.into() })
-    }
-
-    fn positive<T: Positive>(
-        &self,
-        key: &str,
-        said: &Said<T>,
-        default: &Said<T>,
-    ) -> Result<T, ConfigError> {
-        let value = or(said, default);
-        match value.get_ref().is_positive() {
-            true => Ok(value.into_inner()),
-            false => {
-                self.fail(&value, format!("{key} = {}; expected more than 0", value.get_ref()))
-            }
-        }
-    }
-
-    /// A source of the scene.
-    fn id(&self, name: &Spanned<String>) -> Result<SourceId, ConfigError> {
-        self.known(name.get_ref(), name)
-    }
-
-    fn known<S>(&self, name: &str, at: &Spanned<S>) -> Result<SourceId, ConfigError> {
-        if let Some(spec) = self.scene.get(name) {
-            return Ok(spec.id.clone());
-        }
-        let known: Vec<_> = self.scene.sources().map(|spec| spec.id.as_str()).collect();
+    let Ok(serve) = file.serve.get_ref().parse::<SocketAddr>() else {
         let problem = format!(
-            "no source is called `{name}`; there are {}; describe others in [sources.{name}]",
-            known.join(", ")
+            "serve = \"{}\"; expected for example \"127.0.0.1:8108\"",
+            file.serve.get_ref()
         );
-        self.fail(at, problem)
+        return mistake(&file.serve, problem);
+    };
+    let sound = file.microphone.sources.clone();
+    let stylus = stylus(file.stylus, &scene)?;
+    let microphone = microphone(file.microphone)?;
+    let camera = camera(file.camera, &scene)?;
+    let cuts = Cuts { scene: &scene, cuts: Vec::new() }
+        .stylus(stylus.as_ref())
+        .microphone(microphone.as_ref(), &sound)?
+        .camera(camera.as_ref())
+        .checked(&file.format)?;
+    let detection = detection(&file.detection, stylus.as_ref(), cuts, &scene)?;
+    let by_t_star = file
+        .enroll
+        .t_star
+        .iter()
+        .map(|name| known(name.get_ref(), name, &scene))
+        .collect::<Result<_, _>>()?;
+    let library = file.library.map(|library| match path.parent() {
+        Some(folder) => folder.join(library),
+        None => library,
+    });
+    let trials = positive("trials", &file.enroll.trials)?;
+    Ok(StationConfig {
+        library,
+        serve,
+        scene,
+        stylus,
+        microphone,
+        camera,
+        detection,
+        by_t_star,
+        trials,
+    })
+}
+
+/// A finite number above 0.
+fn positive<T>(key: &str, value: &Spanned<T>) -> Result<T, Mistake>
+where
+    T: Copy + Default + PartialOrd + std::fmt::Display + std::ops::Mul<Output = T>,
+{
+    let number = *value.get_ref();
+    // Infinity times 0 is not a number.
+    let finite = number * T::default() == T::default();
+    match number > T::default() && finite {
+        true => Ok(number),
+        false => mistake(value, format!("{key} = {number}; expected more than 0")),
+    }
+}
+
+/// The source of the scene called `name`, which stands at `at`.
+fn known<S>(name: &str, at: &Spanned<S>, scene: &Scene) -> Result<SourceId, Mistake> {
+    if let Some(spec) = scene.get(name) {
+        return Ok(spec.id.clone());
+    }
+    let known: Vec<_> = scene.sources().map(|spec| spec.id.as_str()).collect();
+    let problem = format!(
+        "no source is called `{name}`; there are {}; describe others in [sources.{name}]",
+        known.join(", ")
+    );
+    mistake(at, problem)
+}
+
+fn stylus(block: StylusBlock, scene: &Scene) -> Result<Option<StylusConfig>, Mistake> {
+    let StylusBlock { present, port: name, rate_hz, sources, values } = block;
+    let port = match name.get_ref().parse() {
+        Ok(port) => port,
+        Err(problem) => return mistake(&name, format!("port: {problem}")),
+    };
+    let rate_hz = positive("rate_hz", &rate_hz)?;
+    let stray = values.iter().find(|(name, v)| !is_default(v) && !sources.contains_key(*name));
+    if let Some((name, value)) = stray {
+        return mistake(value, format!("`{name}` is no source of [stylus.sources]"));
+    }
+    let mut streams = Vec::new();
+    for (name, channels) in sources {
+        let id = known(&name, &channels, scene)?;
+        let (expected, found) =
+            (scene.get(&name).map_or(0, |spec| spec.channels), channels.get_ref().len());
+        if found != expected {
+            let problem = format!("{name}: channels: {found}, but the source has {expected}");
+            return mistake(&channels, problem);
+        }
+        let value = values.get(&name).map(|value| *value.get_ref()).unwrap_or_default();
+        streams.push(Wanted { id, channels: channels.into_inner(), value });
+    }
+    Ok(present.then_some(StylusConfig { port, rate_hz, streams }))
+}
+
+fn microphone(block: MicrophoneBlock) -> Result<Option<MicrophoneConfig>, Mistake> {
+    let MicrophoneBlock { present, device, channel, .. } = block;
+    let pick = match channel {
+        None => Pick::Mean,
+        Some(channel) => match channel.get_ref().checked_sub(1) {
+            Some(index) => Pick::One(index),
+            None => return mistake(&channel, "channel = 0; channels are counted from 1"),
+        },
+    };
+    // Letters alone.
+    let stream = SourceId::new(SOUND).expect("letters name a source");
+    Ok(present.then_some(MicrophoneConfig { device, pick, stream }))
+}
+
+fn camera(block: CameraBlock, scene: &Scene) -> Result<Option<CameraConfig>, Mistake> {
+    let Some(turn) = Turn::from_degrees(*block.turn.get_ref()) else {
+        let problem = format!("turn = {}; expected 0, 90, 180 or 270", block.turn.get_ref());
+        return mistake(&block.turn, problem);
+    };
+    let every_ms = positive("every_ms", &block.every_ms)?;
+    let torch = FlashControl::TORCH;
+    let control = FlashControl {
+        id: block.flash_control.unwrap_or(torch.id),
+        on: block.flash_on.unwrap_or(torch.on),
+        off: block.flash_off.unwrap_or(torch.off),
+    };
+    let flash = match block.flash {
+        FlashName::None => None,
+        FlashName::Stylus | FlashName::Camera => Some(FlashConfig {
+            source: known(block.flash_source.get_ref(), &block.flash_source, scene)?,
+            control: (block.flash == FlashName::Camera).then_some(control),
+            settle: Duration::from_millis(*block.flash_settle_ms.get_ref()),
+        }),
+    };
+    let camera = CameraConfig {
+        device: block.device,
+        turn,
+        every: Duration::from_millis(every_ms),
+        source: known(block.source.get_ref(), &block.source, scene)?,
+        flash,
+    };
+    Ok(block.present.then_some(camera))
+}
+
+/// What is cut from which stream.
+struct Cuts<'a> {
+    scene: &'a Scene,
+    cuts: Vec<CutFrom>,
+}
+
+impl Cuts<'_> {
+    fn add(&mut self, source: &SourceId, stream: &SourceId) {
+        let spec = self.scene.get(source.as_str());
+        let (phase, channels) = spec.map_or((Phase::Drag, 1), |spec| (spec.phase, spec.channels));
+        let (source, stream) = (source.clone(), stream.clone());
+        self.cuts.push(CutFrom { source, stream, phase, channels });
     }
 
-    fn stylus(
-        &self,
-        said: &StylusBlock,
-        default: &StylusBlock,
-    ) -> Result<Option<StylusConfig>, ConfigError> {
-        let port = or(&said.port, &default.port);
-        let selector = match port.get_ref().parse() {
-            Ok(selector) => selector,
-            Err(problem) => return self.fail(&port, format!("port: {problem}")),
-        };
-        let rate_hz = self.positive("rate_hz", &said.rate_hz, &default.rate_hz)?;
-        let values = or(&said.values, &default.values);
-        let sources = or(&said.sources, &default.sources);
-        for (name, value) in said.values.iter().flatten() {
-            if !sources.contains_key(name) {
-                return self.fail(value, format!("`{name}` is no source of [stylus.sources]"));
-            }
+    fn stylus(mut self, stylus: Option<&StylusConfig>) -> Self {
+        for stream in stylus.into_iter().flat_map(|stylus| &stylus.streams) {
+            self.add(&stream.id, &stream.id);
         }
-        let mut streams = Vec::new();
-        for (name, channels) in &sources {
-            let id = self.known(name, channels)?;
-            let (expected, found) =
-                (self.scene.get(name).map_or(0, |spec| spec.channels), channels.get_ref().len());
-            if found != expected {
-                let problem = format!("{name}: {found} channel(s), but the source has {expected}");
-                return self.fail(channels, problem);
-            }
-            let value = values.get(name).map(|value| *value.get_ref()).unwrap_or_default();
-            streams.push(Wanted { id, channels: channels.get_ref().clone(), value });
-        }
-        let stylus = StylusConfig { port: selector, rate_hz, streams };
-        Ok(or(&said.present, &default.present).then_some(stylus))
+        self
     }
 
-    /// The microphone, and the sources that are cut from its stream.
     fn microphone(
-        &self,
-        said: &MicrophoneBlock,
-        default: &MicrophoneBlock,
-    ) -> Result<Option<(MicrophoneConfig, Names)>, ConfigError> {
-        let pick = match &said.channel {
-            None => Pick::Mean,
-            Some(channel) => match channel.get_ref().checked_sub(1) {
-                Some(index) => Pick::One(index),
-                None => return self.fail(channel, "channel = 0; channels are counted from 1"),
-            },
-        };
-        // Letters alone.
-        let stream = SourceId::new(SOUND).expect("letters name a source");
-        let device = or(&said.device, &default.device);
-        let sources = or(&said.sources, &default.sources);
-        let microphone = MicrophoneConfig { device, pick, stream };
-        Ok(or(&said.present, &default.present).then_some((microphone, sources)))
-    }
-
-    fn camera(
-        &self,
-        said: &CameraBlock,
-        default: &CameraBlock,
-    ) -> Result<Option<CameraConfig>, ConfigError> {
-        let degrees = or(&said.turn, &default.turn);
-        let Some(turn) = Turn::from_degrees(*degrees.get_ref()) else {
-            let problem = format!("turn = {}; expected 0, 90, 180 or 270", degrees.get_ref());
-            return self.fail(&degrees, problem);
-        };
-        let every_ms = self.positive("every_ms", &said.every_ms, &default.every_ms)?;
-        let torch = FlashControl::TORCH;
-        let control = FlashControl {
-            id: said.flash_control.unwrap_or(torch.id),
-            on: said.flash_on.unwrap_or(torch.on),
-            off: said.flash_off.unwrap_or(torch.off),
-        };
-        let name = or(&said.flash, &default.flash);
-        let flash = match name {
-            FlashName::None => None,
-            FlashName::Stylus | FlashName::Camera => Some(FlashConfig {
-                source: self.id(&or(&said.flash_source, &default.flash_source))?,
-                control: (name == FlashName::Camera).then_some(control),
-                settle: Duration::from_millis(plain(
-                    &said.flash_settle_ms,
-                    &default.flash_settle_ms,
-                )),
-            }),
-        };
-        let camera = CameraConfig {
-            device: or(&said.device, &default.device),
-            turn,
-            every: Duration::from_millis(every_ms),
-            source: self.id(&or(&said.source, &default.source))?,
-            flash,
-        };
-        Ok(or(&said.present, &default.present).then_some(camera))
-    }
-
-    /// What is cut from which stream.
-    fn cuts(
-        &self,
-        stylus: &Option<StylusConfig>,
-        microphone: &Option<(MicrophoneConfig, Vec<Spanned<String>>)>,
-        camera: &Option<CameraConfig>,
-        file: &StationFile,
-    ) -> Result<Vec<CutFrom>, ConfigError> {
-        let mut cuts: Vec<CutFrom> = Vec::new();
-        let mut add = |source: &SourceId, stream: &SourceId| {
-            let spec = self.scene.get(source.as_str());
-            let (phase, channels) = spec.map_or((Phase::Drag, 1), |s| (s.phase, s.channels));
-            cuts.push(CutFrom { source: source.clone(), stream: stream.clone(), phase, channels });
-        };
-        for stream in stylus.iter().flat_map(|stylus| &stylus.streams) {
-            add(&stream.id, &stream.id);
-        }
-        if let Some((microphone, sources)) = microphone {
+        mut self,
+        microphone: Option<&MicrophoneConfig>,
+        sources: &[Spanned<String>],
+    ) -> Result<Self, Mistake> {
+        if let Some(microphone) = microphone {
             for name in sources {
-                add(&self.id(name)?, &microphone.stream);
+                let source = known(name.get_ref(), name, self.scene)?;
+                self.add(&source, &microphone.stream);
             }
         }
-        if let Some(camera) = camera {
-            add(&camera.source, &camera.source);
-            camera.flash.iter().for_each(|flash| add(&flash.source, &flash.source));
-        }
-        let mut seen = BTreeSet::new();
-        match cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {
-            Some(twice) => {
-                self.fail(&file.format, format!("two devices make the source {}", twice.source))
-            }
-            None => Ok(cuts),
-        }
+        Ok(self)
     }
 
-    fn detection(
-        &self,
-        said: &DetectionBlock,
-        default: &DetectionBlock,
-        stylus: Option<&StylusConfig>,
-        cuts: Vec<CutFrom>,
-    ) -> Result<Detection, ConfigError> {
-        // The stylus leads where there is one, so its group comes first.
-        let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, Feel)>::new());
-        for (name, feel) in &or(&said.listen, &default.listen) {
-            let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
-                // Of a device that this station has not.
-                self.known(name, feel)?;
-                continue;
-            };
-            if cut.phase == Phase::Still {
-                return self.fail(feel, format!("{name} is a picture, which nobody listens to"));
-            }
-            let feel = match feel.get_ref() {
-                FeelName::Force => Feel::Force,
-                FeelName::Vibration => Feel::Vibration,
-            };
-            let in_stylus = stylus.is_some_and(|s| s.streams.iter().any(|w| w.id == cut.stream));
-            let group = if in_stylus { &mut of_stylus } else { &mut others };
-            if !group.iter().any(|(stream, _)| *stream == cut.stream) {
-                group.push((cut.stream.clone(), feel));
-            }
+    fn camera(mut self, camera: Option<&CameraConfig>) -> Self {
+        if let Some(camera) = camera {
+            self.add(&camera.source, &camera.source);
+            camera.flash.iter().for_each(|flash| self.add(&flash.source, &flash.source));
         }
-        let groups: Vec<_> =
-            [of_stylus, others].into_iter().filter(|group| !group.is_empty()).collect();
-        let limits = Limits {
-            onset: self.positive("onset", &said.onset, &default.onset)?,
-            quiet: self.positive("quiet", &said.quiet, &default.quiet)?,
-            tap_hold_s: self.positive("tap_hold_s", &said.tap_hold_s, &default.tap_hold_s)?,
-            longest_tap_s: self.positive(
-                "longest_tap_s",
-                &said.longest_tap_s,
-                &default.longest_tap_s,
-            )?,
-            longest_pause_s: self.positive(
-                "longest_pause_s",
-                &said.longest_pause_s,
-                &default.longest_pause_s,
-            )?,
-            drag_hold_s: self.positive("drag_hold_s", &said.drag_hold_s, &default.drag_hold_s)?,
-            longest_drag_s: self.positive(
-                "longest_drag_s",
-                &said.longest_drag_s,
-                &default.longest_drag_s,
-            )?,
-        };
-        if limits.quiet > limits.onset {
-            let problem =
-                format!("quiet = {}; expected at most onset = {}", limits.quiet, limits.onset);
-            return self.fail(&or(&said.quiet, &default.quiet), problem);
-        }
-        Ok(Detection { limits, groups, cuts })
+        self
     }
+
+    /// All of them, each source once; `file` is anything in the file.
+    fn checked<S>(self, file: &Spanned<S>) -> Result<Vec<CutFrom>, Mistake> {
+        let mut seen = BTreeSet::new();
+        match self.cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {
+            Some(twice) => mistake(file, format!("two devices make the source {}", twice.source)),
+            None => Ok(self.cuts),
+        }
+    }
+}
+
+fn detection(
+    block: &DetectionBlock,
+    stylus: Option<&StylusConfig>,
+    cuts: Vec<CutFrom>,
+    scene: &Scene,
+) -> Result<Detection, Mistake> {
+    // The stylus leads where there is one, so its group comes first.
+    let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
+    for (name, kind) in &block.listen {
+        let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
+            // Of a device that this station does not have.
+            known(name, kind, scene)?;
+            continue;
+        };
+        if cut.phase == Phase::Still {
+            return mistake(kind, format!("{name} is a picture, which shows no contact"));
+        }
+        let kind = match kind.get_ref() {
+            SensorKindName::Force => SensorKind::Force,
+            SensorKindName::Vibration => SensorKind::Vibration,
+        };
+        let in_stylus = stylus.is_some_and(|s| s.streams.iter().any(|w| w.id == cut.stream));
+        let group = if in_stylus { &mut of_stylus } else { &mut others };
+        if !group.iter().any(|(stream, _)| *stream == cut.stream) {
+            group.push((cut.stream.clone(), kind));
+        }
+    }
+    let groups = [of_stylus, others].into_iter().filter(|group| !group.is_empty()).collect();
+    let detector = DetectorConfig {
+        onset: positive("onset", &block.onset)?,
+        quiet: positive("quiet", &block.quiet)?,
+        tap_hold_s: positive("tap_hold_s", &block.tap_hold_s)?,
+        longest_tap_s: positive("longest_tap_s", &block.longest_tap_s)?,
+        longest_pause_s: positive("longest_pause_s", &block.longest_pause_s)?,
+        drag_hold_s: positive("drag_hold_s", &block.drag_hold_s)?,
+        longest_drag_s: positive("longest_drag_s", &block.longest_drag_s)?,
+    };
+    if detector.quiet > detector.onset {
+        let at = if is_default(&block.quiet) { &block.onset } else { &block.quiet };
+        let problem =
+            format!("quiet = {}; expected at most onset = {}", detector.quiet, detector.onset);
+        return mistake(at, problem);
+    }
+    Ok(Detection { detector, groups, cuts })
 }

@@ -40,25 +40,25 @@ fn samples(first: u64, count: u64, channels: usize) -> Vec<u8> {
     bytes(&Message::Samples(Samples::new(first, channels, &values).unwrap()))
 }
 
-/// What came of each stream: values, missing ones as NaN; and the other things heard, in words.
+/// What came of each stream: values, missing ones as NaN; and the other events, in words.
 #[derive(Default)]
 struct Got(Vec<Vec<f32>>, Vec<String>);
 
 fn feed(intake: &mut Intake, bytes: &[u8], now_s: f64, got: &mut Got) {
     got.0.resize(2, Vec::new());
-    intake.feed(bytes, now_s, |heard| match heard {
-        Heard::Frames { stream, samples } => got.0[stream].extend_from_slice(samples),
-        Heard::Missing { stream, frames } => {
+    intake.feed(bytes, now_s, |event| match event {
+        IntakeEvent::Frames { stream, samples } => got.0[stream].extend_from_slice(samples),
+        IntakeEvent::Missing { stream, frames } => {
             let n = frames as usize * if stream == 0 { 2 } else { 1 };
             got.0[stream].extend(std::iter::repeat_n(f32::NAN, n));
         }
-        Heard::Hello { lacking, changed, .. } => {
+        IntakeEvent::Hello { lacking, changed, .. } => {
             got.1.push(format!("hello {} {changed}", lacking.len()));
         }
-        Heard::Refused(why) => got.1.push(why),
-        Heard::Restarted => got.1.push("restarted".into()),
-        Heard::Status(_) => {}
-        Heard::Damaged(_) => got.1.push("damaged".into()),
+        IntakeEvent::Refused(why) => got.1.push(why),
+        IntakeEvent::Restarted => got.1.push("restarted".into()),
+        IntakeEvent::Status(_) => {}
+        IntakeEvent::Damaged(_) => got.1.push("damaged".into()),
     });
 }
 
@@ -88,7 +88,7 @@ fn a_jump_of_the_index_is_a_gap_of_that_length() {
 }
 
 #[test]
-fn an_index_that_starts_anew_is_a_gap_by_the_clock() {
+fn an_index_that_restarts_is_a_gap_by_the_clock() {
     let (mut intake, mut got) = started();
     feed(&mut intake, &samples(500, 10, 3), 1.0, &mut got);
     feed(&mut intake, &samples(0, 10, 3), 1.3, &mut got);
@@ -123,7 +123,7 @@ fn after_a_replug_the_index_must_agree_with_the_clock() {
 }
 
 #[test]
-fn a_table_that_changes_is_followed_and_told() {
+fn a_table_that_changes_is_followed_and_reported() {
     let (mut intake, mut got) = started();
     feed(&mut intake, &samples(0, 1, 3), 0.0, &mut got);
     feed(&mut intake, &hello(RATE_HZ, &["b", "a"]), 0.0, &mut got);
@@ -135,6 +135,24 @@ fn a_table_that_changes_is_followed_and_told() {
     assert_eq!(full, [1.0, 0.0, 10.0, 11.0, 21.0, 22.0]);
     // Its own missing frame keeps the late stream in step with the others.
     assert!(got.0[1].len() == 3 && got.0[1][1].is_nan() && got.0[1][2] == 10.0);
+}
+
+#[test]
+fn a_scale_that_makes_infinite_values_is_refused() {
+    let (mut intake, mut got) = started();
+    let channels = [("a", 1.0), ("b", 3.4e38), ("metal", 1.0)].map(|(name, scale)| Channel {
+        name,
+        scale,
+        unit: "",
+    });
+    let hello = Hello {
+        serial: "S1",
+        firmware: [1, 2, 3],
+        sample_rate_hz: RATE_HZ,
+        channels: channels[..].into(),
+    };
+    feed(&mut intake, &bytes(&Message::Hello(hello)), 0.0, &mut got);
+    assert!(got.1[1].contains("channel b") && !intake.introduced(), "{:?}", got.1);
 }
 
 #[test]

@@ -8,11 +8,11 @@ use crate::trial::Trial;
 const SLIPS_HZ: f64 = 5.0;
 /// Length of a lift-off in s.
 const LIFT_S: f64 = 0.1;
-/// What is still felt and heard in the air.
+/// Share of every signal that remains in the air.
 const IN_THE_AIR: f64 = 0.02;
 
 /// The stylus sticks and slips five times a second: every signal of the drag swells and breaks off,
-/// by so much of its strength.
+/// by the level, a share of its strength.
 pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |spec, series, _, depth| {
         if spec.sigma.is_some() {

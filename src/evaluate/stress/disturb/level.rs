@@ -23,7 +23,7 @@ pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A constant in so many deviations of the channel, added.
+/// A constant, added: the level, in deviations of the channel.
 pub fn offset(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, level| x + level * spread.deviation);
 }

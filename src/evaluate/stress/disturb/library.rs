@@ -12,7 +12,7 @@ use crate::trial::{Signal, Trial};
 /// A library, changed; the generator belongs to the disturbance and level.
 pub type LibraryChange = fn(Vec<Entry>, f64, &mut ChaCha8Rng) -> Vec<Entry>;
 
-/// At most so many trials of each surface, picked at random.
+/// At most `most` trials of each surface, picked at random.
 pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     let mut drawn: Vec<(f64, Entry)> =
         library.into_iter().map(|entry| (uniform(rng), entry)).collect();
@@ -43,8 +43,8 @@ pub fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) ->
     library
 }
 
-/// Every surface has a twin, whose trials are the surface's own at another pitch, by so many per
-/// cent.
+/// Every surface has a twin, whose trials are the surface's own at a pitch that is `percent` %
+/// higher.
 pub fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -> Vec<Entry> {
     let twin = |entry: &Entry| {
         let mut twin = entry.clone().changed(move |mut trial: Trial| {

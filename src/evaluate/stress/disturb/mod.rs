@@ -39,7 +39,7 @@ pub struct Setting<'a> {
 /// A disturbance with its axis of severities.
 #[derive(Clone, Copy)]
 pub struct Disturbance {
-    /// Short name, as in `--only`.
+    /// Short name, by which it is chosen.
     pub name: &'static str,
     /// What the levels are, with their unit.
     pub axis: &'static str,

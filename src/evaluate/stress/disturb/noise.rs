@@ -30,7 +30,7 @@ pub fn red(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| add(series, db, rng, red_noise));
 }
 
-/// A room in what the microphone hears: red noise that comes and goes, and hum.
+/// Room noise in what the microphone records: red noise that comes and goes, and hum.
 pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, sound, |_, series, rng, db| add(series, db, rng, room_noise));
 }

@@ -19,7 +19,7 @@ pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Another place: the picture moves by so many pixels both ways; what leaves comes in again.
+/// Another place: the picture moves by the level, in pixels, both ways; what leaves on one side enters on the other.
 pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
     let by = setting.level as usize;
     each_picture(trial, |rgb| {
@@ -35,7 +35,7 @@ pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Out of focus: the mean over a square of so many pixels to each side.
+/// Out of focus: the mean over a square that reaches the level, in pixels, to each side.
 pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
     let radius = setting.level as usize;
     each_picture(trial, |rgb| {

@@ -85,13 +85,13 @@ fn white_noise_has_the_level_that_it_says() {
 }
 
 #[test]
-fn so_many_sensors_are_dead_and_one_is_left() {
+fn the_given_number_of_sensors_is_dead_and_one_is_left() {
     let d = all().into_iter().find(|d| d.name == "dead-sensors").unwrap();
     let (trial, scene) = (trial(), Scene::lmt108());
     for (level, expected) in [(1.0, 1), (3.0, 3), (99.0, 7)] {
         let after = disturbed(&d, level, &trial, &scene, 4);
         let dead = trial.signals.iter().filter(|(id, s)| after.signals[*id] != **s).count();
-        // A metal detector that rests is 0 either way, and it is no sensor that can be told.
+        // A metal detector that rests is 0 either way, so it does not count.
         assert!(dead == expected, "{dead} of {expected}");
     }
 }

@@ -43,7 +43,7 @@ pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A clock that is wrong by so many per cent: pitch and length change.
+/// A clock that is wrong by the level, in per cent: pitch and length change.
 pub fn clock(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, _, percent| {
         stretch(series, 1.0 + percent / 100.0);
@@ -58,7 +58,7 @@ pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A hand that moves so many times slower, in a scan no longer than before: neighbouring samples
+/// A hand that moves slower by a factor, the level, in a scan no longer than before: neighbouring samples
 /// are that much closer than T*.
 pub fn slow(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, in_time, |_, series, _, factor| {

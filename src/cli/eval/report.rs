@@ -1,0 +1,163 @@
+//! What `surfaced eval` prints.
+
+use crate::cli::show;
+use crate::evaluate::{
+    EnrolledOutcome, LeftOut, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+};
+use crate::trial::TrialKey;
+
+/// The JSON document: the outcome, and what it was measured on.
+#[derive(serde::Serialize)]
+pub struct Report {
+    #[serde(flatten)]
+    pub outcome: Outcome,
+    #[serde(serialize_with = "name")]
+    pub protocol: Protocol,
+    pub data: String,
+    pub synthetic: bool,
+    pub query_seconds: Option<f64>,
+    /// With `--settle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub settled: Option<SettledOutcome>,
+    /// With `--leave-surfaces-out`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unknown: Option<UnknownOutcome>,
+    /// With `--enrolled`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub enrolled: Option<EnrolledOutcome>,
+    pub predictions: Vec<Answer>,
+    /// The sources that were left out of queries, for people.
+    #[serde(skip)]
+    pub left_out: LeftOut,
+}
+
+// The signature is serde's.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn name<S: serde::Serializer>(protocol: &Protocol, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(protocol.name())
+}
+
+/// One query and its answer.
+#[derive(serde::Serialize)]
+pub struct Answer {
+    truth: String,
+    user: String,
+    trial: u32,
+    answer: String,
+    margin: f64,
+}
+
+impl From<Prediction> for Answer {
+    fn from(p: Prediction) -> Self {
+        let TrialKey { surface: truth, user, number: trial } = p.key;
+        Self { truth, user, trial, answer: p.surface, margin: p.margin }
+    }
+}
+
+impl Report {
+    /// For people.
+    pub fn print(&self) {
+        let o = &self.outcome;
+        let percent = show::percent;
+        let sources: Vec<_> = o.sources.iter().map(|id| id.as_str()).collect();
+        let mark = if self.synthetic { ", on synthetic data" } else { "" };
+        say!();
+        say!("{} · {} · {}{mark}", self.protocol.name(), o.method, sources.join(", "));
+        say!(
+            "accuracy   {} ({} of {} queries; 95 % interval {} to {})",
+            percent(o.accuracy),
+            o.right(),
+            o.queries,
+            percent(o.accuracy_low),
+            percent(o.accuracy_high)
+        );
+        if self.protocol.folds_are_users() {
+            say!(
+                "           mean over {}: {} ± {}",
+                show::counted(o.folds.len(), "user"),
+                percent(o.accuracy_mean),
+                percent(o.accuracy_std)
+            );
+        }
+        self.enrolled.iter().for_each(print_enrolled);
+        say!("precision  {}", percent(o.precision_mean));
+        say!(
+            "           {} against {}",
+            show::counted(o.classes, "surface"),
+            show::counted(o.library_trials, "library trial")
+        );
+        if !o.never_queried.is_empty() {
+            say!("           never queried: {}", o.never_queried.join(", "));
+        }
+        say!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
+        for (truth, answer, count) in o.confusion.worst(5) {
+            say!("           {count} × {truth} taken for {answer}");
+        }
+        self.settled.iter().for_each(print_settled);
+        self.unknown.iter().for_each(print_unknown);
+    }
+}
+
+fn print_enrolled(e: &EnrolledOutcome) {
+    say!(
+        "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
+         ({} to {})",
+        show::counted(e.trials, "trial"),
+        100.0 * e.gain,
+        show::percent(e.accuracy_without),
+        show::percent(e.accuracy_without_low),
+        show::percent(e.accuracy_without_high)
+    );
+}
+
+fn print_settled(s: &SettledOutcome) {
+    let percent = show::percent;
+    say!(
+        "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
+        percent(s.accuracy),
+        percent(s.accuracy_low),
+        percent(s.accuracy_high),
+        percent(s.accuracy_whole),
+        s.lost,
+        s.gained
+    );
+    say!(
+        "           after {:.2} s on average ({:.2} s in the median) of {:.2} s; {} of {} scans settled \
+         before they ended",
+        s.scan_s_mean,
+        s.scan_s_p50,
+        s.whole_s_mean,
+        s.settled,
+        s.queries
+    );
+    let shown = s.rules.iter().filter(|rule| rule.shown).count();
+    say!(
+        "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
+        percent(s.stated_loss),
+        s.rules.len()
+    );
+    say!("           following takes {} of one core", percent(s.core_share));
+}
+
+fn print_unknown(u: &UnknownOutcome) {
+    let percent = show::percent;
+    say!(
+        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
+        percent(u.unknown_caught),
+        u.unknown_queries,
+        percent(u.unknown_caught_low),
+        percent(u.unknown_caught_high)
+    );
+    say!(
+        "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
+         left-out trials)",
+        percent(u.false_rejections),
+        u.known_queries,
+        percent(u.false_rejections_low),
+        percent(u.false_rejections_high),
+        percent(u.stated.rate),
+        percent(u.stated.rate_low),
+        percent(u.stated.rate_high),
+        u.stated.trials
+    );
+}

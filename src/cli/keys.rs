@@ -1,0 +1,97 @@
+//! What ends or steers a station from outside: keys and signals.
+
+use std::io::{IsTerminal, Read};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock, mpsc};
+
+use crossbeam_channel::Sender;
+use rustix::termios::{self, LocalModes, OptionalActions, Termios};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use super::Failure;
+use crate::station::Command;
+
+/// How the terminal was before keys were read one by one.
+static BEFORE: OnceLock<Termios> = OnceLock::new();
+
+/// Keys that are read one by one, until it is dropped.
+pub struct Keys;
+
+impl Keys {
+    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan, `q` quits.
+    pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
+        let stdin = std::io::stdin();
+        let in_front =
+            termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
+        if !in_front || !std::io::stderr().is_terminal() {
+            return None;
+        }
+        let before = termios::tcgetattr(&stdin).ok()?;
+        let mut single = before.clone();
+        // Signals stay: Ctrl-C is one of the ways to end.
+        single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        termios::tcsetattr(&stdin, OptionalActions::Now, &single).ok()?;
+        let keys = Self;
+        let _ = BEFORE.set(before);
+        let read = move || {
+            // Through a handle of its own, which it may hold for ever.
+            for key in std::io::stdin().lock().bytes() {
+                let command = match key {
+                    Ok(b' ') if scanning.load(Ordering::Acquire) => Command::Stop,
+                    Ok(b' ') => Command::Start,
+                    Ok(b'q' | b'Q') => Command::Quit,
+                    Ok(_) => continue,
+                    Err(_) => return,
+                };
+                if commands.send(command).is_err() {
+                    return;
+                }
+            }
+        };
+        // It waits for keys until the process ends.
+        std::thread::Builder::new().name("keys".into()).spawn(read).ok()?;
+        Some(keys)
+    }
+}
+
+impl Drop for Keys {
+    fn drop(&mut self) {
+        restore();
+    }
+}
+
+fn restore() {
+    if let Some(before) = BEFORE.get() {
+        // If this fails, the terminal is gone.
+        let _ = termios::tcsetattr(std::io::stdin(), OptionalActions::Now, before);
+    }
+}
+
+/// Waits for a signal.
+pub struct Signalled(mpsc::Receiver<()>);
+
+impl Signalled {
+    /// Waits for the first signal, if it has not come yet.
+    pub fn wait(self) {
+        let _ = self.0.recv();
+    }
+}
+
+/// Makes the first signal a command to quit. The second one ends the process at once, as does the
+/// first when there is neither a station nor anybody who waits for it.
+pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let (send, signalled) = mpsc::channel();
+    let watch = move || {
+        for (count, signal) in signals.forever().enumerate() {
+            let taken = [commands.send(Command::Quit).is_ok(), send.send(()).is_ok()];
+            if count > 0 || taken == [false; 2] {
+                restore();
+                std::process::exit(128 + signal);
+            }
+        }
+    };
+    std::thread::Builder::new().name("signals".into()).spawn(watch)?;
+    Ok(Signalled(signalled))
+}

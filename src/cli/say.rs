@@ -1,0 +1,99 @@
+//! Text for people: lines on stderr, whatever has become of stderr.
+//!
+//! A daemon outlives its log. A line that cannot be written, because stderr is closed or its disk
+//! is full, is dropped; while devices are at work, so is one whose reader has stalled.
+
+use std::fmt;
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+/// How long a stalled reader holds up live devices, for the first of the lines it does not take.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// A pipe that is ready takes this much without blocking (`PIPE_BUF` on Linux).
+const ATOMIC: usize = 4096;
+
+/// Whether devices are at work, which must not wait for a reader.
+static LIVE: AtomicBool = AtomicBool::new(false);
+/// Whether the reader did not take the last line.
+static STALLED: AtomicBool = AtomicBool::new(false);
+/// Whether the last line of the terminal is redrawn all the time, and gives way to others.
+static STATUS_LINE: AtomicBool = AtomicBool::new(false);
+
+/// Writes a line for people on stderr; takes what `format!` takes. It never panics.
+macro_rules! say {
+    () => { $crate::cli::say::line("") };
+    ($($text:tt)*) => { $crate::cli::say::line(&format!($($text)*)) };
+}
+
+/// From now on, no line waits for its reader.
+pub fn never_wait() {
+    LIVE.store(true, Ordering::Release);
+}
+
+/// Whether a status line is drawn, see [`status`].
+pub fn keep_status_line(on: bool) {
+    STATUS_LINE.store(on, Ordering::Release);
+}
+
+/// Writes a line; see [`say!`].
+pub fn line(text: &str) {
+    let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
+    write(&format!("{clear}{}\n", Printable(text)));
+}
+
+/// Replaces the status line.
+pub fn status(text: &str) {
+    write(&format!("\r\x1b[2K{}", Printable(text)));
+}
+
+/// Text without what a terminal would obey: labels and serial numbers are other people's.
+struct Printable<'a>(&'a str);
+
+impl fmt::Display for Printable<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use fmt::Write;
+        self.0.chars().try_for_each(|c| match c {
+            '\n' | '\t' => f.write_char(c),
+            c if c.is_control() => write!(f, "{}", c.escape_default()),
+            c => f.write_char(c),
+        })
+    }
+}
+
+fn write(text: &str) {
+    let mut stderr = io::stderr().lock();
+    for part in text.as_bytes().chunks(ATOMIC) {
+        if LIVE.load(Ordering::Acquire) && !ready(&stderr) {
+            return;
+        }
+        // There is nobody left to hear of an error.
+        if stderr.write_all(part).and_then(|()| stderr.flush()).is_err() {
+            return;
+        }
+    }
+}
+
+/// Whether stderr takes a part without blocking; waits a moment, but only once in a row.
+fn ready(stderr: &io::StderrLock<'_>) -> bool {
+    let wait = if STALLED.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
+    let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
+    let mut fds = [PollFd::new(stderr, PollFlags::OUT)];
+    // A descriptor that cannot be polled is left to the write.
+    let ready = !matches!(poll(&mut fds, Some(&wait)), Ok(0));
+    STALLED.store(!ready, Ordering::Release);
+    ready
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_terminal_obeys_a_label() {
+        let label = "oak\x1b]0;mine\x07\r\u{9b}2J é\n";
+        assert_eq!(Printable(label).to_string(), "oak\\u{1b}]0;mine\\u{7}\\r\\u{9b}2J é\n");
+    }
+}

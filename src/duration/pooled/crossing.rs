@@ -1,0 +1,158 @@
+//! Where the dependence falls below the threshold for good, and by when it surely has.
+
+use super::antitonic::antitonic;
+use super::size::Size;
+
+/// One-sided 95 % of the normal distribution.
+const UPPER: f64 = 1.645;
+/// Standard errors by which a later bin must exceed the threshold to take T* with it. There are some
+/// sixty bins, so chance alone must hardly do it.
+const SURE: f64 = 4.0;
+/// Standard errors by which dependence at the longest lags counts as there.
+const THERE: f64 = 2.0;
+
+/// Dependence of one channel on another over the lags.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// Centre of each bin, in frames.
+    pub lags: Vec<f64>,
+    /// Dependence in each.
+    pub sizes: Vec<Size>,
+    /// Its antitonic fit.
+    pub fitted: Vec<f64>,
+}
+
+/// Where a curve falls below a threshold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crossing {
+    /// The estimate, in frames; none if it stays above.
+    pub estimate: Option<f64>,
+    /// By when the upper confidence bound has fallen below it too.
+    pub upper: Option<f64>,
+}
+
+impl Curve {
+    /// A curve and its fit.
+    pub fn new(lags: Vec<f64>, sizes: Vec<Size>) -> Self {
+        let fitted = antitonic(&sizes.iter().map(|s| s.value).collect::<Vec<_>>());
+        Self { lags, sizes, fitted }
+    }
+
+    /// Standard error of √size near a threshold: by the jackknife of the size, and not below what
+    /// the largest entry's alone would give, since few blocks may by chance agree.
+    pub fn root_error(&self, bin: usize, threshold: f64) -> f64 {
+        let slope = 2.0 * threshold.sqrt();
+        (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
+    }
+
+    /// Upper bound of √size.
+    pub fn upper(&self, bin: usize, threshold: f64) -> f64 {
+        self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
+    }
+
+    /// How many times the data must be for the upper bound of no dependence at the longer half of
+    /// the lags to be half of the threshold.
+    pub fn lacking(&self, threshold: f64) -> f64 {
+        let bins = self.lags.len() / 2..self.lags.len();
+        let mut errors: Vec<f64> = bins.map(|bin| self.root_error(bin, threshold)).collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        let median = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
+        (2.0 * UPPER * median / threshold.sqrt()).powi(2)
+    }
+
+    /// Half the width of the 90 % interval of √size, where it is.
+    pub fn half_width(&self, bin: usize, threshold: f64) -> f64 {
+        let slope = 2.0 * self.fitted[bin].max(threshold).sqrt();
+        UPPER * (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
+    }
+
+    /// Where the fit and its upper bound cross a threshold of the size.
+    pub fn crossing(&self, threshold: f64) -> Crossing {
+        let root = threshold.sqrt();
+        let fit = |bin: usize| self.fitted[bin].max(0.0).sqrt();
+        let first = |from: usize, curve: &dyn Fn(usize) -> f64| {
+            (from..self.lags.len()).find(|&bin| curve(bin) < root)
+        };
+        let Some(below) = first(0, &fit) else {
+            return Crossing { estimate: None, upper: None };
+        };
+        let mut estimate = self.between(below, root, &fit);
+        let mut from = below;
+        let surely_above =
+            |bin: &usize| self.sizes[*bin].value - SURE * self.sizes[*bin].error >= threshold;
+        if let Some(last) = (below..self.lags.len()).rev().find(surely_above) {
+            match self.lags.get(last + 1) {
+                Some(&lag) => (estimate, from) = (lag, last + 1),
+                None => return Crossing { estimate: None, upper: None },
+            }
+        }
+        let upper = |bin: usize| self.upper(bin, threshold);
+        let upper = first(from, &upper).map(|bin| self.between(bin, root, &upper).max(estimate));
+        Crossing { estimate: Some(estimate), upper }
+    }
+
+    /// Whether the dependence is surely above a threshold at a lag, and up to the longest one.
+    pub fn stays_above(&self, threshold: f64, lag: f64) -> bool {
+        let bin = self.lags.partition_point(|&l| l < lag).min(self.lags.len() - 1);
+        self.fitted[bin] - THERE * self.sizes[bin].error >= threshold
+    }
+
+    /// The lag at which a curve crosses `root` between the bin before and `bin`, straight in the
+    /// logarithm, as a decay is.
+    fn between(&self, bin: usize, root: f64, curve: &dyn Fn(usize) -> f64) -> f64 {
+        let Some(before) = bin.checked_sub(1) else { return self.lags[0] };
+        let (high, low) = (curve(before), curve(bin).max(0.1 * root));
+        if high <= root {
+            return self.lags[bin];
+        }
+        let share = (high / root).ln() / (high / low).ln();
+        self.lags[before] + share * (self.lags[bin] - self.lags[before])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(error: f64, size: impl Fn(f64) -> f64) -> Curve {
+        let lags: Vec<f64> = (0..60).map(|k| 1.15f64.powi(k)).collect();
+        let sizes =
+            lags.iter().map(|&t| Size { value: size(t), error, entry_error: 0.0 }).collect();
+        Curve::new(lags, sizes)
+    }
+
+    #[test]
+    fn an_exponential_decay_crosses_where_it_falls_to_the_threshold() {
+        let got = curve(0.0, |t| (-2.0 * t / 100.0).exp()).crossing(0.01);
+        assert!((got.estimate.unwrap() - 230.26).abs() < 0.1, "{got:?}");
+        assert_eq!(got.upper, got.estimate);
+    }
+
+    #[test]
+    fn the_upper_bound_waits_for_what_is_surely_below() {
+        let got = curve(0.005, |t| (-2.0 * t / 100.0).exp()).crossing(0.01);
+        assert!(got.upper.unwrap() > 1.1 * got.estimate.unwrap(), "{got:?}");
+        assert_eq!(curve(0.02, |t| (-2.0 * t / 100.0).exp()).crossing(0.01).upper, None);
+    }
+
+    #[test]
+    fn dependence_that_surely_returns_moves_t_star() {
+        let back = |t: f64| if (900.0..1100.0).contains(&t) { 0.09 } else { (-t / 10.0).exp() };
+        let got = curve(0.001, back).crossing(0.01).estimate.unwrap();
+        assert!((1000.0..1300.0).contains(&got), "{got}");
+        assert!(curve(0.03, back).crossing(0.01).estimate.unwrap() < 300.0);
+    }
+
+    #[test]
+    fn dependence_that_stays_has_no_crossing() {
+        let stays = curve(0.001, |_| 0.2);
+        assert_eq!(stays.crossing(0.01), Crossing { estimate: None, upper: None });
+        assert!(stays.stays_above(0.01, 1e9) && !curve(0.2, |_| 0.2).stays_above(0.01, 1e9));
+    }
+
+    #[test]
+    fn independence_from_the_first_lag_is_one() {
+        let got = curve(0.0001, |_| 0.0).crossing(0.01);
+        assert_eq!(got, Crossing { estimate: Some(1.0), upper: Some(1.0) });
+    }
+}

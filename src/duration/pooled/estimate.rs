@@ -1,0 +1,205 @@
+//! T* of recordings, at the rate that they need.
+
+use super::samples::Samples;
+use super::{Answer, Pooled, pooled};
+use crate::trial::Series;
+
+/// How large a dependence still counts: that of a Gaussian process with this correlation.
+pub const CORRELATION: f64 = 0.1;
+/// Values of a channel that are looked at, over all trials: 10 trials of 4.8 s at 10 kHz.
+pub const VALUES: usize = 500_000;
+/// T* is at least this many frames of what is looked at, unless every frame is.
+const RESOLUTION: f64 = 32.0;
+
+/// Dependence of samples a lag apart.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Dependence {
+    /// Lag in samples.
+    pub lag_samples: f64,
+    /// Lag in seconds.
+    pub lag_s: f64,
+    /// Correlation of a Gaussian process that depends as much on its past.
+    pub dependence: f64,
+    /// The same of the fit that never rises, from which T* is read.
+    pub fitted: f64,
+    /// Lower end of its 90 % interval.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+/// What `pooled` found, in samples of the source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledEstimate {
+    /// T*, or why there is none, in samples.
+    pub answer: Answer,
+    /// Every how many samples one was looked at.
+    pub step: usize,
+    /// Longest T* that these trials can show, in samples.
+    pub range: f64,
+    /// Samples that are worth one independent sample.
+    pub inflation: Option<f64>,
+    /// Share of the variance that differs between trials for good.
+    pub lasting_share: Option<f64>,
+    /// Dependence over the lags, for the two channels that decide.
+    pub curve: Vec<Dependence>,
+}
+
+impl PooledEstimate {
+    /// T* in samples: the smallest whole lag from which on the dependence is small.
+    pub fn t_star_samples(&self) -> Option<usize> {
+        match self.answer {
+            Answer::Found { t_star, .. } => Some(t_star.ceil() as usize),
+            _ => None,
+        }
+    }
+
+    /// Upper bound of T*, in samples: the time to use.
+    pub fn upper_samples(&self) -> Option<usize> {
+        match self.answer {
+            Answer::Found { upper, .. } => Some(upper.ceil() as usize),
+            _ => None,
+        }
+    }
+
+    /// Independent samples that a stretch of `samples` samples is worth.
+    pub fn effective_samples(&self, samples: usize) -> Option<f64> {
+        self.inflation.map(|inflation| samples as f64 / inflation)
+    }
+}
+
+/// T* of trials of one rate and shape, their first `frames` frames, for a threshold `correlation`;
+/// none if nothing changes in them.
+///
+/// At most `values` values of a channel are looked at, every k-th: how exact T* is depends on how
+/// many times it fits into the recordings, and hardly on how many samples lie within it. Where T*
+/// comes out below 32 of what was looked at, k was too large, and a smaller one follows from it;
+/// then the last `values`·k frames of all trials suffice. Frames are left out and not averaged,
+/// since the dependence of the samples as they are is what is measured.
+pub fn at_needed_rate(
+    series: &[Series],
+    frames: usize,
+    correlation: f64,
+    values: usize,
+) -> Option<PooledEstimate> {
+    let rate_hz = series.first()?.rate_hz();
+    let mut step = (series.len() * frames).div_ceil(values);
+    let mut found = pooled(&Samples::every(step, 0..frames, series), correlation)?;
+    if let Answer::Found { t_star, .. } = found.answer
+        && t_star < RESOLUTION
+        && step > 1
+    {
+        step = ((step as f64 * t_star / RESOLUTION) as usize).max(1);
+        let kept = frames.min(values * step / series.len());
+        let samples = Samples::every(step, frames - kept..frames, series);
+        found = pooled(&samples, correlation).unwrap_or(found);
+    }
+    Some(in_samples(found, step, rate_hz))
+}
+
+fn in_samples(found: Pooled, step: usize, rate_hz: f64) -> PooledEstimate {
+    let scale = step as f64;
+    let answer = match found.answer {
+        Answer::Found { t_star, upper } => {
+            Answer::Found { t_star: scale * t_star, upper: scale * upper }
+        }
+        other => other,
+    };
+    let dependence = |p: super::Point| Dependence {
+        lag_samples: scale * p.lag,
+        lag_s: scale * p.lag / rate_hz,
+        dependence: p.dependence,
+        fitted: p.fitted,
+        low: p.low,
+        high: p.high,
+    };
+    PooledEstimate {
+        answer,
+        step,
+        range: scale * found.range,
+        inflation: found.inflation.map(|frames| scale * frames),
+        lasting_share: found.lasting,
+        curve: found.curve.into_iter().map(dependence).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::duration::simulate;
+
+    fn ar1(tau: f64, count: usize, frames: usize, seed: u64) -> Vec<Series> {
+        let mut rng = crate::seed::rng(seed, &[b"pooled"]);
+        simulate::trials(count, 1e4, || simulate::ar1(frames, tau, &mut rng)).unwrap()
+    }
+
+    #[test]
+    fn t_star_is_where_the_autocorrelation_has_fallen_to_a_tenth() {
+        for (tau, count, frames) in [(5.0, 10, 12_000), (20.0, 10, 24_000), (20.0, 1, 48_000)] {
+            let series = ar1(tau, count, frames, 1);
+            let got = at_needed_rate(&series, frames, CORRELATION, VALUES).unwrap();
+            let (t_star, upper) = (got.t_star_samples().unwrap(), got.upper_samples().unwrap());
+            let in_tau = t_star as f64 / tau;
+            assert!((2.0..2.8).contains(&in_tau) && upper >= t_star, "{tau}: {in_tau} {upper}");
+            let inflation = got.inflation.unwrap() / (2.0 * tau);
+            assert!((0.85..1.15).contains(&inflation), "{inflation}");
+        }
+    }
+
+    #[test]
+    fn a_larger_dependence_is_reached_sooner() {
+        let series = ar1(50.0, 10, 12_000, 2);
+        let at = |correlation| {
+            at_needed_rate(&series, 12_000, correlation, VALUES).unwrap().t_star_samples().unwrap()
+        };
+        let (half, tenth) = (at(0.5) as f64, at(0.1) as f64);
+        assert!((half / 50.0 - 0.69).abs() < 0.15 && tenth > 2.0 * half, "{half} {tenth}");
+    }
+
+    #[test]
+    fn long_recordings_are_thinned_until_t_star_is_coarse_and_no_further() {
+        for (tau, steps) in [(300.0, 18..=18), (20.0, 1..=3), (0.0, 1..=1)] {
+            let series = ar1(tau, 6, 60_000, 3);
+            let got = at_needed_rate(&series, 60_000, CORRELATION, 20_000).unwrap();
+            assert!(steps.contains(&got.step), "{}", got.step);
+            let t_star = got.t_star_samples().unwrap() as f64;
+            assert!((t_star - f64::max(1.0, 2.3 * tau)).abs() <= 0.4 * tau, "{tau}: {t_star}");
+        }
+    }
+
+    #[test]
+    fn noise_is_independent_at_once_a_sine_never_and_little_data_say_nothing() {
+        let mut rng = crate::seed::rng(4, &[b"pooled"]);
+        let noise = ar1(0.0, 5, 4000, 4);
+        let got = |series: &[Series], frames| {
+            at_needed_rate(series, frames, CORRELATION, VALUES).unwrap().answer
+        };
+        assert_eq!(got(&noise, 4000), Answer::Found { t_star: 1.0, upper: 1.0 });
+        let sines = simulate::trials(5, 1e4, || simulate::sine(4000, 210.0, &mut rng)).unwrap();
+        assert_eq!(got(&sines, 4000), Answer::Never);
+        let slow = ar1(300.0, 3, 4000, 5);
+        assert!(matches!(got(&slow, 4000), Answer::TooLittleData { more_trials: 1.. }));
+    }
+
+    #[test]
+    fn two_channels_depend_on_each_other_though_neither_on_itself() {
+        let mut rng = crate::seed::rng(5, &[b"pooled"]);
+        let make = || {
+            let x = simulate::ar1(6000, 0.0, &mut rng);
+            let y = simulate::ar1(6000, 0.0, &mut rng);
+            (0..6000).flat_map(|i| [x[i], if i < 5 { y[i] } else { x[i - 5] + y[i] }]).collect()
+        };
+        let series: Vec<Series> = std::iter::repeat_with(make)
+            .take(8)
+            .map(|samples| Series::new(1e4, 2, samples).unwrap())
+            .collect();
+        let got = at_needed_rate(&series, 6000, CORRELATION, VALUES).unwrap();
+        assert_eq!(got.t_star_samples(), Some(6));
+    }
+
+    #[test]
+    fn a_constant_source_has_no_answer() {
+        let flat = vec![Series::new(1e4, 1, vec![2.0; 500]).unwrap(); 6];
+        assert_eq!(at_needed_rate(&flat, 500, CORRELATION, VALUES), None);
+    }
+}

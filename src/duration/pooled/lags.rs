@@ -1,0 +1,125 @@
+//! The lags that are looked at: each up to eight, then bins that grow with the lag.
+
+/// Lags up to here have a bin of their own.
+const SINGLE: usize = 8;
+/// Ratio of a bin's upper edge to its lower one.
+const RATIO: f64 = 1.15;
+/// Longest lag, as a share of a trial.
+const LONGEST: usize = 4;
+/// A lag is this many times the distance of starts at least: they lie close against it.
+const STARTS_A_LAG: usize = 128;
+/// Starts that are enough for one lag, over all trials.
+const STARTS: usize = 20_000;
+
+/// One lag, in frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lag {
+    /// The lag, a multiple of `stride`.
+    pub frames: usize,
+    /// Distance of one start to the next, a power of two.
+    pub stride: usize,
+    /// How many lags it stands for: half of the way to its neighbours.
+    pub weight: f64,
+}
+
+/// Lags that are averaged.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bin {
+    /// Its lags, at places of [`Lags::all`].
+    pub lags: std::ops::Range<usize>,
+    /// Their geometric mean.
+    pub centre: f64,
+}
+
+/// All lags, upwards, and their bins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lags {
+    /// Each lag.
+    pub all: Vec<Lag>,
+    /// Each bin.
+    pub bins: Vec<Bin>,
+}
+
+/// Lags for `trials` trials of `frames` frames, up to a quarter of a trial.
+///
+/// From one start to the next it is a power of two, at most t/128 and at most what leaves 20,000
+/// starts; it never falls, and a lag is a multiple of it: then starts and partners both lie on one
+/// grid, which only grows coarser.
+pub fn lags(trials: usize, frames: usize) -> Lags {
+    let longest = frames / LONGEST;
+    let stride = |t: usize| {
+        let most = (t / STARTS_A_LAG).min(trials * (frames - longest) / STARTS).max(1);
+        // The largest power of two that is not above it.
+        1 << most.ilog2()
+    };
+    let mut lags = Lags { all: Vec::new(), bins: Vec::new() };
+    for t in 1..=SINGLE.min(longest) {
+        lags.push(&[(t, 1)]);
+    }
+    let (mut lower, mut last) = (SINGLE as f64 + 0.5, SINGLE);
+    while lower * RATIO <= longest as f64 + 1.0 {
+        // The middles of a bin's thirds.
+        let mut bin = Vec::with_capacity(3);
+        for third in [1.0, 3.0, 5.0] {
+            let t = lower * RATIO.powf(third / 6.0);
+            let stride = stride(t as usize);
+            let t = (t / stride as f64).round() as usize * stride;
+            if t > last && t <= longest {
+                bin.push((t, stride));
+                last = t;
+            }
+        }
+        lags.push(&bin);
+        lower *= RATIO;
+    }
+    let frames: Vec<f64> = lags.all.iter().map(|lag| lag.frames as f64).collect();
+    for (i, lag) in lags.all.iter_mut().enumerate() {
+        let before = if i == 0 { frames[0] - 1.0 } else { frames[i - 1] };
+        let after = frames.get(i + 1).copied().unwrap_or(2.0 * frames[i] - before);
+        lag.weight = 0.5 * (after - before);
+    }
+    lags
+}
+
+impl Lags {
+    fn push(&mut self, bin: &[(usize, usize)]) {
+        if bin.is_empty() {
+            return;
+        }
+        let first = self.all.len();
+        self.all.extend(bin.iter().map(|&(frames, stride)| Lag { frames, stride, weight: 0.0 }));
+        let logs: f64 = bin.iter().map(|&(t, _)| (t as f64).ln()).sum();
+        self.bins
+            .push(Bin { lags: first..self.all.len(), centre: (logs / bin.len() as f64).exp() });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lags_rise_to_a_quarter_of_a_trial_and_stand_for_all_between() {
+        for (trials, frames) in [(1, 40), (10, 1000), (10, 48_000), (5, 50_000)] {
+            let lags = lags(trials, frames);
+            assert!(lags.all.windows(2).all(|w| w[0].frames < w[1].frames));
+            assert!(lags.all.iter().all(|l| l.frames % l.stride == 0));
+            let last = lags.all.last().unwrap().frames;
+            assert!(last <= frames / 4 && last as f64 > 0.8 * (frames / 4) as f64, "{last}");
+            let total: f64 = lags.all.iter().map(|l| l.weight).sum();
+            assert!((total / last as f64 - 1.0).abs() < 0.1, "{total} {last}");
+            assert_eq!(lags.bins[0].lags, 0..1);
+        }
+    }
+
+    #[test]
+    fn long_lags_take_fewer_starts_but_never_fewer_than_20_000() {
+        let lags = lags(10, 48_000);
+        for lag in &lags.all {
+            let starts = 10 * (48_000 - lag.frames) / lag.stride;
+            assert!(lag.stride == 1 || starts >= STARTS, "{lag:?}");
+            assert!(lag.stride == 1 || lag.frames >= STARTS_A_LAG * lag.stride / 2, "{lag:?}");
+        }
+        assert!(lags.all.last().unwrap().stride == 16);
+    }
+}

@@ -1,0 +1,226 @@
+//! The rule `pooled`: how *large* the dependence of two samples is, from all pairs of all trials.
+//!
+//! ```text
+//! samples ─► normal_scores ─► features ─► covariance (at lags) ─► correction ─► size ─► crossing
+//!                                 └► echo                              └► effective
+//! ```
+//!
+//! [`normal_scores`] makes values Gaussian by their ranks, [`features`] takes Hermite polynomials of
+//! them, [`covariance`] their covariance at two moments for each of the [`lags`], [`correction`]
+//! undoes what centring each trial did, [`size`] measures it without bias, and [`crossing`] says
+//! where it falls below the threshold for good ([`antitonic`]). [`echo`] looks at single lags,
+//! [`effective`] at what a scan is worth, and [`estimate`] chooses the rate that a source is looked
+//! at and speaks of its samples and seconds.
+
+mod antitonic;
+mod correction;
+mod covariance;
+mod crossing;
+mod echo;
+mod effective;
+mod estimate;
+mod features;
+mod lags;
+mod normal_scores;
+mod samples;
+mod size;
+
+use covariance::{Covariances, covariance_at_once, covariances};
+use crossing::Curve;
+pub use estimate::{CORRELATION, Dependence, PooledEstimate, VALUES, at_needed_rate};
+use features::{Features, features};
+use lags::{Lags, lags};
+pub use samples::Samples;
+
+/// The answer must be shorter than the longest lag by this factor, or what lies beyond is not seen.
+const BEYOND: f64 = 1.5;
+/// How often the correction for the trials' means is made: it needs T*, and T* needs it.
+const CORRECTIONS: usize = 3;
+
+/// What came of it, in frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Answer {
+    /// T* and its upper bound.
+    Found {
+        /// the estimate
+        t_star: f64,
+        /// one-sided 95 % upper bound: the time to use
+        upper: f64,
+    },
+    /// Dependence does not fall below the threshold within the longest lag: a periodic signal, or
+    /// one that drifts.
+    Never,
+    /// It falls below it too late for the trials to show that it stays there.
+    NotWithinRange,
+    /// The trials hold too little to say.
+    TooLittleData {
+        /// about how many more trials like these would do
+        more_trials: usize,
+    },
+}
+
+/// Dependence at one lag.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Lag in frames.
+    pub lag: f64,
+    /// Correlation of a Gaussian process that depends as much on its past.
+    pub dependence: f64,
+    /// The same of the fit that never rises.
+    pub fitted: f64,
+    /// Lower end of the fit's 90 % interval.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+/// What `pooled` found.
+#[derive(Clone, Debug)]
+pub struct Pooled {
+    /// T*, or why there is none.
+    pub answer: Answer,
+    /// Longest lag that can be answered, in frames.
+    pub range: f64,
+    /// Frames that are worth one independent sample, where there is a T*.
+    pub inflation: Option<f64>,
+    /// Share of the variance that differs between trials for good, at least 0; none for one trial.
+    pub lasting: Option<f64>,
+    /// Dependence over the lags, for the two channels that decide.
+    pub curve: Vec<Point>,
+}
+
+/// T* of trials, for a threshold on the correlation of a Gaussian process; none if nothing changes
+/// in any of them, or if they are too short for a lag.
+pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
+    let features = features(samples);
+    let lags = lags(samples.trials, samples.frames);
+    if features.columns.is_empty() || lags.bins.len() < 2 {
+        return None;
+    }
+    let threshold = size::of_correlation(correlation);
+    let longest = lags.all.last().map_or(0, |lag| lag.frames);
+    let range = longest as f64 / BEYOND;
+    let raw = covariances(&features, &lags.all);
+    let at_once = covariance_at_once(&features);
+
+    let mut found = Found::new(&raw, &features, &lags, threshold);
+    let mut variance = vec![0.0; at_once.len()];
+    for _ in 0..CORRECTIONS {
+        let reach = found.reach(longest);
+        variance = correction::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
+        let corrected = correction::corrected(&raw, &variance);
+        found = Found::new(&corrected, &features, &lags, threshold);
+        found.corrected = Some(corrected);
+    }
+    if let Some(t_star) = found.estimate
+        && let Some(echo) = echo::last_echo(&features, correlation, t_star.ceil() as usize, longest)
+    {
+        let after = (echo + 1) as f64;
+        found.estimate = Some(after);
+        found.upper = found.upper.map(|upper| upper.max(after));
+    }
+    let answer = found.answer(threshold, range, longest as f64, samples.trials);
+    let inflation = match (&answer, &found.corrected) {
+        (Answer::Found { .. }, Some(corrected)) => {
+            Some(effective::inflation(corrected, &features, &lags.all, found.reach(longest)))
+        }
+        _ => None,
+    };
+    Some(Pooled {
+        answer,
+        range,
+        inflation,
+        lasting: lasting(&features, &variance),
+        curve: found.points(threshold),
+    })
+}
+
+/// The curves of all ordered pairs of channels, and the worst crossing.
+struct Found {
+    curves: Vec<Curve>,
+    /// The curve that decides.
+    worst: usize,
+    estimate: Option<f64>,
+    upper: Option<f64>,
+    corrected: Option<Covariances>,
+}
+
+impl Found {
+    fn new(covariances: &Covariances, features: &Features, lags: &Lags, threshold: f64) -> Self {
+        let centres: Vec<f64> = lags.bins.iter().map(|bin| bin.centre).collect();
+        let mut curves = Vec::new();
+        for earlier in &features.channels {
+            for later in &features.channels {
+                let sizes = size::sizes(covariances, &lags.bins, earlier, later);
+                curves.push(Curve::new(centres.clone(), sizes));
+            }
+        }
+        let crossings: Vec<_> = curves.iter().map(|curve| curve.crossing(threshold)).collect();
+        let or_never = |lag: Option<f64>| lag.unwrap_or(f64::INFINITY);
+        let latest = |f: &dyn Fn(usize) -> Option<f64>| {
+            let worst = (0..curves.len()).map(|i| or_never(f(i))).fold(0.0, f64::max);
+            worst.is_finite().then_some(worst)
+        };
+        let estimate = latest(&|i| crossings[i].estimate);
+        let upper = latest(&|i| crossings[i].upper);
+        let key = |i: &usize| or_never(crossings[*i].estimate);
+        let worst = (0..curves.len()).max_by(|a, b| key(a).total_cmp(&key(b))).unwrap_or(0);
+        Self { curves, worst, estimate, upper, corrected: None }
+    }
+
+    /// Lags up to which correlation is summed: twice T*, or all.
+    fn reach(&self, longest: usize) -> f64 {
+        self.estimate.map_or(longest as f64, |t| (2.0 * t).min(longest as f64))
+    }
+
+    fn answer(&self, threshold: f64, range: f64, longest: f64, trials: usize) -> Answer {
+        let stays = |lag: f64| self.curves.iter().any(|curve| curve.stays_above(threshold, lag));
+        match (self.estimate, self.upper) {
+            (Some(t_star), Some(upper)) if upper <= range => Answer::Found { t_star, upper },
+            _ if stays(longest) => Answer::Never,
+            _ if stays(range) => Answer::NotWithinRange,
+            _ => Answer::TooLittleData { more_trials: self.more_trials(threshold, trials) },
+        }
+    }
+
+    /// Trials that are lacking for an error that leaves the dependence half of the threshold's room.
+    fn more_trials(&self, threshold: f64, trials: usize) -> usize {
+        let needed = self.curves.iter().map(|curve| curve.lacking(threshold)).fold(1.0, f64::max);
+        ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
+    }
+
+    fn points(&self, threshold: f64) -> Vec<Point> {
+        let Some(curve) = self.curves.get(self.worst) else { return Vec::new() };
+        let correlation = |root: f64| size::as_correlation(root.max(0.0).powi(2));
+        (0..curve.lags.len())
+            .map(|bin| {
+                let root = curve.fitted[bin].max(0.0).sqrt();
+                let half_width = curve.half_width(bin, threshold);
+                Point {
+                    lag: curve.lags[bin],
+                    dependence: size::as_correlation(curve.sizes[bin].value),
+                    fitted: correlation(root),
+                    low: correlation(root - half_width),
+                    high: correlation(root + half_width),
+                }
+            })
+            .collect()
+    }
+}
+
+/// Variance between the trials' means that their own slow changes do not explain, for the channel
+/// that has the most of it.
+fn lasting(features: &Features, mean_variance: &[f64]) -> Option<f64> {
+    if features.trials < 2 {
+        return None;
+    }
+    let count = features.columns.len();
+    let share = |i: usize| {
+        let v = mean_variance[i * count + i];
+        features.between[i] - v / (1.0 + v)
+    };
+    (features.channels.iter())
+        .map(|channel| channel.clone().map(share).sum::<f64>() / channel.len() as f64)
+        .max_by(f64::total_cmp)
+        .map(|worst| worst.clamp(0.0, 1.0))
+}

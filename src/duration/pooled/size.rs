@@ -1,0 +1,161 @@
+//! How large the dependence is at a lag: the Hilbert–Schmidt norm of the cross-covariance, squared
+//! (HSIC of a kernel of finite rank), without the bias that squaring noise gives.
+
+use std::ops::Range;
+
+use super::covariance::Covariances;
+use super::lags::Bin;
+
+/// Size of the dependence over the lags of one bin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Size {
+    /// ‖C‖², unbiased: chance can make it negative.
+    pub value: f64,
+    /// Its standard error, by the block jackknife (B. Efron, "The jackknife, the bootstrap and other
+    /// resampling plans", SIAM 1982, chapter 3).
+    pub error: f64,
+    /// Largest standard error of an entry of C.
+    pub entry_error: f64,
+}
+
+/// ‖C‖² of a Gaussian process with correlation ρ: each Hermite feature has its power of ρ.
+pub fn of_correlation(rho: f64) -> f64 {
+    let square = rho * rho;
+    square + square * square + square * square * square
+}
+
+/// The correlation of a Gaussian process whose ‖C‖² is `size`; 0 for a negative one.
+pub fn as_correlation(size: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 1.0);
+    while high - low > 1e-9 {
+        let middle = 0.5 * (low + high);
+        if of_correlation(middle) < size {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+/// Dependence of the channel with the features `later` on the one with the features `earlier`:
+/// U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)), averaged over each bin's lags.
+pub fn sizes(
+    covariances: &Covariances,
+    bins: &[Bin],
+    earlier: &Range<usize>,
+    later: &Range<usize>,
+) -> Vec<Size> {
+    bins.iter().map(|bin| size(covariances, bin, earlier, later)).collect()
+}
+
+fn size(
+    covariances: &Covariances,
+    bin: &Bin,
+    earlier: &Range<usize>,
+    later: &Range<usize>,
+) -> Size {
+    let (count, blocks) = (covariances.features, covariances.blocks);
+    let n = blocks as f64;
+    let share = 1.0 / bin.lags.len() as f64;
+    let entries: Vec<usize> =
+        earlier.clone().flat_map(|i| later.clone().map(move |j| i * count + j)).collect();
+    let mut value = 0.0;
+    // U without each block, and each entry's mean over the lags in each block.
+    let mut without = vec![0.0; blocks];
+    let mut of_block = vec![0.0; blocks * entries.len()];
+    for lag in &covariances.lags[bin.lags.clone()] {
+        let block = |b: usize| &lag[b * count * count..(b + 1) * count * count];
+        let mut total = vec![0.0; entries.len()];
+        let mut squares = 0.0;
+        for b in 0..blocks {
+            for (e, &at) in entries.iter().enumerate() {
+                let c = block(b)[at];
+                total[e] += c;
+                squares += c * c;
+                of_block[b * entries.len() + e] += share * c;
+            }
+        }
+        let whole: f64 = total.iter().map(|t| t * t).sum();
+        value += share * (whole - squares) / (n * (n - 1.0));
+        for (b, without) in without.iter_mut().enumerate() {
+            let (mut product, mut square) = (0.0, 0.0);
+            for (e, &at) in entries.iter().enumerate() {
+                product += total[e] * block(b)[at];
+                square += block(b)[at] * block(b)[at];
+            }
+            // ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
+            let rest = whole - 2.0 * product + square - squares + square;
+            *without += share * rest / ((n - 1.0) * (n - 2.0));
+        }
+    }
+    let entry_error = (0..entries.len())
+        .map(|e| deviation((0..blocks).map(|b| of_block[b * entries.len() + e])) / n.sqrt())
+        .fold(0.0, f64::max);
+    let error = deviation(without.iter().copied()) * (n - 1.0) / n.sqrt();
+    Size { value, error, entry_error }
+}
+
+/// Sample standard deviation.
+fn deviation(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.clone().sum::<f64>() / n;
+    (values.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::lags::Lags;
+    use super::*;
+    use crate::duration::simulate::normal;
+
+    /// Blocks of a 2 × 2 covariance: truth plus noise.
+    fn blocks(truth: [f64; 4], noise: f64, count: usize, seed: u64) -> Covariances {
+        let mut rng = crate::seed::rng(seed, &[b"size"]);
+        let lag = (0..count).flat_map(|_| truth.map(|c| c + noise * normal(&mut rng))).collect();
+        Covariances { features: 2, blocks: count, lags: vec![lag] }
+    }
+
+    fn bin() -> Vec<Bin> {
+        let Lags { bins, .. } = super::super::lags::lags(1, 4);
+        bins
+    }
+
+    #[test]
+    fn the_size_is_the_mean_product_of_two_different_blocks() {
+        let c = blocks([0.3, 0.1, 0.0, 0.2], 0.2, 20, 1);
+        let got = sizes(&c, &bin(), &(0..2), &(0..2))[0];
+        let (mut sum, mut pairs) = (0.0, 0.0);
+        let block = |b: usize| &c.lags[0][4 * b..4 * b + 4];
+        for a in 0..20 {
+            for b in (0..20).filter(|&b| b != a) {
+                sum += block(a).iter().zip(block(b)).map(|(x, y)| x * y).sum::<f64>();
+                pairs += 1.0;
+            }
+        }
+        assert!((got.value - sum / pairs).abs() < 1e-12);
+    }
+
+    #[test]
+    fn noise_has_no_size_and_the_error_covers_the_truth() {
+        let mut zero = 0.0;
+        let mut covered = 0;
+        for seed in 0..400 {
+            zero += sizes(&blocks([0.0; 4], 0.3, 20, seed), &bin(), &(0..2), &(0..2))[0].value;
+            let some = blocks([0.2, 0.0, 0.0, 0.1], 0.1, 20, seed);
+            let got = sizes(&some, &bin(), &(0..2), &(0..2))[0];
+            covered += usize::from((got.value - 0.05).abs() < 2.0 * got.error);
+        }
+        assert!((zero / 400.0).abs() < 0.003, "{zero}");
+        assert!((360..=396).contains(&covered), "{covered}");
+    }
+
+    #[test]
+    fn correlation_and_size_are_inverse() {
+        assert!((of_correlation(0.1) - 0.010_101).abs() < 1e-12);
+        for rho in [0.01, 0.1, 0.5, 0.9] {
+            assert!((as_correlation(of_correlation(rho)) - rho).abs() < 1e-8);
+        }
+        assert!(as_correlation(-1.0) < 1e-8);
+    }
+}

@@ -1,0 +1,299 @@
+//! T* and scan durations of a library: for each surface and source, and for the whole scene.
+
+mod rows;
+mod table;
+
+use std::collections::BTreeMap;
+
+use super::algorithm1::Search;
+use super::need::{SAMPLES, START_S, ScanNeed, Second};
+use super::pooled::{CORRELATION, VALUES, at_needed_rate};
+use super::trials::{DurationError, Trials};
+use crate::library::{Entry, Library, LibraryError};
+use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
+use crate::trial::{Series, Signal};
+pub use rows::{ByRule, Estimator, PooledRow, PooledSettings, SceneDuration, SourceDuration};
+
+/// What of a library T* is computed for, and how.
+#[derive(Clone, Debug)]
+pub struct Question {
+    /// Sources. If none is named: by `pooled` all that are recorded while dragging, by Algorithm 1
+    /// those of domain `time`.
+    pub sources: Vec<SourceId>,
+    /// Surfaces; all if none is named.
+    pub surfaces: Vec<String>,
+    /// Whose trials; for each surface those of the user with the most, if nobody is named. Trials
+    /// of several hands differ in level, and what differs between trials stays dependent for ever.
+    pub user: Option<String>,
+    /// Let Algorithm 1 take the named sources as series in time, whatever their domain is; `pooled`
+    /// always does.
+    pub as_time: bool,
+    /// n, the samples that a scan must yield.
+    pub samples: usize,
+    /// How T* is computed.
+    pub estimator: Estimator,
+}
+
+impl Default for Question {
+    fn default() -> Self {
+        Self {
+            sources: Vec::new(),
+            surfaces: Vec::new(),
+            user: None,
+            as_time: false,
+            samples: SAMPLES,
+            estimator: Estimator::Pooled(PooledSettings { dependence: CORRELATION }),
+        }
+    }
+}
+
+/// The answer.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct DurationReport {
+    /// The library's name.
+    pub library: String,
+    /// Made by a generator, not recorded.
+    pub synthetic: bool,
+    /// n, the samples that a scan must yield.
+    pub samples: usize,
+    /// Start t₀ of the sampling.
+    pub start_s: Second,
+    /// How T* was computed.
+    pub settings: Estimator,
+    /// For each surface and source.
+    pub durations: Vec<SourceDuration>,
+    /// For each source, the longest over the surfaces.
+    pub scene: Vec<SceneDuration>,
+    /// The longest over all sources; none if nothing has a T*.
+    pub scan_s: Option<Second>,
+}
+
+/// Why a library gives no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// a trial that cannot be read
+    #[error(transparent)]
+    Library(#[from] LibraryError),
+    /// settings that cannot work
+    #[error(transparent)]
+    Duration(#[from] DurationError),
+    /// a source that there is not
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Algorithm 1, and no source that it is meant for
+    #[error(
+        "this library has no source of domain `time`, and Algorithm 1 means nothing for spectra and \
+         images"
+    )]
+    NoTimeSource,
+    /// Algorithm 1, and a source that is compared by its spectrum
+    #[error(
+        "`{0}` is not of domain `time`: it is compared by the bins of its spectrum, for which \
+         Algorithm 1 means nothing"
+    )]
+    NotOfTime(SourceId),
+    /// nothing to compute
+    #[error("{0}")]
+    Nothing(String),
+}
+
+/// T* and scan durations of a library; `progress` gets the surfaces done and their number.
+///
+/// # Errors
+/// If a trial cannot be read, the settings are not possible, or the library has no such surface or
+/// no source that this rule takes. What is wrong with one source of one surface is said in its row.
+pub fn report(
+    library: &Library,
+    question: &Question,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<DurationReport, ReportError> {
+    let sources = sources(library, question)?;
+    let surfaces: Vec<&str> = match question.surfaces.is_empty() {
+        true => library.surfaces(),
+        false => question.surfaces.iter().map(String::as_str).collect(),
+    };
+    let known = library.surfaces();
+    if let Some(unknown) = surfaces.iter().find(|s| !known.contains(s)) {
+        let list = known.join(", ");
+        return Err(ReportError::Nothing(format!(
+            "no surface is called `{unknown}`; there are: {list}"
+        )));
+    }
+    let mut durations = Vec::new();
+    // No other source is read.
+    let wanted = library.scene.clone().only(&sources)?;
+    for (done, surface) in surfaces.iter().enumerate() {
+        progress(done, surfaces.len());
+        let mut series: BTreeMap<&SourceId, Vec<Series>> = BTreeMap::new();
+        for entry in entries(library, surface, question.user.as_deref()) {
+            let mut trial = entry.clone().within(&wanted).load()?;
+            for source in &sources {
+                if let Some(Signal::Series(one)) = trial.signals.remove(source) {
+                    series.entry(source).or_default().push(one);
+                }
+            }
+        }
+        for source in &sources {
+            if let Some(series) = series.remove(source) {
+                durations.push(one(surface, source, series, question)?);
+            }
+        }
+    }
+    progress(surfaces.len(), surfaces.len());
+    if durations.is_empty() {
+        let names = sources.iter().map(SourceId::as_str).collect::<Vec<_>>().join(", ");
+        return Err(ReportError::Nothing(format!("no trial has any of the sources {names}")));
+    }
+    let scene: Vec<_> = sources.iter().filter_map(|s| longest(s, &durations)).collect();
+    Ok(DurationReport {
+        library: library.name.clone(),
+        synthetic: library.synthetic,
+        samples: question.samples,
+        start_s: START_S,
+        settings: question.estimator,
+        scan_s: scene.iter().filter_map(|s| s.scan_s).max_by(f64::total_cmp),
+        durations,
+        scene,
+    })
+}
+
+fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, ReportError> {
+    let is_pooled = matches!(question.estimator, Estimator::Pooled(_));
+    let takes = |spec: &SourceSpec| match spec.domain {
+        Domain::Time => true,
+        Domain::Spectrum { .. } => is_pooled || question.as_time,
+        // Images of a trial are no series, whatever they are taken as.
+        Domain::Image => false,
+    };
+    if question.sources.is_empty() {
+        // A tap is over before it repeats itself: only a drag has a T*.
+        let dragged = |spec: &SourceSpec| spec.phase == Phase::Drag || !is_pooled;
+        let found: Vec<_> = (library.scene.sources())
+            .filter(|spec| takes(spec) && dragged(spec))
+            .map(|spec| spec.id.clone())
+            .filter(|id| library.entries.iter().any(|e| e.sources.contains(id)))
+            .collect();
+        return match (found.is_empty(), is_pooled) {
+            (false, _) => Ok(found),
+            (true, true) => Err(ReportError::Nothing(
+                "this library has no source that is recorded while dragging".into(),
+            )),
+            (true, false) => Err(ReportError::NoTimeSource),
+        };
+    }
+    for id in &question.sources {
+        let Some(spec) = library.scene.get(id.as_str()) else {
+            return Err(ReportError::Nothing(format!("no source is called `{id}`")));
+        };
+        if spec.domain == Domain::Image {
+            return Err(ReportError::Nothing(format!(
+                "`{id}` is an image, and no series in time: it has no T*"
+            )));
+        }
+        if !takes(spec) {
+            return Err(ReportError::NotOfTime(id.clone()));
+        }
+    }
+    Ok(question.sources.clone())
+}
+
+/// Trials of one surface by one user: the one named, or the one with the most.
+fn entries<'a>(library: &'a Library, surface: &str, user: Option<&str>) -> Vec<&'a Entry> {
+    let mut of_user: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
+    for entry in library.entries.iter().filter(|e| e.key.surface == surface) {
+        of_user.entry(&entry.key.user).or_default().push(entry);
+    }
+    match user {
+        Some(user) => of_user.remove(user).unwrap_or_default(),
+        // Of several with as many, the first by name.
+        None => of_user.into_values().rev().max_by_key(Vec::len).unwrap_or_default(),
+    }
+}
+
+fn one(
+    surface: &str,
+    source: &SourceId,
+    series: Vec<Series>,
+    question: &Question,
+) -> Result<SourceDuration, DurationError> {
+    let mut row = SourceDuration {
+        surface: surface.into(),
+        source: source.clone(),
+        trials: series.len(),
+        t_star_samples: None,
+        t_star_s: None,
+        scan_s: None,
+        reason: None,
+        remarks: Vec::new(),
+        rate_hz: None,
+        by_rule: match question.estimator {
+            Estimator::Pooled(PooledSettings { dependence: threshold }) => {
+                ByRule::Pooled(PooledRow { threshold, ..PooledRow::default() })
+            }
+            Estimator::Algorithm1(settings) => {
+                ByRule::Algorithm1 { rule: settings.rule, latest_start: None, curve: Vec::new() }
+            }
+        },
+    };
+    let trials = match question.estimator {
+        Estimator::Pooled(_) => Trials::pooled(series),
+        Estimator::Algorithm1(_) => Trials::new(series),
+    };
+    let trials = match trials {
+        Ok(trials) => trials,
+        Err(error) => {
+            row.reason = Some(error.to_string());
+            return Ok(row);
+        }
+    };
+    match question.estimator {
+        Estimator::Pooled(PooledSettings { dependence }) => {
+            if !(dependence > 0.0 && dependence < 1.0) {
+                return Err(DurationError::Settings(format!(
+                    "a dependence of {dependence}; expected a correlation between 0 and 1"
+                )));
+            }
+            match at_needed_rate(trials.series(), trials.frames(), dependence, VALUES) {
+                Some(found) => row.set_pooled(found, &trials, question.samples),
+                None => row.reason = Some(DurationError::Constant.to_string()),
+            }
+        }
+        Estimator::Algorithm1(settings) => {
+            let found = Search::new(&trials, settings)?.find(settings.rule);
+            row.set_algorithm1(found, question.samples);
+        }
+    }
+    row.remarks = trials.remarks;
+    Ok(row)
+}
+
+fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDuration> {
+    let of_source = || durations.iter().filter(|d| d.source == *source);
+    of_source().next()?;
+    let longest = of_source()
+        .filter(|d| d.scan_s.is_some())
+        .max_by(|a, b| a.scan_s.unwrap_or(0.0).total_cmp(&b.scan_s.unwrap_or(0.0)));
+    Some(SceneDuration {
+        source: source.clone(),
+        scan_s: longest.and_then(|d| d.scan_s),
+        t_star_s: longest.and_then(|d| d.t_star_s),
+        surface: longest.map(|d| d.surface.clone()),
+        without: of_source().filter(|d| d.scan_s.is_none()).map(|d| d.surface.clone()).collect(),
+    })
+}
+
+impl DurationReport {
+    /// The need of a source for one surface, for a daemon that shows how much longer to drag.
+    pub fn need(&self, surface: &str, source: &str) -> Option<ScanNeed> {
+        let row = (self.durations.iter())
+            .find(|d| d.surface == surface && d.source.as_str() == source)?;
+        row.spacing_s().map(|t| ScanNeed::new(t, self.samples))
+    }
+}
+
+/// A row of one source, for tests of what is made of rows.
+#[cfg(test)]
+pub(super) fn row_of(surface: &str, series: Vec<Series>, estimator: Estimator) -> SourceDuration {
+    let question = Question { estimator, ..Question::default() };
+    one(surface, &SourceId::new("ir").unwrap(), series, &question).unwrap()
+}

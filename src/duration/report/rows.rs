@@ -1,0 +1,200 @@
+//! The answer's rows: T* of each surface and source, and the longest scan of a scene.
+
+use crate::duration::algorithm1::{CurvePoint, Estimate, Outcome, Rule, Settings};
+use crate::duration::need::{ScanNeed, Second, worth};
+use crate::duration::pooled::{Answer, Dependence, PooledEstimate};
+use crate::duration::trials::Trials;
+use crate::scene::SourceId;
+
+/// How T* is computed.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+pub enum Estimator {
+    /// The size of the dependence, from all pairs of all trials.
+    Pooled(PooledSettings),
+    /// The paper's Algorithm 1, by one of its two rules.
+    Algorithm1(Settings),
+}
+
+/// Settings of the rule `pooled`.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(tag = "rule", rename = "pooled")]
+pub struct PooledSettings {
+    /// Correlation of a Gaussian process whose dependence is small enough, between 0 and 1.
+    pub dependence: f64,
+}
+
+/// T* of one surface and source.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct SourceDuration {
+    /// The surface.
+    pub surface: String,
+    /// The source.
+    pub source: SourceId,
+    /// Q, the number of trials.
+    pub trials: usize,
+    /// T* in samples; none where there is none, and `reason` says why.
+    pub t_star_samples: Option<usize>,
+    /// T* in seconds.
+    pub t_star_s: Option<Second>,
+    /// What a scan must last for n samples that are T* apart, by the upper bound of T* where there
+    /// is one.
+    pub scan_s: Option<Second>,
+    /// Why there is no T*.
+    pub reason: Option<String>,
+    /// What limits the answer.
+    pub remarks: Vec<String>,
+    /// Samples a second.
+    pub rate_hz: Option<f64>,
+    /// What this rule alone gives.
+    #[serde(flatten)]
+    pub by_rule: ByRule,
+}
+
+/// What one of the rules gives beside T*.
+#[derive(Clone, Debug, serde::Serialize)]
+#[serde(untagged)]
+pub enum ByRule {
+    /// Algorithm 1.
+    Algorithm1 {
+        /// What CB+ was.
+        rule: Rule,
+        /// The latest start t₁,max that was used, in samples.
+        latest_start: Option<usize>,
+        /// HSIC, its bounds and κ at each lag that was looked at.
+        curve: Vec<CurvePoint>,
+    },
+    /// The rule `pooled`.
+    Pooled(PooledRow),
+}
+
+/// What `pooled` gives beside T*.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+#[serde(tag = "rule", rename = "pooled")]
+pub struct PooledRow {
+    /// Upper bound of T* in samples: the time to use.
+    pub t_star_upper_samples: Option<usize>,
+    /// The same in seconds.
+    pub t_star_upper_s: Option<Second>,
+    /// Length of the shortest trial.
+    pub trial_s: Option<Second>,
+    /// Independent samples that a trial of that length is worth.
+    pub effective_samples: Option<f64>,
+    /// What the n samples of a method that compares n are worth, drawn from such a trial.
+    pub effective_of_n: Option<f64>,
+    /// Share of the variance that differs between trials for good.
+    pub lasting_share: Option<f64>,
+    /// Trials like these that are lacking for an answer, about.
+    pub more_trials: Option<usize>,
+    /// Dependence, as a correlation, below which two moments count as independent.
+    pub threshold: f64,
+    /// Dependence over the lags.
+    pub dependence: Vec<Dependence>,
+}
+
+/// What one source needs of a scan, over all surfaces.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct SceneDuration {
+    /// The source.
+    pub source: SourceId,
+    /// The longest scan that any surface needs; none if no surface has a T*.
+    pub scan_s: Option<Second>,
+    /// T* of that surface.
+    pub t_star_s: Option<Second>,
+    /// That surface.
+    pub surface: Option<String>,
+    /// Surfaces without a T*: for them no scan is known to be long enough.
+    pub without: Vec<String>,
+}
+
+impl SourceDuration {
+    /// The time between samples that a scan should be planned with: the upper bound of T* where the
+    /// rule has one, else T*.
+    pub fn spacing_s(&self) -> Option<Second> {
+        match &self.by_rule {
+            ByRule::Pooled(row) => row.t_star_upper_s,
+            ByRule::Algorithm1 { .. } => self.t_star_s,
+        }
+    }
+
+    /// What Algorithm 1 found.
+    pub(super) fn set_algorithm1(&mut self, estimate: Estimate, samples: usize) {
+        self.t_star_samples = estimate.t_star();
+        self.t_star_s = estimate.t_star_s();
+        self.scan_s = estimate.t_star_s().map(|t| ScanNeed::new(t, samples).scan_s());
+        self.reason = reason(&estimate);
+        self.rate_hz = Some(estimate.rate_hz);
+        self.by_rule = ByRule::Algorithm1 {
+            rule: estimate.rule,
+            latest_start: Some(estimate.latest_start),
+            curve: estimate.curve,
+        };
+    }
+
+    /// What `pooled` found in `trials`, for a method that compares n samples.
+    pub(super) fn set_pooled(&mut self, estimate: PooledEstimate, trials: &Trials, n: usize) {
+        let rate_hz = trials.rate_hz();
+        let seconds = |samples: usize| samples as f64 / rate_hz;
+        let upper = estimate.upper_samples().map(seconds);
+        let effective = estimate.effective_samples(trials.frames());
+        self.rate_hz = Some(rate_hz);
+        self.t_star_samples = estimate.t_star_samples();
+        self.t_star_s = self.t_star_samples.map(seconds);
+        self.scan_s = upper.map(|t| ScanNeed::new(t, n).scan_s());
+        self.reason = pooled_reason(&estimate, trials);
+        let ByRule::Pooled(PooledRow { threshold, .. }) = self.by_rule else { return };
+        self.by_rule = ByRule::Pooled(PooledRow {
+            threshold,
+            t_star_upper_samples: estimate.upper_samples(),
+            t_star_upper_s: upper,
+            trial_s: Some(seconds(trials.frames())),
+            effective_samples: effective,
+            effective_of_n: effective.map(|effective| worth(n, effective)),
+            lasting_share: estimate.lasting_share,
+            more_trials: match estimate.answer {
+                Answer::TooLittleData { more_trials } => Some(more_trials),
+                _ => None,
+            },
+            dependence: estimate.curve,
+        });
+    }
+}
+
+fn reason(estimate: &Estimate) -> Option<String> {
+    let ms = |lag: usize| lag as f64 / estimate.rate_hz * 1e3;
+    match estimate.outcome {
+        Outcome::Found { .. } => None,
+        Outcome::NotInRange { largest_lag } => Some(format!(
+            "not within the range: dependent up to {:.1} ms ({largest_lag} samples)",
+            ms(largest_lag)
+        )),
+        Outcome::Returns { first, again_at } => Some(format!(
+            "not within the range: below κ at {:.2} ms, but dependent again at {:.2} ms (periodic, \
+             or the trials differ in level or loudness)",
+            ms(first),
+            ms(again_at)
+        )),
+    }
+}
+
+fn pooled_reason(estimate: &PooledEstimate, trials: &Trials) -> Option<String> {
+    let range_s = estimate.range / trials.rate_hz();
+    let count = trials.count();
+    match estimate.answer {
+        Answer::Found { .. } => None,
+        Answer::Never => Some(format!(
+            "never: moments {:.2} s apart still depend on each other (it repeats itself, or drifts \
+             through the whole trial)",
+            1.5 * range_s
+        )),
+        Answer::NotWithinRange => Some(format!(
+            "not within the range: longer than the {range_s:.2} s that trials of this length can \
+             show; record longer ones"
+        )),
+        Answer::TooLittleData { more_trials } => Some(format!(
+            "too little data: {count} {} of this length cannot show it; record about {more_trials} \
+             more, or longer ones",
+            if count == 1 { "trial" } else { "trials" }
+        )),
+    }
+}

@@ -1,0 +1,187 @@
+//! The answer as a table for people, and in a sentence a source.
+
+use std::fmt::Write;
+
+use super::{ByRule, DurationReport, Estimator, PooledRow, SourceDuration};
+use crate::duration::algorithm1::Settings;
+use crate::duration::need::Second;
+use crate::scene::SourceId;
+
+impl DurationReport {
+    /// A table for people, and what it means.
+    pub fn table(&self) -> String {
+        let columns: Vec<Column> = match self.settings {
+            Estimator::Pooled(_) => {
+                vec![T_STAR, UPPER, SAMPLES, SCAN, EFFECTIVE, LASTING]
+            }
+            Estimator::Algorithm1(_) => vec![T_STAR, SAMPLES, SCAN],
+        };
+        let mut out = self.rows(&columns);
+        // Writing to a String cannot fail.
+        let _ = match &self.settings {
+            Estimator::Pooled(_) => write!(out, "\n{}", self.in_words()),
+            Estimator::Algorithm1(settings) => write!(out, "{}", self.longest(settings)),
+        };
+        out
+    }
+
+    fn rows(&self, columns: &[Column]) -> String {
+        let wide = |f: fn(&SourceDuration) -> usize, least: usize| {
+            self.durations.iter().map(f).max().unwrap_or(0).max(least)
+        };
+        let surface = wide(|d| d.surface.chars().count(), 7);
+        let source = wide(|d| d.source.as_str().len(), 6);
+        let mut out = String::new();
+        let _ = write!(out, "{:surface$}  {:source$}  {:>3}", "surface", "source", "Q");
+        for column in columns {
+            let _ = write!(out, "  {:>1$}", column.head, column.width);
+        }
+        out.push('\n');
+        for d in &self.durations {
+            let _ = write!(out, "{:surface$}  {:source$}  {:>3}", d.surface, d.source, d.trials);
+            for column in columns {
+                let cell = (column.cell)(d).unwrap_or_else(|| "–".into());
+                let _ = write!(out, "  {cell:>0$}", column.width);
+            }
+            let _ = writeln!(out, "  {}", d.reason.as_deref().unwrap_or_default());
+        }
+        out
+    }
+
+    /// What T* by `pooled` means, a line for each source.
+    fn in_words(&self) -> String {
+        let mut out = String::new();
+        for scene in &self.scene {
+            let _ = writeln!(out, "{}", self.source_in_words(&scene.source));
+        }
+        out
+    }
+
+    fn source_in_words(&self, source: &SourceId) -> String {
+        let rows = || {
+            self.durations.iter().filter(|d| d.source == *source).filter_map(|d| {
+                let ByRule::Pooled(row) = &d.by_rule else { return None };
+                Some((d, row))
+            })
+        };
+        let mut spacings: Vec<Second> = rows().filter_map(|(d, _)| d.spacing_s()).collect();
+        spacings.sort_unstable_by(f64::total_cmp);
+        let without = rows().filter(|(d, _)| d.t_star_s.is_none()).count();
+        let mut text = match spacings[..] {
+            [] => format!("{source}: no surface has a T*"),
+            [first, .., last] if ms(first) != ms(last) => format!(
+                "{source}: two moments of a drag are fresh evidence when {} ms ({}) to {} ms ({}) \
+                 lie between them",
+                ms(first),
+                named(rows(), first),
+                ms(last),
+                named(rows(), last)
+            ),
+            [first, ..] => format!(
+                "{source}: two moments of a drag are fresh evidence when {} ms lie between them",
+                ms(first)
+            ),
+        };
+        let fewest = rows()
+            .filter_map(|(_, row)| Some((row.effective_samples?, row)))
+            .min_by(|(a, _), (b, _)| a.total_cmp(b));
+        if let Some((effective, row)) = fewest {
+            let trial_s = row.trial_s.unwrap_or_default();
+            let n = self.samples;
+            let _ = write!(
+                text,
+                "; a trial of {trial_s:.1} s holds {effective:.0} independent samples or more"
+            );
+            if let Some(worth) = row.effective_of_n.filter(|worth| *worth < 0.9 * n as f64) {
+                let _ = write!(text, ", so that {n} samples of it are worth {worth:.0}");
+            }
+        }
+        let more = rows().filter_map(|(_, row)| row.more_trials).max();
+        if without > 0 {
+            let all = rows().count();
+            let have = if without == 1 { "has" } else { "have" };
+            let _ = write!(text, "; {without} of {all} surfaces {have} no T*");
+        }
+        if let Some(more) = more {
+            let _ = write!(text, " (to show it takes about {more} more trials)");
+        }
+        text
+    }
+
+    fn longest(&self, settings: &Settings) -> String {
+        let mut out = String::new();
+        let n = self.samples;
+        for s in &self.scene {
+            let _ = match (&s.surface, s.scan_s) {
+                (Some(surface), Some(scan)) => writeln!(
+                    out,
+                    "\n{}: a scan of {scan:.2} s gives {n} samples T* apart on every surface that \
+                     has a T*; {surface} needs the most",
+                    s.source
+                ),
+                _ => writeln!(out, "\n{}: no surface has a T* within the range", s.source),
+            };
+            if !s.without.is_empty() {
+                let _ = writeln!(out, "  without a T*: {}", s.without.join(", "));
+            }
+        }
+        let q = self.durations.iter().map(|d| d.trials).min().unwrap_or(0);
+        let _ = writeln!(
+            out,
+            "\nrule {}, R = {}, α = {}. From Q = {q} trials: no dependence was seen at T*, which is \
+             not a proof of independence.",
+            settings.rule, settings.draws, settings.alpha
+        );
+        out
+    }
+}
+
+/// A column of the table.
+struct Column {
+    head: &'static str,
+    width: usize,
+    cell: fn(&SourceDuration) -> Option<String>,
+}
+
+const T_STAR: Column =
+    Column { head: "T* [ms]", width: 9, cell: |d| d.t_star_s.map(|t| format!("{:.2}", t * 1e3)) };
+const SAMPLES: Column =
+    Column { head: "samples", width: 8, cell: |d| d.t_star_samples.map(|t| t.to_string()) };
+const SCAN: Column =
+    Column { head: "scan [s]", width: 10, cell: |d| d.scan_s.map(|t| format!("{t:.2}")) };
+const UPPER: Column = Column {
+    head: "surely by",
+    width: 9,
+    cell: |d| pooled(d)?.t_star_upper_s.map(|t| format!("{:.2}", t * 1e3)),
+};
+const EFFECTIVE: Column = Column {
+    head: "independent",
+    width: 11,
+    cell: |d| pooled(d)?.effective_samples.map(|n| format!("{n:.0}")),
+};
+const LASTING: Column = Column {
+    head: "lasting",
+    width: 7,
+    cell: |d| pooled(d)?.lasting_share.map(|share| format!("{:.0} %", 100.0 * share)),
+};
+
+fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
+    match &d.by_rule {
+        ByRule::Pooled(row) => Some(row),
+        ByRule::Algorithm1 { .. } => None,
+    }
+}
+
+/// Milliseconds with the digits that matter to a person.
+fn ms(seconds: Second) -> String {
+    let ms = 1e3 * seconds;
+    if ms < 10.0 { format!("{ms:.1}") } else { format!("{ms:.0}") }
+}
+
+/// The surface with this spacing.
+fn named<'a>(
+    mut rows: impl Iterator<Item = (&'a SourceDuration, &'a PooledRow)>,
+    spacing_s: Second,
+) -> &'a str {
+    rows.find(|(d, _)| d.spacing_s() == Some(spacing_s)).map_or("", |(d, _)| &d.surface)
+}

@@ -1,0 +1,67 @@
+//! Measures the points of a chart.
+
+use super::point::Point;
+use super::settings::{Charted, What};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, LeftOut, Loudness, Measured};
+use crate::library::Entry;
+use crate::recognise::{Method, RecogniseError};
+use crate::scene::{Phase, Scene, SourceId};
+use crate::trial::Signal;
+
+/// What a chart is measured on.
+#[derive(Clone, Copy)]
+pub struct Charting<'a> {
+    /// The trials.
+    pub entries: &'a [Entry],
+    /// Queries and libraries.
+    pub folds: &'a [Fold],
+}
+
+/// The points of one run, a point for each scan time; `name` is what the chart calls its setting.
+/// None for loudness where no source has a spectrum. With them, the sources that were left out.
+///
+/// # Errors
+/// If a trial cannot be read or compared.
+pub fn measure(
+    on: Charting<'_>,
+    charted: &Charted,
+    name: &str,
+) -> Result<(Vec<Point>, LeftOut), EvaluateError> {
+    let scene = &charted.scene;
+    let method: Box<dyn Method> = match &charted.what {
+        What::Method(method) | What::Control(method, _) => method.build(scene),
+        What::Loudness(_) => match Loudness::new(scene) {
+            Some(loudness) => Box::new(loudness),
+            None => return Ok(Default::default()),
+        },
+    };
+    let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
+    let measured = run.measure_lengths(&charted.seconds)?;
+    let point = |(seconds, measured): (&Option<f64>, &Measured)| {
+        Point::new(&measured.outcome, name, *seconds, charted.is_control())
+    };
+    let points = charted.seconds.iter().zip(&measured).map(point).collect();
+    let mut left_out = LeftOut::new();
+    for (remark, trials) in measured.into_iter().flat_map(|measured| measured.left_out) {
+        left_out.entry(remark).or_default().extend(trials);
+    }
+    Ok((points, left_out))
+}
+
+/// The longest drag of the first trial that has one, in seconds.
+///
+/// # Errors
+/// If that trial cannot be read.
+pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
+    let is_drag =
+        |id: &SourceId| scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
+    let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {
+        return Ok(None);
+    };
+    let trial = entry.load()?;
+    let lengths = trial.signals.iter().filter_map(|(id, signal)| match signal {
+        Signal::Series(series) if is_drag(id) => Some(series.duration_s()),
+        _ => None,
+    });
+    Ok(lengths.max_by(f64::total_cmp))
+}

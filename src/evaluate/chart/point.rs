@@ -1,0 +1,215 @@
+//! Accuracy against latency and against scan time: measured points, and which of them no other
+//! point beats.
+
+use crate::evaluate::Outcome;
+use crate::scene::SourceId;
+
+/// One setting of one method, measured.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Point {
+    /// The method.
+    pub method: String,
+    /// The options that give this point again.
+    pub setting: String,
+    /// Sources that were compared.
+    pub sources: Vec<String>,
+    /// How much of each query's drag was used, in seconds; none for all of it.
+    pub query_seconds: Option<f64>,
+    /// Share of queries named right.
+    pub accuracy: f64,
+    /// Lower end of the 95 % Wilson interval over queries.
+    pub accuracy_low: f64,
+    /// Upper end of that interval.
+    pub accuracy_high: f64,
+    /// Median time from raw samples to the answer, in milliseconds.
+    pub query_ms_p50: f64,
+    /// 99th percentile of that time.
+    pub query_ms_p99: f64,
+    /// Number of queries.
+    pub queries: usize,
+    /// A program of others, measured by `tools/peers`.
+    #[serde(default)]
+    pub peer: bool,
+    /// Not a method but a negative control: what a room and a session give away.
+    #[serde(default)]
+    pub control: bool,
+}
+
+impl Point {
+    /// A point from an evaluation.
+    pub fn new(
+        outcome: &Outcome,
+        setting: &str,
+        query_seconds: Option<f64>,
+        control: bool,
+    ) -> Self {
+        Self {
+            method: if control { "control".into() } else { outcome.method.clone() },
+            setting: setting.into(),
+            sources: outcome.sources.iter().map(SourceId::to_string).collect(),
+            query_seconds,
+            accuracy: outcome.accuracy,
+            accuracy_low: outcome.accuracy_low,
+            accuracy_high: outcome.accuracy_high,
+            query_ms_p50: outcome.query_ms_p50,
+            query_ms_p99: outcome.query_ms_p99,
+            queries: outcome.queries,
+            peer: false,
+            control,
+        }
+    }
+}
+
+impl Point {
+    /// The method, with its options where the setting says more than its name.
+    pub fn name(&self) -> String {
+        let options = self.setting.trim_start_matches("--method ");
+        let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
+        let options = options.replace("--repetitions ", "R = ").replace("--n ", "n = ");
+        let options = options.replace("--", "");
+        if options.is_empty() {
+            self.method.clone()
+        } else {
+            format!("{} ({options})", self.method)
+        }
+    }
+}
+
+/// Indices of the points that no other point beats in both `cost` (smaller is better) and
+/// accuracy, by ascending cost.
+pub fn pareto(points: &[Point], cost: impl Fn(&Point) -> f64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| {
+        let (a, b) = (&points[a], &points[b]);
+        cost(a).total_cmp(&cost(b)).then(b.accuracy.total_cmp(&a.accuracy))
+    });
+    let mut best = f64::NEG_INFINITY;
+    order.retain(|&i| {
+        let better = points[i].accuracy > best;
+        best = best.max(points[i].accuracy);
+        better
+    });
+    order
+}
+
+/// As [`pareto`], the points themselves.
+pub(super) fn front<'a>(points: &[&'a Point], cost: impl Fn(&Point) -> f64) -> Vec<&'a Point> {
+    let owned: Vec<Point> = points.iter().map(|&p| p.clone()).collect();
+    pareto(&owned, cost).into_iter().map(|i| points[i]).collect()
+}
+
+/// A whole chart, as JSON holds it.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Chart {
+    /// What was measured on.
+    pub data: String,
+    /// Made by a generator, not recorded.
+    pub synthetic: bool,
+    /// How queries and library were split.
+    pub protocol: String,
+    /// Sources that a method is given, unless its point says otherwise.
+    pub sources: Vec<String>,
+    /// Surfaces that could be the answer.
+    pub surfaces: usize,
+    /// Trials in the library of a fold.
+    pub library_trials: usize,
+    /// Threads that a query had.
+    pub threads: usize,
+    /// Length of a whole drag in seconds, where one is.
+    pub drag_s: Option<f64>,
+    /// The measured points.
+    pub points: Vec<Point>,
+}
+
+impl Chart {
+    /// The points that are no controls.
+    pub fn methods(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|point| !point.control)
+    }
+
+    /// The negative controls.
+    pub fn controls(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|point| point.control)
+    }
+
+    /// Settings that were measured on several scan times.
+    pub fn timed(&self) -> Vec<&Point> {
+        let same = |a: &Point, b: &Point| {
+            (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
+        };
+        let has_others =
+            |a: &&Point| self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds);
+        self.methods().filter(has_others).collect()
+    }
+
+    /// Whether a point of ours used but some of the sources.
+    pub fn is_subset(&self, point: &Point) -> bool {
+        !point.peer && point.sources.len() < self.sources.len()
+    }
+
+    /// Scan time of a point: the part of the drag that it used.
+    pub fn scan_s(&self, point: &Point) -> f64 {
+        point.query_seconds.or(self.drag_s).unwrap_or(0.0)
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub(crate) fn point(method: &str, ms: f64, accuracy: f64) -> Point {
+        Point {
+            method: method.into(),
+            setting: String::new(),
+            sources: vec!["ac".into(), "mi2".into()],
+            query_seconds: None,
+            accuracy,
+            accuracy_low: accuracy - 0.05,
+            accuracy_high: (accuracy + 0.02).min(1.0),
+            query_ms_p50: ms,
+            query_ms_p99: 2.0 * ms,
+            queries: 200,
+            peer: false,
+            control: false,
+        }
+    }
+
+    pub(crate) fn chart(points: Vec<Point>) -> Chart {
+        Chart {
+            data: "a <scene>".into(),
+            synthetic: true,
+            protocol: "leave-one-trial-out".into(),
+            sources: vec!["ac".into(), "mi2".into()],
+            surfaces: 20,
+            library_trials: 180,
+            threads: 2,
+            drag_s: Some(4.8),
+            points,
+        }
+    }
+
+    #[test]
+    fn the_front_holds_what_nothing_beats() {
+        let points = [
+            point("slow and good", 10.0, 0.9),
+            point("fast and good", 1.0, 0.9),
+            point("fastest", 0.5, 0.4),
+            point("slowest and best", 20.0, 0.95),
+            point("slow and bad", 30.0, 0.1),
+        ];
+        assert_eq!(pareto(&points, |p| p.query_ms_p50), [2, 1, 3]);
+    }
+
+    #[test]
+    fn a_name_is_short_and_differs_between_settings() {
+        let name = |method: &str, setting: &str| {
+            Point { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
+        };
+        assert_eq!(name("svm", "--method svm"), "svm");
+        assert_eq!(
+            name("reference", "--method reference --n 100 --repetitions 10 --halving"),
+            "reference (n = 100 R = 10 halving)"
+        );
+        assert_eq!(name("lda", "log bands"), "lda (log bands)");
+    }
+}

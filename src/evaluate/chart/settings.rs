@@ -1,0 +1,130 @@
+//! What a chart measures: settings of methods, subsets of the sources, negative controls.
+
+use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
+use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+
+/// Scan times, in seconds, besides the whole.
+const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
+/// Upper end of the band of a negative control: hum and rumble, of room and session.
+const CONTROL_HZ: f64 = 80.0;
+
+/// Settings that are charted; the flagged ones on the first seconds of a drag, too.
+pub fn settings() -> [(MethodSpec, bool); 6] {
+    let reference = |samples, repetitions, halving: bool| {
+        let halving = if halving { STAGES.to_vec() } else { Vec::new() };
+        let usual = ReferenceOptions::default();
+        MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
+    };
+    [
+        (reference(100, 1, false), false),
+        (reference(400, 1, false), false),
+        (reference(100, 10, false), false),
+        (reference(400, 10, false), true),
+        (reference(400, 10, true), false),
+        (on_subsets(), true),
+    ]
+}
+
+/// The setting by which subsets of the sources, and the control below, are charted.
+fn on_subsets() -> MethodSpec {
+    MethodName::Embedding.into()
+}
+
+/// What is measured in one run.
+#[derive(Clone, Debug)]
+pub struct Charted {
+    /// What compares the trials.
+    pub what: What,
+    /// The sources.
+    pub scene: Scene,
+    /// How much of each query's drag is used, in seconds; `None` for all of it.
+    pub seconds: Vec<Option<f64>>,
+}
+
+/// What compares trials.
+#[derive(Clone, Debug, PartialEq)]
+pub enum What {
+    /// A method that a person may choose.
+    Method(MethodSpec),
+    /// A negative control: a method on what should say little, and what that is.
+    Control(MethodSpec, String),
+    /// A negative control: loudness alone, and of what.
+    Loudness(String),
+}
+
+impl Charted {
+    /// Whether it is a negative control.
+    pub fn is_control(&self) -> bool {
+        !matches!(self.what, What::Method(_))
+    }
+}
+
+/// All that is measured on a scene whose drags last this long, in seconds.
+pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
+    let whole = |what, scene: &Scene| Charted { what, scene: scene.clone(), seconds: vec![None] };
+    let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
+    let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
+    let of_setting = |(method, is_timed): (MethodSpec, bool)| {
+        let seconds = if is_timed { timed.clone() } else { vec![None] };
+        Charted { seconds, ..whole(What::Method(method), scene) }
+    };
+    let mut all: Vec<Charted> = settings().into_iter().map(of_setting).collect();
+    for subset in subsets(scene) {
+        all.push(whole(What::Method(on_subsets()), &subset));
+    }
+    if let Some(sounds) = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. })) {
+        let ids: Vec<_> = sounds.sources().map(|spec| spec.id.as_str()).collect();
+        let ids = ids.join(", ");
+        let below = sounds.clone().changed(|spec| {
+            spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
+            spec.align_mean = false;
+        });
+        let of_band = format!("{ids} below {CONTROL_HZ} Hz alone");
+        all.push(whole(What::Control(on_subsets(), of_band), &below));
+        all.push(whole(What::Loudness(format!("loudness of {ids} alone")), &sounds));
+    }
+    all
+}
+
+/// Each source alone, and all of one domain, where that is not all there is.
+fn subsets(scene: &Scene) -> Vec<Scene> {
+    let all = scene.sources().len();
+    let single = |spec: &SourceSpec| scene.clone().only(std::slice::from_ref(&spec.id)).ok();
+    let mut subsets: Vec<Scene> = scene.sources().filter_map(single).collect();
+    let domains: [fn(&Domain) -> bool; 3] = [
+        |domain| matches!(domain, Domain::Spectrum { .. }),
+        |domain| matches!(domain, Domain::Time),
+        |domain| matches!(domain, Domain::Image),
+    ];
+    let several = domains.into_iter().filter_map(|is| of_domain(scene, is));
+    subsets.extend(several.filter(|subset| subset.sources().len() > 1));
+    subsets.retain(|subset| subset.sources().len() < all);
+    subsets
+}
+
+/// The sources of a domain, if there are any.
+fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
+    let of = scene.sources().filter(|spec| is(&spec.domain));
+    let ids: Vec<SourceId> = of.map(|spec| spec.id.clone()).collect();
+    let scene = scene.clone().only(&ids).ok()?;
+    (!ids.is_empty()).then_some(scene)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
+        let scene = Scene::lmt108();
+        let controls = |all: &[Charted]| all.iter().filter(|one| one.is_control()).count();
+        let all = charted(&scene, Some(4.8));
+        assert_eq!(controls(&all), 2);
+        // Eight sources alone, three spectra, three series, two pictures.
+        assert_eq!(all.len(), settings().len() + 8 + 3 + 2);
+        let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
+        let alone = charted(&mi2, Some(0.8));
+        assert_eq!((controls(&alone), alone.len()), (2, settings().len() + 2));
+        assert_eq!(alone[3].seconds, [None, Some(0.5)]);
+    }
+}

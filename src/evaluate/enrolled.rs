@@ -1,0 +1,157 @@
+//! What a new user gains by enrolling: one scan or a few of every surface, added to the library.
+
+use std::collections::BTreeMap;
+
+use super::evaluation::{Measured, Run};
+use super::{EvaluateError, Fold, wilson_interval};
+use crate::trial::TrialKey;
+
+/// Moves the first `count` trials of each surface, by number, from the queries of each fold to its
+/// library. Folds without queries are left out. Meant for folds that are users.
+///
+/// # Errors
+/// If no query remains.
+pub fn enrol(folds: &[Fold], keys: &[TrialKey], count: usize) -> Result<Vec<Fold>, EvaluateError> {
+    let folds: Vec<Fold> = (folds.iter())
+        .map(|fold| enrol_in(fold, keys, count))
+        .filter(|fold| !fold.queries.is_empty())
+        .collect();
+    if folds.is_empty() { Err(EvaluateError::AllEnrolled { count }) } else { Ok(folds) }
+}
+
+fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
+    let mut of_surface: BTreeMap<(&str, &str), Vec<usize>> = BTreeMap::new();
+    for &i in &fold.queries {
+        of_surface.entry((&keys[i].surface, &keys[i].user)).or_default().push(i);
+    }
+    let (mut library, mut queries) = (fold.library.clone(), Vec::new());
+    for mut trials in of_surface.into_values() {
+        trials.sort_by_key(|&i| keys[i].number);
+        let rest = trials.split_off(count.min(trials.len()));
+        library.extend(trials);
+        queries.extend(rest);
+    }
+    library.sort_unstable();
+    queries.sort_unstable();
+    Fold { name: fold.name.clone(), library, queries }
+}
+
+/// Answers with a user's own first trials in the library, and without, to the same queries. Shares
+/// are fractions from 0 to 1.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct EnrolledOutcome {
+    /// Trials of each surface that the user enrolled.
+    pub trials: usize,
+    /// Share of queries named right with them.
+    pub accuracy: f64,
+    /// Share of the same queries named right without them.
+    pub accuracy_without: f64,
+    /// Lower end of its 95 % Wilson interval.
+    pub accuracy_without_low: f64,
+    /// Upper end of that interval.
+    pub accuracy_without_high: f64,
+    /// The first share minus the second.
+    pub gain: f64,
+}
+
+impl EnrolledOutcome {
+    /// Measures without enrolled trials what `with` was measured with. `before` are the folds from
+    /// which those of the run came by [`enrol`].
+    ///
+    /// # Errors
+    /// If a trial cannot be read or compared.
+    pub fn of(
+        run: &Run<'_, '_>,
+        with: &Measured,
+        before: &[Fold],
+        count: usize,
+    ) -> Result<Self, EvaluateError> {
+        let without = |fold: &Fold| {
+            let library = before.iter().find(|other| other.name == fold.name)?.library.clone();
+            Some(Fold { library, ..fold.clone() })
+        };
+        let folds: Vec<Fold> = run.on().folds.iter().filter_map(without).collect();
+        let without = run.measure_by(&folds)?.outcome;
+        let (low, high) = wilson_interval(without.right(), without.queries);
+        Ok(Self {
+            trials: count,
+            accuracy: with.outcome.accuracy,
+            accuracy_without: without.accuracy,
+            accuracy_without_low: low,
+            accuracy_without_high: high,
+            gain: with.outcome.accuracy - without.accuracy,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::{Evaluation, Protocol, Trials, folds};
+    use crate::recognise::features::{FeatureVector, SourceFeatures};
+    use crate::recognise::{MethodName, MethodSpec};
+    use crate::scene::{Scene, SourceId};
+    use crate::trial::EXPERT;
+
+    fn keys() -> Vec<TrialKey> {
+        let mut keys = Vec::new();
+        for surface in ["a", "b"] {
+            keys.extend((1..=2).map(|n| TrialKey::new(surface, EXPERT, n)));
+            // Not in the order of their numbers.
+            keys.extend([3, 1, 2].map(|n| TrialKey::new(surface, "user1", n)));
+            keys.push(TrialKey::new(surface, "user2", 1));
+        }
+        keys
+    }
+
+    #[test]
+    fn a_user_s_first_trials_of_each_surface_join_the_library_and_are_no_queries() {
+        let keys = keys();
+        let of = |protocol| enrol(&folds(protocol, &keys).unwrap(), &keys, 1).unwrap();
+        let by_expert = of(Protocol::ExpertVsUsers);
+        // user2 has no second trial to name.
+        assert_eq!(by_expert.len(), 1);
+        assert_eq!(by_expert[0].library, [0, 1, 3, 6, 7, 9], "trial 1 by user1 is enrolled");
+        assert_eq!(by_expert[0].queries, [2, 4, 8, 10]);
+        assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
+    }
+
+    /// A user whose `a` is nearer to the expert's `b`: only their own trials help.
+    #[test]
+    fn the_gain_is_measured_on_the_same_queries() {
+        let value = |key: &TrialKey| {
+            let hand = if key.user == EXPERT { 0.0 } else { 6.0 };
+            hand + if key.surface == "a" { 0.0 } else { 10.0 } + 0.01 * f64::from(key.number)
+        };
+        let trial = |key: TrialKey| {
+            let values = vec![value(&key)];
+            let source = SourceId::new("mi2").unwrap();
+            let features = SourceFeatures { values, rate_hz: 0.0 };
+            FeatureVector { key, sources: [(source, features)].into() }
+        };
+        let keys = keys();
+        let trials: Vec<FeatureVector> = keys.iter().cloned().map(trial).collect();
+        let before = folds(Protocol::ExpertVsUsers, &keys).unwrap();
+        let folds = enrol(&before, &keys, 1).unwrap();
+        let scene = Scene::lmt108();
+        let evaluation = Evaluation {
+            trials: Trials::Features(&trials),
+            ..Evaluation::new(&scene, &[], &folds)
+        };
+        let method = MethodSpec::from(MethodName::Knn).build(&scene);
+        let run = evaluation.prepare(&*method).unwrap();
+        let measured = run.measure().unwrap();
+        let outcome = EnrolledOutcome::of(&run, &measured, &before, 1).unwrap();
+        assert_eq!((measured.outcome.queries, outcome.accuracy), (4, 1.0));
+        assert_eq!((outcome.accuracy_without, outcome.gain), (0.5, 0.5));
+    }
+
+    #[test]
+    fn none_enrolled_changes_nothing_and_all_enrolled_leaves_nothing_to_name() {
+        let keys = keys();
+        let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
+        assert_eq!(enrol(&folds, &keys, 0).unwrap(), folds);
+        let error = enrol(&folds, &keys, 3).unwrap_err().to_string();
+        assert!(error.contains("none is left to name"), "{error}");
+    }
+}

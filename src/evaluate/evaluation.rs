@@ -1,0 +1,339 @@
+//! The engine: every measurement of a method on folds of trials goes through it.
+//!
+//! ```text
+//! Evaluation (trials, folds, query changes) ─► prepare ─► Run: each library trial prepared once
+//! Run ─► model of a fold ─► queries, one by one ─► Measured (outcome, predictions, left out)
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::outcome::{Outcome, Prediction};
+use super::{EvaluateError, Fold};
+use crate::library::Entry;
+use crate::recognise::features::FeatureVector;
+use crate::recognise::{
+    LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, prepare_library,
+    without_flawed,
+};
+use crate::scene::{Phase, Scene, SourceId};
+use crate::trial::{Trial, TrialKey};
+
+/// Called after each step: what is being done, how much is done, how much there is to do.
+pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
+
+/// What is evaluated.
+#[derive(Clone, Copy)]
+pub enum Trials<'a> {
+    /// Recordings.
+    Recordings(&'a [Entry]),
+    /// Feature tables: no more is known than features. Query changes do not apply to them.
+    Features(&'a [FeatureVector]),
+}
+
+impl<'a> Trials<'a> {
+    /// Which trial stands at an index.
+    pub fn key(self, index: usize) -> &'a TrialKey {
+        match self {
+            Self::Recordings(entries) => &entries[index].key,
+            Self::Features(trials) => &trials[index].key,
+        }
+    }
+}
+
+/// What a method is evaluated on, and how its queries are changed. Libraries are taken as they are.
+#[derive(Clone, Copy)]
+pub struct Evaluation<'a> {
+    /// The sources that are compared.
+    pub scene: &'a Scene,
+    /// The trials that the folds refer to.
+    pub trials: Trials<'a>,
+    /// Queries and libraries.
+    pub folds: &'a [Fold],
+    /// How much of each query's drag is used, in seconds; `None` for all of it.
+    pub query_seconds: Option<f64>,
+    /// Compare sources of a query whose sensor is dead or stuck, instead of leaving them out.
+    pub keep_dead_sources: bool,
+    /// The folder whose trials are kept prepared, if they are.
+    pub cache: Option<&'a Path>,
+    /// Where progress goes.
+    pub progress: Progress<'a>,
+}
+
+impl<'a> Evaluation<'a> {
+    /// An evaluation on whole recordings, without dead sources, cache and progress.
+    pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
+        Self {
+            scene,
+            trials: Trials::Recordings(entries),
+            folds,
+            query_seconds: None,
+            keep_dead_sources: false,
+            cache: None,
+            progress: &|_, _, _| (),
+        }
+    }
+
+    /// Prepares the libraries of all folds, each trial once.
+    ///
+    /// # Errors
+    /// If a trial cannot be read or does not fit the scene.
+    pub fn prepare<'m>(self, method: &'m dyn Method) -> Result<Run<'a, 'm>, RecogniseError> {
+        let library = match self.trials {
+            Trials::Recordings(entries) => {
+                let step = |done, of| (self.progress)("preparing the library", done, of);
+                prepare_library(method, entries, &in_libraries(self.folds), self.cache, &step)?
+            }
+            Trials::Features(trials) => {
+                let prepare = |trial: &FeatureVector| Prepared::Features(Arc::new(trial.clone()));
+                PreparedLibrary {
+                    shape: Arc::new(LibraryShape::default()),
+                    trials: trials.iter().map(|trial| Some(prepare(trial))).collect(),
+                    remarks: Vec::new(),
+                    from_cache: 0,
+                }
+            }
+        };
+        Ok(Run { on: self, method, library })
+    }
+}
+
+/// Trials that stand in the library of some fold.
+fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
+    folds.iter().flat_map(|fold| fold.library.iter().copied()).collect()
+}
+
+/// A method with the libraries of all folds prepared.
+pub struct Run<'a, 'm> {
+    on: Evaluation<'a>,
+    method: &'m dyn Method,
+    library: PreparedLibrary,
+}
+
+/// A query, ready to be compared.
+pub struct Query {
+    /// What the model compares.
+    pub prepared: Prepared,
+    /// For people: the sources that were left out, and why.
+    pub left_out: Vec<String>,
+    /// When its raw samples were in memory, and its preparation began.
+    pub started: Instant,
+}
+
+/// For people: sources that were left out of queries and why, each with these queries.
+pub type LeftOut = BTreeMap<String, BTreeSet<TrialKey>>;
+
+/// The result of naming all queries.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// In sum.
+    pub outcome: Outcome,
+    /// Query by query.
+    pub predictions: Vec<Prediction>,
+    /// The sources that were left out.
+    pub left_out: LeftOut,
+}
+
+impl<'a> Run<'a, '_> {
+    /// What is evaluated.
+    pub fn on(&self) -> &Evaluation<'a> {
+        &self.on
+    }
+
+    /// The method.
+    pub fn method(&self) -> &dyn Method {
+        self.method
+    }
+
+    /// For people: what was wrong with the cache, a line each.
+    pub fn cache_remarks(&self) -> &[String] {
+        &self.library.remarks
+    }
+
+    /// Prepared library trials, by their indices.
+    pub fn prepared<'i>(&self, trials: impl IntoIterator<Item = &'i usize>) -> Vec<Prepared> {
+        trials.into_iter().filter_map(|&i| self.library.trials[i].clone()).collect()
+    }
+
+    /// A model of some library trials, by their indices.
+    ///
+    /// # Errors
+    /// As [`Method::fit`].
+    pub fn fit<'i>(
+        &self,
+        trials: impl IntoIterator<Item = &'i usize>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        self.library.fit(self.method, trials)
+    }
+
+    /// The recording of a trial.
+    ///
+    /// # Errors
+    /// If it cannot be read, or only its features are known.
+    pub fn recording(&self, index: usize) -> Result<Trial, RecogniseError> {
+        match self.on.trials {
+            Trials::Recordings(entries) => Ok(entries[index].load()?),
+            Trials::Features(_) => Err(RecogniseError::NeedsRecordings(self.method.name())),
+        }
+    }
+
+    /// A trial as a query to a model, cut to its first seconds if these are given.
+    ///
+    /// # Errors
+    /// If it cannot be read or compared.
+    pub fn query(
+        &self,
+        model: &dyn Model,
+        index: usize,
+        seconds: Option<f64>,
+    ) -> Result<Query, RecogniseError> {
+        match self.on.trials {
+            Trials::Recordings(entries) => self.query_of(model, entries[index].load()?, seconds),
+            Trials::Features(trials) => Ok(Query {
+                prepared: Prepared::Features(Arc::new(trials[index].clone())),
+                left_out: Vec::new(),
+                started: Instant::now(),
+            }),
+        }
+    }
+
+    /// As [`Run::query`], of a recording in memory. Sources whose sensor is dead are left out as
+    /// this model's library has it: a channel that rests there may rest.
+    ///
+    /// # Errors
+    /// If it cannot be compared.
+    pub fn query_of(
+        &self,
+        model: &dyn Model,
+        trial: Trial,
+        seconds: Option<f64>,
+    ) -> Result<Query, RecogniseError> {
+        let scene = self.on.scene;
+        let trial = match seconds {
+            Some(seconds) => cut(trial, scene, seconds),
+            None => trial,
+        };
+        let (trial, left_out) = if self.on.keep_dead_sources {
+            (trial, Vec::new())
+        } else {
+            without_flawed(trial, scene, |id, channel| model.moves(id, channel))
+        };
+        let trial = Arc::new(trial);
+        let entry = Entry::in_memory(Arc::clone(&trial));
+        let started = Instant::now();
+        Ok(Query { prepared: model.prepare(&entry, &trial)?, left_out, started })
+    }
+
+    /// Names all queries of all folds.
+    ///
+    /// They are named one after the other, so that latencies are those of a single query with the
+    /// machine to itself: from its raw samples (or its features) in memory to the answer.
+    ///
+    /// # Errors
+    /// If a trial cannot be read or compared.
+    pub fn measure(&self) -> Result<Measured, EvaluateError> {
+        self.measure_by(self.on.folds)
+    }
+
+    /// As [`Run::measure`], by other folds, whose libraries are parts of those that were prepared.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn measure_by(&self, folds: &[Fold]) -> Result<Measured, EvaluateError> {
+        // One length of queries, one result.
+        Ok(self.measure_each(folds, &[self.on.query_seconds])?.swap_remove(0))
+    }
+
+    /// As [`Run::measure`], for several lengths of queries; the model of a fold serves all of them.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn measure_lengths(&self, seconds: &[Option<f64>]) -> Result<Vec<Measured>, EvaluateError> {
+        self.measure_each(self.on.folds, seconds)
+    }
+
+    fn measure_each(
+        &self,
+        folds: &[Fold],
+        lengths: &[Option<f64>],
+    ) -> Result<Vec<Measured>, EvaluateError> {
+        let total = lengths.len() * folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
+        let mut all = vec![(Vec::new(), LeftOut::new()); lengths.len()];
+        let mut done = 0;
+        for (at, fold) in folds.iter().enumerate() {
+            let model = self.fit(&fold.library)?;
+            for (&seconds, (predictions, left_out)) in lengths.iter().zip(&mut all) {
+                for &query in &fold.queries {
+                    let key = self.on.trials.key(query);
+                    let (prediction, remarks) = self.name(&*model, (at, query), seconds)?;
+                    predictions.push(prediction);
+                    for remark in remarks {
+                        left_out.entry(remark).or_default().insert(key.clone());
+                    }
+                    done += 1;
+                    (self.on.progress)("naming queries", done, total);
+                }
+            }
+        }
+        let sum_up = |(predictions, left_out): (Vec<Prediction>, _)| {
+            let outcome = self.sum_up(folds, &predictions);
+            Measured { outcome, predictions, left_out }
+        };
+        Ok(all.into_iter().map(sum_up).collect())
+    }
+
+    fn name(
+        &self,
+        model: &dyn Model,
+        (fold, index): (usize, usize),
+        seconds: Option<f64>,
+    ) -> Result<(Prediction, Vec<String>), RecogniseError> {
+        let query = self.query(model, index, seconds)?;
+        let mut remarks = query.left_out;
+        let ranking = match model.rank(&query.prepared) {
+            // A scan that is not named is not named right.
+            Err(error @ RecogniseError::TooLittle) => {
+                remarks.push(format!("not named: {error}"));
+                None
+            }
+            ranking => Some(ranking?),
+        };
+        let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
+        let prediction = Prediction {
+            key: self.on.trials.key(index).clone(),
+            fold,
+            surface: ranking.as_ref().map_or_else(String::new, |r| r.surface().into()),
+            margin: ranking.as_ref().map_or(0.0, |r| r.margin),
+            query_ms,
+            sources: ranking.map_or_else(Vec::new, |r| r.sources),
+        };
+        Ok((prediction, remarks))
+    }
+
+    fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {
+        let names: Vec<String> = folds.iter().map(|fold| fold.name.clone()).collect();
+        let labels: BTreeSet<&String> =
+            in_libraries(folds).into_iter().map(|i| &self.on.trials.key(i).surface).collect();
+        let labels = labels.into_iter().cloned().collect();
+        let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
+        Outcome::new(predictions, &names, labels, largest, self.method.name())
+            // `folds` gives no fold without queries, so there is a prediction to sum up.
+            .expect("every fold has queries")
+    }
+}
+
+/// The entry with its drag cut to the first seconds, if these are given.
+pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
+    let Some(seconds) = seconds else { return entry.clone() };
+    let scene = scene.clone();
+    entry.clone().changed(move |trial| cut(trial, &scene, seconds))
+}
+
+/// The trial with its drag cut to the first seconds.
+fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {
+    let is_drag =
+        |id: &SourceId| scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
+    trial.first_seconds(seconds, is_drag)
+}

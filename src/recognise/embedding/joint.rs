@@ -1,0 +1,239 @@
+//! All sources of a trial in one vector, each feature in the library's deviations.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::picture::PictureEmbedder;
+use super::series::{Level, SeriesEmbedder, Window};
+use crate::recognise::features::frame_features::{FrameFeatures, SourceFrames};
+use crate::recognise::features::image_features::Part;
+use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
+
+/// Features are held within this many deviations of the library.
+const CLIP: f32 = 8.0;
+
+/// A band of at least this share of all frequencies counts as all of them.
+const NEARLY_ALL: f64 = 0.9;
+
+/// A part of a trial: of all its sources the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Excerpt {
+    /// Of series.
+    pub window: Window,
+    /// Of pictures.
+    pub part: Part,
+}
+
+impl Excerpt {
+    /// All of it.
+    pub const WHOLE: Self = Self { window: Window::Whole, part: Part::Whole };
+
+    /// The first seconds of the drag, and all that is not of the drag.
+    pub fn beginning(seconds: f64) -> Self {
+        Self { window: Window::Beginning(seconds), part: Part::Whole }
+    }
+}
+
+/// How one source becomes its stretch of the vector.
+#[derive(Clone, Debug)]
+pub(super) enum SourceEmbedder {
+    Series(Box<SeriesEmbedder>),
+    Picture(PictureEmbedder),
+}
+
+impl SourceEmbedder {
+    fn new(spec: &SourceSpec, trials: &[&SourceFrames]) -> Option<Self> {
+        let level = match (spec.align_mean, &spec.domain) {
+            (false, _) => Level::Mean,
+            (true, Domain::Spectrum { .. }) => Level::Shape,
+            (true, _) => Level::Loudness,
+        };
+        let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
+        let pictures: Vec<_> = trials.iter().filter_map(|source| source.picture()).collect();
+        if !series.is_empty() {
+            let all_frequencies = is_whole(&spec.domain, 0.5 * series[0].rate_hz());
+            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, level, all_frequencies))))
+        } else if !pictures.is_empty() {
+            Some(Self::Picture(PictureEmbedder::new(&pictures)))
+        } else {
+            None
+        }
+    }
+
+    fn dims(&self) -> usize {
+        match self {
+            Self::Series(series) => series.dims(),
+            Self::Picture(picture) => picture.dims(),
+        }
+    }
+
+    fn embed(&self, phase: Phase, source: &SourceFrames, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
+        match (self, source) {
+            (Self::Series(embedder), SourceFrames::Series(series)) => {
+                let window = |excerpt: &Excerpt| match excerpt.window {
+                    Window::Beginning(_) if phase != Phase::Drag => Window::Whole,
+                    window => window,
+                };
+                embedder.embed(series, &excerpts.iter().map(window).collect::<Vec<_>>())
+            }
+            (Self::Picture(embedder), SourceFrames::Picture(grid)) => {
+                excerpts.iter().map(|excerpt| embedder.embed(grid, excerpt.part)).collect()
+            }
+            // The checks of a trial against its scene give a source one kind of data.
+            _ => vec![vec![0.0; self.dims()]; excerpts.len()],
+        }
+    }
+}
+
+/// Whether a source is compared by all frequencies up to half its rate, or nearly all.
+fn is_whole(domain: &Domain, highest_hz: f64) -> bool {
+    match *domain {
+        Domain::Spectrum { band_hz: (low, high) } => {
+            high.min(highest_hz) - low >= NEARLY_ALL * highest_hz
+        }
+        Domain::Time | Domain::Image => true,
+    }
+}
+
+/// One source of the vector.
+#[derive(Clone, Debug)]
+pub(super) struct Stretch {
+    pub spec: SourceSpec,
+    pub embedder: SourceEmbedder,
+    /// Its places in the vector.
+    pub columns: Range<usize>,
+}
+
+/// How trials become vectors.
+#[derive(Clone, Debug)]
+pub(super) struct JointEmbedder {
+    /// In the scene's order; only sources that the library has.
+    pub stretches: Vec<Stretch>,
+    /// Mean of each feature over the library's whole trials.
+    mean: Vec<f32>,
+    /// 1/deviation of each.
+    factor: Vec<f32>,
+}
+
+/// Which sources of the vector something has.
+pub(super) type Present = Vec<bool>;
+
+impl JointEmbedder {
+    /// In units of a library.
+    pub fn new(scene: &Scene, library: &[Arc<FrameFeatures>]) -> Self {
+        let mut stretches: Vec<Stretch> = Vec::new();
+        for spec in scene.sources() {
+            let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
+            if let Some(embedder) = SourceEmbedder::new(spec, &trials) {
+                let begin = stretches.last().map_or(0, |s| s.columns.end);
+                let columns = begin..begin + embedder.dims();
+                stretches.push(Stretch { spec: spec.clone(), embedder, columns });
+            }
+        }
+        let dims = stretches.last().map_or(0, |s| s.columns.end);
+        Self { stretches, mean: vec![0.0; dims], factor: vec![1.0; dims] }
+    }
+
+    /// Length of a vector.
+    pub fn dims(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Which of the sources a trial has.
+    pub fn present(&self, trial: &FrameFeatures) -> Present {
+        self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
+    }
+
+    /// The vectors of some excerpts of a trial, in the features' own units; 0 for sources that it
+    /// lacks.
+    pub fn raw(&self, trial: &FrameFeatures, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
+        let of_source = |stretch: &Stretch| {
+            let source = trial.sources.get(&stretch.spec.id)?;
+            Some(stretch.embedder.embed(stretch.spec.phase, source, excerpts))
+        };
+        let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
+        let mut all = vec![vec![0.0; self.dims()]; excerpts.len()];
+        for (stretch, part) in self.stretches.iter().zip(parts) {
+            for (vector, of_source) in all.iter_mut().zip(part.into_iter().flatten()) {
+                vector[stretch.columns.clone()].copy_from_slice(&of_source);
+            }
+        }
+        all
+    }
+
+    /// Takes mean and deviation of each feature from the vectors of whole trials in their own
+    /// units, each with what it has.
+    pub fn standardise_by(&mut self, wholes: &[(&[f32], &Present)]) {
+        for (s, stretch) in self.stretches.iter().enumerate() {
+            let with: Vec<&[f32]> =
+                wholes.iter().filter(|(_, has)| has[s]).map(|(vector, _)| *vector).collect();
+            let n = with.len().max(1) as f64;
+            for column in stretch.columns.clone() {
+                let values = || with.iter().map(|vector| f64::from(vector[column]));
+                let mean = values().sum::<f64>() / n;
+                let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
+                // What hardly varies is not blown up.
+                let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
+                self.mean[column] = mean as f32;
+                self.factor[column] = (1.0 / deviation) as f32;
+            }
+        }
+    }
+
+    /// Brings a vector into the library's deviations; sources that are not there stay 0, which is
+    /// the library's mean.
+    pub fn standardise(&self, vector: &mut [f32], present: &Present) {
+        for (stretch, _) in self.stretches.iter().zip(present).filter(|(_, has)| **has) {
+            for column in stretch.columns.clone() {
+                let z = (vector[column] - self.mean[column]) * self.factor[column];
+                vector[column] = z.clamp(-CLIP, CLIP);
+            }
+        }
+        debug_assert!(vector.iter().all(|x| x.is_finite()));
+    }
+
+    /// The standardised vectors of some excerpts of a trial, and which sources it has.
+    pub fn embed(&self, trial: &FrameFeatures, excerpts: &[Excerpt]) -> (Vec<Vec<f32>>, Present) {
+        let present = self.present(trial);
+        let mut vectors = self.raw(trial, excerpts);
+        vectors.iter_mut().for_each(|vector| self.standardise(vector, &present));
+        (vectors, present)
+    }
+
+    /// Whether there is anything in a trial to compare: a picture, a series that moves and is as
+    /// long as a short frame, or one at rest whose level counts, as a switch's does.
+    pub fn says_something(&self, trial: &FrameFeatures) -> bool {
+        self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
+            Some(SourceFrames::Series(series)) => {
+                let level_counts = !stretch.spec.align_mean && stretch.spec.domain == Domain::Time;
+                series.is_a_frame_long() && (level_counts || !series.blocks.is_constant())
+            }
+            Some(SourceFrames::Picture(_)) => true,
+            None => false,
+        })
+    }
+
+    /// Whether a channel of a source moves in the library; unknown sources are said to.
+    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        let stretch = self.stretches.iter().find(|stretch| stretch.spec.id == *source);
+        match stretch.map(|stretch| &stretch.embedder) {
+            Some(SourceEmbedder::Series(embedder)) => embedder.moves(channel),
+            _ => true,
+        }
+    }
+
+    /// Length in seconds of a trial's drag: of its longest source that is dragged, if it has one.
+    pub fn drag_s(&self, trial: &FrameFeatures) -> Option<f64> {
+        let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
+        let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());
+        lengths.map(|series| series.duration_s()).max_by(f64::total_cmp)
+    }
+}
+
+/// Places of the sources that are there, by name of the library's places.
+pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
+    let there = stretches.iter().zip(present).filter(|(_, has)| **has);
+    there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
+}

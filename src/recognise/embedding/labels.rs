@@ -1,0 +1,121 @@
+//! What training needs to know of a library: its trials' classes, and the groups in which they are
+//! left out.
+
+use crate::trial::TrialKey;
+
+/// At most this many groups of trials are left out in turn.
+const MOST_GROUPS: usize = 10;
+
+/// Classes and groups of the trials of a library, sorted by key.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Labels {
+    /// The surfaces, sorted.
+    pub surfaces: Vec<String>,
+    /// Class of each trial: its surface's place.
+    pub class: Vec<usize>,
+    /// Number of classes.
+    pub classes: usize,
+    /// Group of each trial; groups are left out together.
+    pub group: Vec<usize>,
+    /// Number of groups.
+    pub groups: usize,
+    /// Whether groups are of users: what is found by leaving them out holds for other people.
+    pub across_users: bool,
+}
+
+impl Labels {
+    /// Groups are users where leaving each out leaves most trials something to be named by; else
+    /// trials of one user and number, where that makes too many several together.
+    pub fn new(keys: &[&TrialKey]) -> Self {
+        let place = |of: &[&str], name: &str| of.binary_search(&name).unwrap_or(0);
+        let distinct = |of: fn(&TrialKey) -> &str| {
+            let mut all: Vec<&str> = keys.iter().map(|key| of(key)).collect();
+            all.sort_unstable();
+            all.dedup();
+            all
+        };
+        let (surfaces, users) = (distinct(|key| &key.surface), distinct(|key| &key.user));
+        let class: Vec<usize> = keys.iter().map(|key| place(&surfaces, &key.surface)).collect();
+        let mut sessions: Vec<(&str, u32)> =
+            keys.iter().map(|key| (key.user.as_str(), key.number)).collect();
+        sessions.sort_unstable();
+        sessions.dedup();
+        let by_user: Vec<usize> =
+            keys.iter().map(|key| place(&users, &key.user) % MOST_GROUPS).collect();
+        let by_trial = || -> Vec<usize> {
+            let session = |key: &&TrialKey| {
+                sessions.binary_search(&(key.user.as_str(), key.number)).unwrap_or(0) % MOST_GROUPS
+            };
+            keys.iter().map(session).collect()
+        };
+        let across_users = users.len() > 1 && known_elsewhere(&class, &by_user) * 2 > keys.len();
+        let group = if across_users { by_user } else { by_trial() };
+        Self {
+            classes: surfaces.len(),
+            surfaces: surfaces.into_iter().map(String::from).collect(),
+            class,
+            groups: group.iter().max().map_or(0, |last| last + 1),
+            group,
+            across_users,
+        }
+    }
+}
+
+/// How many trials could be named by the rest of the library without their group: it knows their
+/// class and another one, and holds a third of all trials at least.
+fn known_elsewhere(class: &[usize], group: &[usize]) -> usize {
+    let groups = group.iter().max().map_or(0, |last| last + 1);
+    let classes = class.iter().max().map_or(0, |last| last + 1);
+    let of_group = |left_out: usize| {
+        let mut trials = vec![0; classes];
+        let rest = class.iter().zip(group).filter(|(_, group)| **group != left_out);
+        rest.for_each(|(&class, _)| trials[class] += 1);
+        let known = trials.iter().filter(|&&n| n > 0).count();
+        if known < 2 || 3 * trials.iter().sum::<usize>() < class.len() {
+            return 0;
+        }
+        let members = class.iter().zip(group).filter(|(_, group)| **group == left_out);
+        members.filter(|(class, _)| trials[**class] > 0).count()
+    };
+    (0..groups).map(of_group).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(keys: &[TrialKey]) -> Labels {
+        Labels::new(&keys.iter().collect::<Vec<_>>())
+    }
+
+    fn keys(users: &[(&str, u32)]) -> Vec<TrialKey> {
+        let of_surface = |surface: &'static str| {
+            users.iter().flat_map(move |&(user, trials)| {
+                (1..=trials).map(move |n| TrialKey::new(surface, user, n))
+            })
+        };
+        ["ash", "oak"].into_iter().flat_map(of_surface).collect()
+    }
+
+    #[test]
+    fn one_persons_trials_are_left_out_by_number() {
+        let labels = labels(&keys(&[("expert", 3)]));
+        assert_eq!((labels.groups, labels.across_users), (3, false));
+        assert_eq!(labels.group, [0, 1, 2, 0, 1, 2]);
+        assert_eq!(labels.class, [0, 0, 0, 1, 1, 1]);
+    }
+
+    #[test]
+    fn several_peoples_trials_are_left_out_person_by_person() {
+        let labels = labels(&keys(&[("anna", 2), ("expert", 3)]));
+        assert_eq!((labels.groups, labels.across_users), (2, true));
+        assert_eq!(labels.group, [0, 0, 1, 1, 1, 0, 0, 1, 1, 1]);
+    }
+
+    #[test]
+    fn a_person_with_a_trial_or_two_does_not_make_a_library_of_several_people() {
+        let mut few = keys(&[("expert", 5)]);
+        few.insert(0, TrialKey::new("ash", "anna", 1));
+        assert!(!labels(&few).across_users);
+    }
+}

@@ -1,0 +1,328 @@
+//! A trial as the method `embedding` sees it: log-band frames in two views and block sums of each
+//! series, a grid of pixels of each picture.
+//!
+//! Frames follow samples, not the clock (method §9): a long frame has the power of two nearest to
+//! 46 ms, but at least 64 samples where the library's trials have four times as many, so that slow
+//! sensors get a spectrum, too; a short frame has a quarter of that. All trials of a library, and
+//! its queries, are framed by the library's shape.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::block_sums::BlockSums;
+use super::frames::{FrameView, ViewFrames};
+use super::image_features::PixelGrid;
+use crate::recognise::checks::check_signal;
+use crate::recognise::error::RecogniseError;
+use crate::recognise::shape::LibraryShape;
+use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::trial::{Series, Signal, Trial, TrialKey};
+
+/// Duration of a long frame in seconds, where that is enough samples.
+const FRAME_S: f64 = 0.0464;
+/// The least samples of a long frame, where trials are long enough.
+const LEAST_POINTS: f64 = 64.0;
+/// A long frame is at most this share of the library's median trial.
+const MOST_OF_TRIAL: f64 = 0.25;
+/// Long frames for each short one.
+const SHORTER: usize = 4;
+/// The least samples of any frame.
+const FEWEST: usize = 4;
+/// Bands of a long and of a short frame, at most.
+const BANDS: [usize; 2] = [40, 24];
+/// Highest frequency of a source of domain `time`, in Hz.
+const TIME_BAND_HZ: f64 = 500.0;
+
+/// How the series of one source are framed: long frames first, then short ones.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SourceViews(pub [FrameView; 2]);
+
+impl SourceViews {
+    /// The views of a recording at `rate_hz`, in a library whose trials have the rate and the
+    /// median length that `shape` says; without a shape, those of the recording itself.
+    pub fn new(spec: &SourceSpec, series: (f64, usize), shape: &LibraryShape) -> Self {
+        let (rate_hz, frames) = series;
+        let known = shape.get(&spec.id);
+        let (library_hz, median) =
+            known.map_or((rate_hz, frames), |s| (s.rate_hz, s.median_frames));
+        let wished = (FRAME_S * library_hz).max(LEAST_POINTS);
+        let power_of_two = |points: f64| 1usize << points.log2().round().clamp(0.0, 24.0) as u32;
+        let long = power_of_two(wished.min(MOST_OF_TRIAL * median as f64));
+        let short = (long / SHORTER).max(FEWEST);
+        // At another rate, frames are as long as those of the library, as near as powers of two come.
+        let at_rate =
+            |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
+        let (low, high) = match spec.domain {
+            Domain::Spectrum { band_hz } => band_hz,
+            Domain::Time | Domain::Image => (0.0, TIME_BAND_HZ),
+        };
+        let band_hz = (low, high.min(0.5 * library_hz));
+        let view = |points: usize, bands| {
+            FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
+        };
+        Self([view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])])
+    }
+
+    /// Whether values of the two stand for the same frequencies, at whatever rate.
+    pub fn comparable(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).all(|(a, b)| a.comparable(b))
+    }
+
+    /// Samples of a block: what block sums are over, and how far one long frame is from the next.
+    pub fn block(&self) -> usize {
+        self.0[0].hop()
+    }
+}
+
+/// Log-band frames in fixed point: 2⁻⁹ of a natural logarithm a step, finer than any estimate of
+/// power, and half the memory.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PackedFrames {
+    #[serde(with = "packed")]
+    values: Vec<i16>,
+}
+
+/// Steps of a fixed-point value in one unit of ln power.
+const STEPS: f32 = 512.0;
+
+impl PackedFrames {
+    /// The values of some frames.
+    pub fn new(values: &[f32]) -> Self {
+        let pack = |x: &f32| (x * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX));
+        Self { values: values.iter().map(|x| pack(x) as i16).collect() }
+    }
+
+    /// The values of frames `within`, each of `width` values, as ln power, into `out`.
+    pub fn unpack(&self, width: usize, within: std::ops::Range<usize>, out: &mut Vec<f32>) {
+        out.clear();
+        let values = &self.values[within.start * width..within.end * width];
+        out.extend(values.iter().map(|&x| f32::from(x) / STEPS));
+    }
+
+    /// Number of frames of `width` values.
+    pub fn frames(&self, width: usize) -> usize {
+        self.values.len() / width
+    }
+}
+
+/// Numbers as one run of bytes, little-endian: far quicker to read than one after the other.
+mod packed {
+    use serde::de::{Error, Visitor};
+    use serde::{Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(values: &[i16], to: S) -> Result<S::Ok, S::Error> {
+        let bytes: Vec<u8> = values.iter().flat_map(|x| x.to_le_bytes()).collect();
+        to.serialize_bytes(&bytes)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
+        struct Bytes;
+        impl Visitor<'_> for Bytes {
+            type Value = Vec<i16>;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("an even number of bytes")
+            }
+            fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<i16>, E> {
+                let (pairs, rest) = bytes.as_chunks();
+                if !rest.is_empty() {
+                    return Err(E::invalid_length(bytes.len(), &self));
+                }
+                Ok(pairs.iter().map(|pair| i16::from_le_bytes(*pair)).collect())
+            }
+        }
+        from.deserialize_bytes(Bytes)
+    }
+}
+
+/// A series of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeriesFrames {
+    /// How it was framed.
+    pub views: SourceViews,
+    /// Frames of each view.
+    pub frames: [PackedFrames; 2],
+    /// Its sums, block by block.
+    pub blocks: BlockSums,
+    /// Its length in samples.
+    pub samples: usize,
+}
+
+impl SeriesFrames {
+    /// Frames a recording.
+    pub fn new(views: SourceViews, series: &Series) -> Self {
+        let frames = views
+            .0
+            .each_ref()
+            .map(|view| PackedFrames::new(&ViewFrames::new(view.clone(), series.samples()).values));
+        let blocks = BlockSums::new(series.channels(), views.block(), series.samples());
+        Self { views, frames, blocks, samples: series.frames() }
+    }
+
+    /// Sample rate in Hz.
+    pub fn rate_hz(&self) -> f64 {
+        self.views.0[0].rate_hz
+    }
+
+    /// Whether it fills a short frame.
+    pub fn is_a_frame_long(&self) -> bool {
+        self.samples >= self.views.0[1].points
+    }
+
+    /// Length in seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.samples as f64 / self.rate_hz()
+    }
+}
+
+/// One source of a trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum SourceFrames {
+    /// Anything with a rate.
+    Series(SeriesFrames),
+    /// A picture.
+    Picture(PixelGrid),
+}
+
+impl SourceFrames {
+    fn new(
+        spec: &SourceSpec,
+        signal: &Signal,
+        key: &TrialKey,
+        shape: &LibraryShape,
+    ) -> Result<Self, RecogniseError> {
+        check_signal(spec, signal, key)?;
+        Ok(match signal {
+            Signal::Image(image) => Self::Picture(PixelGrid::new(image)),
+            Signal::Series(series) => {
+                let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
+                Self::Series(SeriesFrames::new(views, series))
+            }
+        })
+    }
+
+    /// The series, if it is one.
+    pub fn series(&self) -> Option<&SeriesFrames> {
+        if let Self::Series(series) = self { Some(series) } else { None }
+    }
+
+    /// The picture, if it is one.
+    pub fn picture(&self) -> Option<&PixelGrid> {
+        if let Self::Picture(grid) = self { Some(grid) } else { None }
+    }
+
+    /// Checks that a source of a query can be compared with that of a library trial, by frequency
+    /// in Hz. Rates may differ; one too low for the library's band may not.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn check_rate(
+        &self,
+        id: &SourceId,
+        library: &Self,
+        library_key: &TrialKey,
+    ) -> Result<(), RecogniseError> {
+        match (self.series(), library.series()) {
+            (Some(query), Some(library)) if !query.views.comparable(&library.views) => {
+                Err(RecogniseError::Rates {
+                    source_name: id.clone(),
+                    query_hz: query.rate_hz(),
+                    library_hz: library.rate_hz(),
+                    trial: library_key.to_string(),
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A trial, ready for `embedding`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameFeatures {
+    /// Which trial this is.
+    pub key: TrialKey,
+    /// What it holds of the scene's sources.
+    pub sources: BTreeMap<SourceId, SourceFrames>,
+}
+
+impl FrameFeatures {
+    /// Frames those sources of a trial that the scene describes, as the trials of a library of
+    /// that shape are framed.
+    ///
+    /// # Errors
+    /// If a source is of another kind, or has another number of channels, than the scene says.
+    pub fn new(
+        key: &TrialKey,
+        trial: &Trial,
+        scene: &Scene,
+        shape: &LibraryShape,
+    ) -> Result<Self, RecogniseError> {
+        let known = trial.signals.iter().filter_map(|(id, s)| Some((scene.get(id.as_str())?, s)));
+        let known: Vec<(&SourceSpec, &Signal)> = known.collect();
+        let sources = known
+            .into_par_iter()
+            .map(|(spec, signal)| {
+                Ok((spec.id.clone(), SourceFrames::new(spec, signal, key, shape)?))
+            })
+            .collect::<Result<_, RecogniseError>>()?;
+        Ok(Self { key: key.clone(), sources })
+    }
+
+    /// A number for how the sources of a scene are framed in a library of that shape: trials framed
+    /// alike can be compared.
+    pub fn framing_key(scene: &Scene, shape: &LibraryShape) -> u64 {
+        let views = scene.sources().map(|spec| {
+            let of_shape = |s: crate::recognise::shape::SourceShape| (s.rate_hz, s.median_frames);
+            let views = shape.get(&spec.id).map(|s| SourceViews::new(spec, of_shape(s), shape));
+            (spec, views)
+        });
+        let views: Vec<_> = views.collect();
+        crate::seed::stable_hash(&[format!("{views:?}").as_bytes()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recognise::shape::SourceShape;
+    use crate::scene::Scene;
+
+    fn views(id: &str, rate_hz: f64, median_frames: usize, at_hz: f64) -> [FrameView; 2] {
+        let scene = Scene::lmt108();
+        let spec = scene.get(id).unwrap();
+        let shape = SourceShape { rate_hz, channels: spec.channels, median_frames };
+        let shape = LibraryShape::from_iter([(spec.id.clone(), shape)]);
+        SourceViews::new(spec, (at_hz, 100), &shape).0
+    }
+
+    #[test]
+    fn frames_follow_samples_where_the_clock_would_leave_none() {
+        let points = |id, rate_hz, median| views(id, rate_hz, median, rate_hz).map(|v| v.points);
+        assert_eq!(points("mi2", 44_100.0, 211_611), [2048, 512]);
+        assert_eq!(points("ac", 100.0, 500), [64, 16]);
+        assert_eq!(points("fr", 10.0, 50), [16, 4], "a quarter of the trial");
+        assert_eq!(points("fr", 10.0, 3), [4, 4]);
+        assert_eq!(views("fr", 35.0, 415, 35.0)[0].edges.last(), Some(&32), "to half the rate");
+    }
+
+    #[test]
+    fn a_query_at_another_rate_has_frames_as_long_as_the_library() {
+        let at = |hz| views("mi2", 44_100.0, 211_611, hz);
+        assert!(at(48_000.0)[0].comparable(&at(44_100.0)[0]));
+        assert_eq!(at(96_000.0)[0].points, 4096);
+    }
+
+    #[test]
+    fn fixed_point_is_finer_than_a_hundredth() {
+        let values = [-32.236, 0.001, 7.5, 88.7];
+        let (packed, mut out) = (PackedFrames::new(&values), Vec::new());
+        packed.unpack(2, 0..2, &mut out);
+        for (a, b) in values.iter().zip(&out).take(3) {
+            assert!((a - b).abs() <= 0.5 / STEPS);
+        }
+        assert!(out[3] > 63.9, "beyond any sound, and held there");
+        let bytes = postcard::to_allocvec(&packed).unwrap();
+        assert_eq!(postcard::from_bytes::<PackedFrames>(&bytes).unwrap(), packed);
+    }
+}

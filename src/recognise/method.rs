@@ -1,0 +1,138 @@
+//! What a way of comparing trials is, and a library made ready by it.
+
+use std::sync::Arc;
+
+use super::decide::conformal::{Rejection, RejectionError};
+use super::error::RecogniseError;
+use super::follow::{Follow, FollowOptions};
+use super::prepared::Prepared;
+use super::rank::Ranking;
+use super::shape::LibraryShape;
+use crate::library::Entry;
+use crate::scene::SourceId;
+use crate::trial::Trial;
+
+/// A way of comparing trials, with its settings.
+pub trait Method: Send + Sync {
+    /// The method's name.
+    fn name(&self) -> &'static str;
+
+    /// A number for all settings that prepared trials of such a library depend on.
+    fn settings_key(&self, shape: &LibraryShape) -> u64;
+
+    /// Prepares a trial of a library of this shape, once, whatever it is then compared with.
+    /// `entry` can load the trial again, so that its raw samples need not stay in memory.
+    ///
+    /// # Errors
+    /// If the trial does not fit the scene.
+    fn prepare(
+        &self,
+        entry: &Entry,
+        trial: &Trial,
+        shape: &LibraryShape,
+    ) -> Result<Prepared, RecogniseError>;
+
+    /// Makes a model of a prepared library, or of part of one; `shape` is that which its trials
+    /// were prepared for.
+    ///
+    /// # Errors
+    /// If the trials are of fewer than two surfaces, cannot be compared with each other, or were
+    /// prepared by another kind of method.
+    fn fit(
+        &self,
+        library: Vec<Prepared>,
+        shape: &Arc<LibraryShape>,
+    ) -> Result<Arc<dyn Model>, RecogniseError>;
+}
+
+/// A library, ready to be compared with.
+pub trait Model: Send + Sync {
+    /// Prepares a query. One that a model has prepared serves all models of the same method and
+    /// library shape.
+    ///
+    /// # Errors
+    /// If the trial does not fit the scene.
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError>;
+
+    /// Ranks the library's surfaces, the most alike first.
+    ///
+    /// # Errors
+    /// If the query has no source in common with the library, has another sample rate, or was
+    /// prepared by another kind of method.
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
+
+    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
+    /// there may rest in a query, too: its sensor is not dead.
+    fn moves(&self, _source: &SourceId, _channel: usize) -> bool {
+        true
+    }
+
+    /// What each source says alone; `None` by a method that cannot take them apart.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    fn explain(&self, _query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        Ok(None)
+    }
+
+    /// A query that can be named again and again, each time by some of its sources; `None` by a
+    /// method to which that costs as much as a query of those sources.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    fn by_sources(
+        self: Arc<Self>,
+        _query: &Prepared,
+    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+        Ok(None)
+    }
+
+    /// Follows scans while they go on; `None` by a method that cannot. The first time, the stop
+    /// rule is calibrated, which takes a while.
+    fn follow(self: Arc<Self>, _options: &FollowOptions) -> Option<Box<dyn Follow>> {
+        None
+    }
+
+    /// The p-value at or below which a query is called unknown, for a stated rate of false
+    /// rejections.
+    ///
+    /// # Errors
+    /// If the method gives no p-value, or the library has too few trials.
+    fn rejection(&self, _rate: f64) -> Result<Rejection, RejectionError> {
+        Err(RejectionError::NoPValue)
+    }
+
+    /// For people: what the library was too small for, a line each.
+    fn remarks(&self) -> &[String] {
+        &[]
+    }
+}
+
+/// A query, ready to be named by any of its sources.
+pub trait BySources: Send + Sync {
+    /// The surface that is most alike by `sources`, as a query of these alone would be named;
+    /// `None` if the query and the library have none of them in common.
+    fn surface(&self, sources: &[&SourceId]) -> Option<&str>;
+}
+
+/// How unlike a query each surface is, source by source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evidence {
+    /// The surfaces of the library, sorted.
+    pub surfaces: Vec<String>,
+    /// What each source says.
+    pub sources: Vec<SourceEvidence>,
+}
+
+/// How unlike a query each surface is by one source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SourceEvidence {
+    /// The source.
+    pub source: SourceId,
+    /// Whether the method learnt from the library how far to trust it. Where some sources are
+    /// trained, the others do not count.
+    pub trained: bool,
+    /// The term of each surface: those of the sources that count add up to what surfaces are
+    /// ranked by, the smallest first. Infinite for a surface that lacks the source.
+    pub terms: Vec<f64>,
+}

@@ -1,0 +1,255 @@
+//! A library that queries are compared with, trial by trial and repetition by repetition.
+
+use std::collections::btree_map::Entry as Slot;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::halving;
+use super::options::NAME;
+use super::prepared_trial::{Cut, PreparedTrial, shared_sources};
+use super::sample_set::{SampleSet, Scratch};
+use super::sampler::Sampler;
+use super::score::{QuerySet, log_score};
+use crate::library::Entry;
+use crate::recognise::combine::{TrialScores, candidates, log_discrepancy, medians};
+use crate::recognise::error::RecogniseError;
+use crate::recognise::method::{Evidence, Model, SourceEvidence};
+use crate::recognise::prepared::Prepared;
+use crate::recognise::rank::{Ranking, rank};
+use crate::scene::SourceSpec;
+use crate::trial::Trial;
+
+/// A library, ready to be compared with.
+pub struct ReferenceModel {
+    pub(super) sampler: Sampler,
+    pub(super) library: Vec<Arc<PreparedTrial>>,
+}
+
+impl Model for ReferenceModel {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        Ok(Prepared::Samples(Arc::new(self.sampler.sampled(entry, trial, false)?)))
+    }
+
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        let options = &self.sampler.options;
+        let query = self.query(query)?;
+        let comparison = Comparing::new(&self.sampler, &query);
+        let weights = comparison.weights();
+        let mut alive = comparison.all(&self.library);
+        let mut medians_of_all = Vec::new();
+        let mut dropped = Vec::new();
+        for stage in options.stages(self.library.len()) {
+            alive = comparison.go_on(alive, stage.repetitions)?;
+            alive.retain(|scored| scored.sums.iter().any(Option::is_some));
+            let scores: Vec<TrialScores> =
+                alive.iter().map(|scored| comparison.log_scores(scored)).collect();
+            if medians_of_all.is_empty() {
+                // With halving, of the first stage.
+                medians_of_all = medians(weights.len(), &scores);
+            }
+            let keys = alive.iter().map(|scored| scored.trial.key());
+            let candidates = candidates(&weights, &scores, &medians_of_all, keys);
+            if stage.repetitions == options.repetitions {
+                let ids = query.sources.iter().map(|spec| spec.id.clone()).collect();
+                // There is a candidate: some library trial shares a source, as `query` checked.
+                let mut ranking =
+                    rank(candidates, options.neighbours, ids).expect("at least one candidate");
+                halving::append(&mut ranking, dropped);
+                return Ok(ranking);
+            }
+            let all = candidates.into_iter().zip(alive).collect();
+            let (stay, out) = halving::split(all, stage.keep);
+            alive = stay;
+            dropped.push(out);
+        }
+        unreachable!("the last stage has all repetitions")
+    }
+
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        let query = self.query(query)?;
+        let comparison = Comparing::new(&self.sampler, &query);
+        let repetitions = self.sampler.options.repetitions;
+        let all = comparison.go_on(comparison.all(&self.library), repetitions)?;
+        let surfaces: BTreeSet<&str> =
+            self.library.iter().map(|trial| trial.key().surface.as_str()).collect();
+        let surfaces: Vec<String> = surfaces.into_iter().map(String::from).collect();
+        let mut terms = vec![vec![f64::INFINITY; surfaces.len()]; query.sources.len()];
+        for scored in &all {
+            // The list was made of these very names.
+            let at = surfaces.partition_point(|surface| *surface < scored.trial.key().surface);
+            let scores = comparison.log_scores(scored);
+            for ((terms, score), spec) in terms.iter_mut().zip(scores).zip(&query.sources) {
+                let term = score.map_or(f64::INFINITY, |score| spec.weight * score);
+                terms[at] = terms[at].min(term);
+            }
+        }
+        let evidence = |(spec, terms): (&&SourceSpec, Vec<f64>)| SourceEvidence {
+            source: spec.id.clone(),
+            trained: true,
+            terms,
+        };
+        let sources = query.sources.iter().zip(terms).map(evidence).collect();
+        Ok(Some(Evidence { surfaces, sources }))
+    }
+}
+
+impl ReferenceModel {
+    /// ln of the discrepancy score of each of the library's trials, in the library's order, by all
+    /// repetitions; `None` for a trial that shares no source with the query.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    pub fn log_scores(&self, query: &Prepared) -> Result<Vec<Option<f64>>, RecogniseError> {
+        let query = self.query(query)?;
+        let comparison = Comparing::new(&self.sampler, &query);
+        let repetitions = self.sampler.options.repetitions;
+        let all = comparison.go_on(comparison.all(&self.library), repetitions)?;
+        let scores: Vec<TrialScores> =
+            all.iter().map(|scored| comparison.log_scores(scored)).collect();
+        let weights = comparison.weights();
+        let medians = medians(weights.len(), &scores);
+        Ok(scores.iter().map(|scores| log_discrepancy(&weights, scores, &medians)).collect())
+    }
+
+    /// A query, cut to the lengths that comparisons with the library ask for.
+    fn query<'a>(&'a self, query: &'a Prepared) -> Result<Query<'a>, RecogniseError> {
+        let query = query.samples(NAME)?;
+        let sources = shared_sources(&self.sampler.scene, query, &self.library)?;
+        // Nearly always one length a source.
+        let mut cuts: Vec<BTreeMap<usize, Arc<Cut>>> = Vec::new();
+        for spec in &sources {
+            let mut of_source = BTreeMap::new();
+            for frames in self.library.iter().filter_map(|y| query.common_frames(y, &spec.id)) {
+                if let Slot::Vacant(slot) = of_source.entry(frames) {
+                    slot.insert(self.sampler.cut_of(query, spec, frames)?);
+                }
+            }
+            cuts.push(of_source);
+        }
+        Ok(Query { trial: query, sources, cuts })
+    }
+}
+
+/// A query, and the sources it shares with a library, each at every length that is asked for.
+struct Query<'a> {
+    trial: &'a PreparedTrial,
+    sources: Vec<&'a SourceSpec>,
+    cuts: Vec<BTreeMap<usize, Arc<Cut>>>,
+}
+
+/// A query's source at one length, set up for comparison.
+struct QuerySource<'a> {
+    cut: &'a Cut,
+    sets: Vec<QuerySet<'a>>,
+}
+
+/// A query against a library.
+struct Comparing<'a> {
+    sampler: &'a Sampler,
+    query: &'a Query<'a>,
+    at_length: Vec<BTreeMap<usize, QuerySource<'a>>>,
+}
+
+impl<'a> Comparing<'a> {
+    fn new(sampler: &'a Sampler, query: &'a Query<'a>) -> Self {
+        let precision = sampler.options.precision;
+        let of_cut = |spec: &SourceSpec, cut: &'a Arc<Cut>| {
+            let set_up = |set| QuerySet::new(set, spec.align_mean, precision, true);
+            QuerySource { cut, sets: cut.sets.par_iter().map(set_up).collect() }
+        };
+        let at_length = (query.sources.par_iter().zip(&query.cuts))
+            .map(|(spec, cuts)| cuts.iter().map(|(&n, cut)| (n, of_cut(spec, cut))).collect())
+            .collect();
+        Self { sampler, query, at_length }
+    }
+
+    /// Sum of the scores of one source over some repetitions, between a query and a library trial.
+    fn source_score(
+        &self,
+        spec: &SourceSpec,
+        query: &QuerySource<'_>,
+        y: &Cut,
+        contents: (u64, u64),
+        repetitions: Range<usize>,
+    ) -> f64 {
+        let mut scratch = Scratch::default();
+        repetitions
+            .map(|r| match (&query.cut.domain, &y.domain) {
+                (Some(z_domain), Some(y_domain)) => {
+                    let at = self.sampler.positions(spec, z_domain.extent(), r, Some(contents));
+                    let z = SampleSet::new(&z_domain.at(&at), spec.sigma);
+                    // The σ of y is asked for nowhere.
+                    let y = SampleSet::new(&y_domain.at(&at), Some(1.0));
+                    QuerySet::new(&z, spec.align_mean, self.sampler.options.precision, false)
+                        .score(&y, &mut scratch)
+                }
+                _ => query.sets[r].score(&y.sets[r], &mut scratch),
+            })
+            .sum()
+    }
+
+    /// Adds each source's scores of a library trial over some repetitions; sources that only one
+    /// side has are `None`.
+    fn add_scores(
+        &self,
+        trial: &PreparedTrial,
+        sums: &[Option<f64>],
+        repetitions: Range<usize>,
+    ) -> Result<Vec<Option<f64>>, RecogniseError> {
+        let Query { trial: query, sources, .. } = self.query;
+        let contents = (query.content(), trial.content());
+        let mut all = Vec::with_capacity(sources.len());
+        for (s, (spec, lengths)) in sources.iter().zip(&self.at_length).enumerate() {
+            let Some(frames) = query.common_frames(trial, &spec.id) else {
+                all.push(None);
+                continue;
+            };
+            let cut = self.sampler.cut_of(trial, spec, frames)?;
+            let reps = repetitions.clone();
+            let sum = self.source_score(spec, &lengths[&frames], &cut, contents, reps);
+            all.push(Some(sum + sums.get(s).copied().flatten().unwrap_or(0.0)));
+        }
+        Ok(all)
+    }
+
+    fn weights(&self) -> Vec<f64> {
+        self.query.sources.iter().map(|spec| spec.weight).collect()
+    }
+
+    /// The library's trials before the first repetition.
+    fn all(&self, library: &[Arc<PreparedTrial>]) -> Vec<Scored> {
+        let scored = |trial: &Arc<PreparedTrial>| Scored {
+            trial: trial.clone(),
+            sums: Vec::new(),
+            repetitions: 0,
+        };
+        library.iter().map(scored).collect()
+    }
+
+    /// The same trials after so many repetitions.
+    fn go_on(&self, trials: Vec<Scored>, until: usize) -> Result<Vec<Scored>, RecogniseError> {
+        let add = |Scored { trial, sums, repetitions }: Scored| {
+            let sums = self.add_scores(&trial, &sums, repetitions..until)?;
+            Ok(Scored { trial, sums, repetitions: until })
+        };
+        trials.into_par_iter().map(add).collect()
+    }
+
+    /// ln of each source's mean score so far.
+    fn log_scores(&self, scored: &Scored) -> TrialScores {
+        let mean = |(sum, spec): (&Option<f64>, &&SourceSpec)| {
+            sum.map(|sum| log_score(sum / scored.repetitions as f64 + spec.score_offset))
+        };
+        scored.sums.iter().zip(&self.query.sources).map(mean).collect()
+    }
+}
+
+/// A library trial, and the sums of its sources' scores over the repetitions so far.
+struct Scored {
+    trial: Arc<PreparedTrial>,
+    sums: Vec<Option<f64>>,
+    repetitions: usize,
+}

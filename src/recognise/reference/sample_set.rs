@@ -1,0 +1,351 @@
+//! Samples drawn from one source of one trial, with all that need be computed but once.
+
+use ndarray::Array2;
+
+use crate::kernel::{
+    F64Points, LineSum, PaddedPoints, Quality, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
+    length_scale,
+};
+
+/// Sets of at most so many distinct samples (the metal detector has two) are summed over these.
+const MOST_DISTINCT: usize = 8;
+
+/// Error of n·MMD² that rounding coordinates to f32 may cause; more, and f64 takes over.
+const ROUNDING_ALLOWED: f64 = 3e-5;
+
+/// Error of n·MMD² that a table of K(y, y) may cause; more, and there is no table.
+const TABLE_ALLOWED: f64 = 3e-5;
+
+/// Length scales this many times a set's own see no more than a point.
+const AFAR: f64 = 8.0;
+
+/// Samples drawn from one source. What is compared does not depend on the order of samples, once σ
+/// is known; those of a single channel are kept in ascending order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleSet {
+    /// Channel after channel, as drawn.
+    pub(super) values: Values,
+    /// Mean of each channel.
+    pub(super) mean: Vec<f64>,
+    /// Median of each channel: rounding is finest there.
+    pub(super) centre: Vec<f64>,
+    /// σ by the median heuristic, of these samples.
+    pub(super) sigma: f64,
+    /// Error of n·MMD² times σ that coordinates in f32 may cause.
+    pub(super) coarseness: f64,
+    /// Whether distances within the set are but a few: see [`is_clustered`].
+    pub(super) clustered: bool,
+    /// Mean of K(y, y) by σ, if tabulated.
+    pub(super) table: Option<SelfMean>,
+    /// Distinct samples and how often each occurs, where they are few.
+    distinct: Option<DistinctPoints>,
+}
+
+/// Numbers in the shortest form that holds them exactly.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Values {
+    Single(Box<[f32]>),
+    Double(Box<[f64]>),
+}
+
+impl Values {
+    fn new(values: Vec<f64>) -> Self {
+        if values.iter().all(|&x| f64::from(x as f32) == x) {
+            Self::Single(values.iter().map(|&x| x as f32).collect())
+        } else {
+            Self::Double(values.into())
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Single(values) => values.len(),
+            Self::Double(values) => values.len(),
+        }
+    }
+}
+
+/// Distinct samples, each `dims` numbers long, and how often each occurs.
+#[derive(Clone, Debug, PartialEq)]
+struct DistinctPoints {
+    points: Vec<f64>,
+    counts: Vec<f64>,
+}
+
+/// Room for one comparison, to be used again.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    pub(super) lanes: PaddedPoints,
+    pub(super) in_f64: F64Points,
+}
+
+impl SampleSet {
+    /// A set from samples of shape (n, channels), n and channels at least 1. σ is by the median
+    /// heuristic unless `sigma` fixes it.
+    pub fn new(samples: &Array2<f64>, sigma: Option<f64>) -> Self {
+        let sigma = sigma.unwrap_or_else(|| length_scale(samples.view()));
+        let n = samples.nrows();
+        let mut values = Vec::with_capacity(samples.len());
+        let (mut mean, mut centre) = (Vec::new(), Vec::new());
+        for column in samples.columns() {
+            let start = values.len();
+            values.extend(column.iter().copied());
+            mean.push(column.sum() / n as f64);
+            if samples.ncols() == 1 {
+                values.sort_unstable_by(f64::total_cmp);
+                centre.push(values[n / 2]);
+            } else {
+                let mut sorted = values[start..].to_vec();
+                centre.push(*sorted.select_nth_unstable_by(n / 2, f64::total_cmp).1);
+            }
+        }
+        let distinct = DistinctPoints::find(&values, n, samples.ncols());
+        let coarseness = coarseness(&values, n, &centre);
+        let clustered = distinct.is_some() || is_clustered(&values, n, sigma);
+        let values = Values::new(values);
+        Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
+    }
+
+    /// A set from what was stored of one.
+    pub(super) fn from_parts(
+        values: Values,
+        mean: Vec<f64>,
+        centre: Vec<f64>,
+        sigma: f64,
+        coarseness: f64,
+        clustered: bool,
+        table: Option<SelfMean>,
+    ) -> Self {
+        let mut set =
+            Self { values, mean, centre, sigma, coarseness, clustered, table, distinct: None };
+        let (n, dims) = (set.n(), set.dims());
+        set.distinct = match &set.values {
+            Values::Single(values) => DistinctPoints::find(values, n, dims),
+            Values::Double(values) => DistinctPoints::find(values, n, dims),
+        };
+        set
+    }
+
+    /// Number of samples.
+    pub fn n(&self) -> usize {
+        self.values.len() / self.dims()
+    }
+
+    /// Number of channels.
+    pub fn dims(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// σ by the median heuristic (Eq. 6), of these samples in the order drawn, or as it was fixed.
+    pub fn sigma(&self) -> f64 {
+        self.sigma
+    }
+
+    /// Tabulates K(y, y) over length scales around the set's own, so that comparisons need not sum
+    /// it: for trials of a library. Where the table would not be good enough, none is kept.
+    pub fn tabulate(&mut self) {
+        if self.distinct.is_some() {
+            return;
+        }
+        let (n, mut scratch) = (self.n() as f64, Scratch::default());
+        let tolerance = TABLE_ALLOWED / n;
+        self.table = SelfMean::new(self.sigma, tolerance, |sigma| {
+            self.self_sum(sigma, &mut scratch) / (n * n)
+        });
+    }
+
+    /// Σ k(yᵢ, yⱼ) at a length scale, by the table if there is one.
+    pub(super) fn self_sum_at(&self, sigma: f64, scratch: &mut Scratch) -> f64 {
+        match self.table.as_ref().and_then(|table| table.at(sigma)) {
+            Some(mean) => mean * (self.n() as f64).powi(2),
+            None => self.self_sum(sigma, scratch),
+        }
+    }
+
+    fn self_sum(&self, sigma: f64, scratch: &mut Scratch) -> f64 {
+        if let Some(sum) = self.distinct_sum(self, sigma, &vec![0.0; self.dims()]) {
+            sum
+        } else if self.fits_lanes(sigma) && !self.is_clustered_at(sigma) {
+            self.fill_lanes(&mut scratch.lanes, sigma, &self.centre);
+            lane_self_sum(&scratch.lanes, Quality::Fine)
+        } else {
+            self.fill_f64(&mut scratch.in_f64, sigma, &self.centre);
+            f64_self_sum(&scratch.in_f64)
+        }
+    }
+
+    /// Whether coordinates in f32 hold the set well enough at this length scale.
+    pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
+        self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
+    }
+
+    /// Whether coordinates in f32 will do for sums of this set against any other: that of
+    /// [`coarseness`] for a set whose every sample lies where rounding does most harm. One that is
+    /// d away from the centre meets no more than those at least d − 7σ away.
+    pub(super) fn is_compact(&self, sigma: f64) -> bool {
+        /// exp(−7²/2) is 2e-11.
+        const REACH: f64 = 7.0;
+        let n = self.n();
+        let distances = match &self.values {
+            Values::Single(v) => distances(v, n, &self.centre),
+            Values::Double(v) => distances(v, n, &self.centre),
+        };
+        let harm = |(nearer, d): (usize, &f64)| (d / sigma + REACH) * (n - nearer) as f64;
+        let most = distances.iter().enumerate().map(harm).fold(0.0, f64::max);
+        self.fits_lanes(sigma) && ROUNDING / (n as f64).sqrt() * most <= ROUNDING_ALLOWED
+    }
+
+    /// Whether distances within the set are but a few at this length scale: seen from afar, every
+    /// set is a tight cluster.
+    pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
+        self.clustered || sigma > AFAR * self.sigma
+    }
+
+    pub(super) fn fill_lanes(&self, lanes: &mut PaddedPoints, sigma: f64, origin: &[f64]) {
+        let (n, dims, scale) = (self.n(), self.dims(), lane_scale(sigma));
+        match &self.values {
+            Values::Single(v) => lanes.fill(dims, scale, |c| {
+                v[c * n..(c + 1) * n].iter().map(move |&x| f64::from(x) - origin[c])
+            }),
+            Values::Double(v) => {
+                lanes.fill(dims, scale, |c| {
+                    v[c * n..(c + 1) * n].iter().map(move |&x| x - origin[c])
+                });
+            }
+        }
+    }
+
+    pub(super) fn fill_f64(&self, points: &mut F64Points, sigma: f64, origin: &[f64]) {
+        let n = self.n();
+        match &self.values {
+            Values::Single(v) => points.fill(self.dims(), sigma, |c| {
+                v[c * n..(c + 1) * n].iter().map(move |&x| f64::from(x) - origin[c])
+            }),
+            Values::Double(v) => points.fill(self.dims(), sigma, |c| {
+                v[c * n..(c + 1) * n].iter().map(move |&x| x - origin[c])
+            }),
+        }
+    }
+
+    /// The samples, channel by channel.
+    pub(super) fn channels(&self) -> Vec<Vec<f64>> {
+        let all: Vec<f64> = match &self.values {
+            Values::Single(v) => v.iter().map(|&x| f64::from(x)).collect(),
+            Values::Double(v) => v.to_vec(),
+        };
+        all.chunks(self.n()).map(<[f64]>::to_vec).collect()
+    }
+
+    /// The first channel, expanded with a kernel of length scale `sigma`.
+    pub(super) fn line(&self, sigma: f64) -> LineSum {
+        let n = self.n();
+        match &self.values {
+            Values::Single(v) => {
+                LineSum::new(v[..n].iter().map(|&x| f64::from(x)), self.centre[0], sigma)
+            }
+            Values::Double(v) => LineSum::new(v[..n].iter().copied(), self.centre[0], sigma),
+        }
+    }
+
+    /// The sum of the first channel's samples against those of a line, moved by `shift`.
+    pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
+        match &self.values {
+            Values::Single(v) => line.sum(v[..self.n()].iter().map(|&x| f64::from(x)), shift),
+            Values::Double(v) => line.sum(v[..self.n()].iter().copied(), shift),
+        }
+    }
+
+    /// Σ k(aᵢ, bⱼ) over distinct samples, where both sets have few; b is moved by `shift`.
+    pub(super) fn distinct_sum(&self, other: &Self, sigma: f64, shift: &[f64]) -> Option<f64> {
+        let (a, b, dims) = (self.distinct.as_ref()?, other.distinct.as_ref()?, self.dims());
+        let mut total = 0.0;
+        for (x, of_x) in a.points.chunks(dims).zip(&a.counts) {
+            for (y, of_y) in b.points.chunks(dims).zip(&b.counts) {
+                let d2: f64 = (x.iter().zip(y).zip(shift))
+                    .map(|((x, y), shift)| ((x - (y + shift)) / sigma).powi(2))
+                    .sum();
+                total += of_x * of_y * (-0.5 * d2).exp();
+            }
+        }
+        Some(total)
+    }
+}
+
+impl DistinctPoints {
+    /// Channel after channel in; nothing if more than [`MOST_DISTINCT`] samples are distinct.
+    fn find<T: Copy + Into<f64>>(values: &[T], n: usize, dims: usize) -> Option<Self> {
+        let mut found = Self { points: Vec::new(), counts: Vec::new() };
+        let mut point = vec![0.0; dims];
+        for i in 0..n {
+            point.iter_mut().enumerate().for_each(|(c, x)| *x = values[c * n + i].into());
+            match found.points.chunks(dims).position(|known| known == point) {
+                Some(at) => found.counts[at] += 1.0,
+                None if found.counts.len() == MOST_DISTINCT => return None,
+                None => {
+                    found.points.extend(&point);
+                    found.counts.push(1.0);
+                }
+            }
+        }
+        Some(found)
+    }
+}
+
+/// Whether a set's distances are but a few.
+///
+/// The error of a kernel value in f32 changes sign with the fraction of q, where the value is
+/// 2^(−q/16). Over spread-out samples it averages out; samples in a few tight clusters have but a
+/// few distances, hence a few fractions, and their errors add up. A subset of pairs tells. Between
+/// a set in clusters and one that is spread out there are as many distances as the latter has samples.
+fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
+    const SUBSET: usize = 32;
+    const BINS: usize = 8;
+    let step = n.div_ceil(SUBSET).max(1);
+    let scale = (8.0 * std::f64::consts::LOG2_E).sqrt() / sigma;
+    let mut weights = [0.0; BINS];
+    for i in (0..n).step_by(step) {
+        for j in (0..i).step_by(step) {
+            let q: f64 =
+                values.chunks(n).map(|channel| ((channel[i] - channel[j]) * scale).powi(2)).sum();
+            let bin = (q.fract() * BINS as f64) as usize;
+            weights[bin.min(BINS - 1)] += (-q / 16.0).exp2();
+        }
+    }
+    let (sum, most) = weights.iter().fold((0.0, 0.0), |(s, m), &w| (s + w, f64::max(m, w)));
+    most * BINS as f64 > 2.0 * sum
+}
+
+/// Error of n·MMD² times σ that rounding centred coordinates to f32 may cause.
+///
+/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ, which changes each of its kernel values by at most
+/// 0.61 δᵢ, but only those of points in reach. A point far from the centre meets no more than those
+/// at least half as far out, mᵢ of them; errors of different points have different signs. So the
+/// error of 2/n Σᵢⱼ k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
+fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
+    let distances = distances(values, n, centre);
+    let mut nearer = 0;
+    let mut sum = 0.0;
+    for &d in &distances {
+        while distances[nearer] < 0.5 * d {
+            nearer += 1;
+        }
+        sum += (d * (n - nearer) as f64).powi(2);
+    }
+    // Where squares are too large or too small for a number, f32 is as well.
+    let error = ROUNDING / n as f64 * sum.sqrt();
+    if error.is_normal() || distances[n - 1] == 0.0 { error } else { f64::INFINITY }
+}
+
+/// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
+const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
+
+/// Distances of samples from the centre, ascending.
+fn distances<T: Copy + Into<f64>>(values: &[T], n: usize, centre: &[f64]) -> Vec<f64> {
+    let distance = |i: usize| {
+        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i].into() - m).powi(2));
+        d2.sum::<f64>().sqrt()
+    };
+    let mut distances: Vec<f64> = (0..n).map(distance).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    distances
+}

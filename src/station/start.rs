@@ -1,0 +1,110 @@
+//! What a station is made of, and its start.
+
+use std::sync::Arc;
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::event::{Command, Listener, StationEvent};
+use super::recogniser::{Load, Recogniser};
+use super::run::{Parts, Run};
+use super::store::{RecordingThread, ScanStore};
+use super::worker::Worker;
+use crate::device::Device;
+use crate::scan::{Options, Session, SessionError, Totals};
+
+/// What a station is made of.
+pub struct Station<'a> {
+    devices: Vec<Box<dyn Device>>,
+    options: Options,
+    recogniser: Option<Arc<Recogniser>>,
+    load: Option<Load>,
+    store: Option<ScanStore>,
+    listeners: Vec<Box<dyn Listener + 'a>>,
+    commands: (Sender<Command>, Receiver<Command>),
+}
+
+impl<'a> Station<'a> {
+    /// A station that knows no library yet.
+    pub fn new(devices: Vec<Box<dyn Device>>, options: Options) -> Self {
+        Self {
+            devices,
+            options,
+            recogniser: None,
+            load: None,
+            store: None,
+            listeners: Vec::new(),
+            commands: crossbeam_channel::unbounded(),
+        }
+    }
+
+    /// Names scans with this from the start.
+    pub fn recogniser(mut self, recogniser: Arc<Recogniser>) -> Self {
+        self.recogniser = Some(recogniser);
+        self
+    }
+
+    /// Reads the library with this: at the start, unless there is a recogniser already, and at
+    /// each [`Command::Reload`].
+    pub fn load(mut self, load: Load) -> Self {
+        self.load = Some(load);
+        self
+    }
+
+    /// Keeps the scans that are enrolled in this library.
+    pub fn store(mut self, store: ScanStore) -> Self {
+        self.store = Some(store);
+        self
+    }
+
+    /// Adds a listener, which gets every event.
+    pub fn listener(mut self, listener: impl Listener + 'a) -> Self {
+        self.listeners.push(Box::new(listener));
+        self
+    }
+
+    /// Reports progress within scans this often, in seconds of drag.
+    pub fn progress_every(mut self, seconds: f64) -> Self {
+        self.options.progress_every_s = Some(seconds);
+        self
+    }
+
+    /// Sends an event to the listeners so far, before it runs.
+    pub fn emit(&mut self, event: &StationEvent) {
+        self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
+    }
+
+    /// Where commands go, before it runs and while it does.
+    pub fn commands(&self) -> Sender<Command> {
+        self.commands.0.clone()
+    }
+
+    /// Runs until all devices have ended, or [`Command::Quit`].
+    ///
+    /// # Errors
+    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
+    /// device that fails is no error here: [`Totals`] names it.
+    pub fn run(self) -> Result<Totals, SessionError> {
+        let thread = |name: &str| {
+            let name = name.to_string();
+            move |error| SessionError::Thread { name, error }
+        };
+        let waits = self.devices.iter().all(|device| device.waits());
+        let worker = Worker::start(waits).map_err(thread("recognition"))?;
+        let recording = match self.store {
+            Some(store) => Some(RecordingThread::start(store).map_err(thread("recording"))?),
+            None => None,
+        };
+        let session = Session::start(self.devices, self.options)?;
+        let parts = Parts { session, worker, recording, waits, load: self.load };
+        let mut run = Run::new(parts, self.listeners);
+        run.announce_streams();
+        match self.recogniser {
+            Some(recogniser) => run.loaded(Ok(recogniser)),
+            None if run.can_load() => run.reload(),
+            None => {}
+        }
+        // The sender beside it keeps the channel open.
+        run.until_finished(&self.commands.1);
+        run.finish()
+    }
+}

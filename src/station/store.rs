@@ -1,0 +1,299 @@
+//! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
+//!
+//! A scan that cannot be written, for a full disk or a lost permission, stays in memory and is
+//! tried again until it is written or the station ends.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
+use std::thread::JoinHandle;
+use std::time::{Duration, SystemTime};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+
+use super::enroll::{Enrolment, faults};
+use super::event::{Enrolled, EnrolledOutcome};
+use crate::library::{About, LibraryError, recording};
+use crate::record::{TrialOptions, append_trial, utc};
+use crate::scan::Scan;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Trial, TrialKey};
+
+/// Time between two attempts to write a scan.
+const RETRY: Duration = Duration::from_secs(2);
+/// Scans that wait to be written: of 10 s each, 200 MB.
+const MAX_WAITING: usize = 64;
+
+/// Where scans are stored, and what is noted with them.
+#[derive(Clone, Debug)]
+pub struct ScanStore {
+    /// The library; it need not exist.
+    pub folder: PathBuf,
+    /// What its sources are.
+    pub scene: Scene,
+    /// Which device each source comes from.
+    pub devices: BTreeMap<String, String>,
+    /// Sources of which a good trial holds enough independent samples.
+    pub by_t_star: Vec<SourceId>,
+}
+
+impl ScanStore {
+    /// Stores scans in a library, with nothing noted beside them.
+    pub fn new(folder: PathBuf, scene: Scene) -> Self {
+        Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
+    }
+}
+
+/// What became of a scan, and the enrolment that it belongs to.
+pub(super) type Stored = (Enrolment, Enrolled);
+
+/// The thread, and its two ends.
+pub(super) struct RecordingThread {
+    scans: Sender<(Box<Scan>, Enrolment)>,
+    pub stored: Receiver<Stored>,
+    thread: JoinHandle<()>,
+}
+
+impl RecordingThread {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(store: ScanStore) -> std::io::Result<Self> {
+        // Unbounded, but emptied at once: what cannot be written waits within limits of its own.
+        let (scans, to_store) = crossbeam_channel::unbounded();
+        let (send, stored) = crossbeam_channel::unbounded();
+        let mut writer = Writer { store, waiting: VecDeque::new(), next: Numbers::new(), send };
+        let run = move || writer.run(&to_store);
+        let thread = std::thread::Builder::new().name("record".into()).spawn(run)?;
+        Ok(Self { scans, stored, thread })
+    }
+
+    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment) {
+        // Fails only if the thread has panicked, and then nothing is reported as stored either.
+        let _ = self.scans.send((scan, enrolment));
+    }
+
+    /// Gives what is still to come, after a last attempt to write what waits.
+    pub fn finish(self) -> impl Iterator<Item = Stored> {
+        drop(self.scans);
+        let _ = self.thread.join();
+        self.stored.into_iter()
+    }
+}
+
+/// The next number of each surface and user.
+type Numbers = BTreeMap<(String, String), u32>;
+
+/// A scan that could not be written so far.
+struct Waiting {
+    scan: Box<Scan>,
+    enrolment: Enrolment,
+    remarks: Vec<String>,
+}
+
+struct Writer {
+    store: ScanStore,
+    waiting: VecDeque<Waiting>,
+    /// The next numbers when the library was last readable.
+    next: Numbers,
+    send: Sender<Stored>,
+}
+
+impl Writer {
+    /// Stores scans until there will be no more.
+    fn run(&mut self, scans: &Receiver<(Box<Scan>, Enrolment)>) {
+        loop {
+            let next = match self.waiting.is_empty() {
+                true => scans.recv().map_err(|_| RecvTimeoutError::Disconnected),
+                false => scans.recv_timeout(RETRY),
+            };
+            match next {
+                Ok((scan, enrolment)) => self.accept(scan, enrolment),
+                Err(RecvTimeoutError::Timeout) => self.retry(),
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        while let Some(mut last) = self.waiting.pop_front() {
+            if let Err(error) = self.write(&last) {
+                last.remarks.push(error.to_string());
+                self.report(&last, EnrolledOutcome::Lost, None);
+            }
+        }
+    }
+
+    /// Stores a new scan, unless it is refused.
+    fn accept(&mut self, scan: Box<Scan>, enrolment: Enrolment) {
+        let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
+        let refused = enrolment.good_only && !remarks.is_empty();
+        let mut new = Waiting { scan, enrolment, remarks };
+        if refused {
+            return self.report(&new, EnrolledOutcome::Refused, None);
+        }
+        if let Err(error) = self.write(&new) {
+            let full = self.waiting.len() >= MAX_WAITING;
+            let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
+            new.remarks.push(error.to_string());
+            self.report(&new, outcome, None);
+            new.remarks.pop();
+            if !full {
+                self.waiting.push_back(new);
+            }
+        }
+    }
+
+    /// Tries to write what waits, until the first that fails; another one is first next time.
+    fn retry(&mut self) {
+        while let Some(first) = self.waiting.pop_front() {
+            if self.write(&first).is_err() {
+                return self.waiting.push_back(first);
+            }
+        }
+    }
+
+    /// Writes a scan, and reports it.
+    fn write(&mut self, waiting: &Waiting) -> Result<(), LibraryError> {
+        let Waiting { scan, enrolment, .. } = waiting;
+        let of = (enrolment.surface.clone(), enrolment.user.clone());
+        // Read each time, since others may write into the same library.
+        if let Ok(numbers) = self.numbers() {
+            self.next = numbers;
+        }
+        let number = self.next.get(&of).copied().unwrap_or(1);
+        let took = scan.ended_at.elapsed().as_secs_f64() + scan.scan_s;
+        let began = SystemTime::now() - Duration::from_secs_f64(took.max(0.0));
+        let about = About {
+            started_at: Some(utc(began)),
+            notes: (!scan.spoiled.is_empty()).then(|| scan.spoiled.join("\n")),
+            synthetic: scan.synthetic,
+            // Nothing is to be compared with a scan that has holes.
+            incomplete: !scan.spoiled.is_empty(),
+            devices: self.store.devices.clone(),
+            ..About::default()
+        };
+        let key = TrialKey::new(&of.0, &of.1, number);
+        let trial = Trial { key, signals: scan.trial.signals.clone() };
+        let options = TrialOptions { about, durable: true };
+        let stored = append_trial(&self.store.folder, &trial, &self.store.scene, &options)?;
+        self.next.insert(of, stored.0.saturating_add(1));
+        self.report(waiting, EnrolledOutcome::Kept, Some(stored));
+        Ok(())
+    }
+
+    fn report(&self, of: &Waiting, outcome: EnrolledOutcome, stored: Option<(u32, PathBuf)>) {
+        let (trial, folder) = stored.unzip();
+        let enrolled = Enrolled {
+            scan: of.scan.number,
+            surface: of.enrolment.surface.clone(),
+            outcome,
+            trial,
+            folder,
+            remarks: of.remarks.clone(),
+            wanted: 0,
+        };
+        // Fails only if the station has panicked.
+        let _ = self.send.send((of.enrolment.clone(), enrolled));
+    }
+
+    /// The numbers after those that the library holds.
+    fn numbers(&self) -> Result<Numbers, LibraryError> {
+        let mut numbers = Numbers::new();
+        let library = match recording::open(&self.store.folder, &self.store.scene) {
+            Ok(library) => library,
+            Err(LibraryError::NothingFound { .. }) => return Ok(numbers),
+            Err(_) if !self.store.folder.exists() => return Ok(numbers),
+            Err(error) => return Err(error),
+        };
+        for entry in library.entries {
+            let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
+            *next = (*next).max(entry.key.number.saturating_add(1));
+        }
+        Ok(numbers)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+    use crate::trial::{Series, Signal};
+
+    fn scan(number: u32) -> Box<Scan> {
+        let series = Series::new(10_000.0, 1, (0..100).map(|x| x as f32 / 128.0).collect());
+        let signals = [(SourceId::new("ir").unwrap(), Signal::Series(series.unwrap()))];
+        Box::new(Scan {
+            number,
+            trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
+            truth: None,
+            synthetic: false,
+            scan_s: 0.01,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        })
+    }
+
+    fn enrolment() -> Enrolment {
+        Enrolment { id: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
+    }
+
+    #[test]
+    fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
+        let dir = tempfile::tempdir().unwrap();
+        // Where the library's folder should be lies a file.
+        let folder = dir.path().join("library");
+        std::fs::write(&folder, "").unwrap();
+        let thread =
+            RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
+        let outcomes = |n: usize| -> Vec<_> {
+            (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
+        };
+        (1..=2).for_each(|number| thread.store(scan(number), enrolment()));
+        use EnrolledOutcome::{Kept, Lost, Waiting};
+        assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
+        std::fs::remove_file(&folder).unwrap();
+        assert_eq!(outcomes(2), [(1, Kept), (2, Kept)]);
+        assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
+        std::fs::remove_dir_all(&folder).unwrap();
+        std::fs::write(&folder, "").unwrap();
+        thread.store(scan(3), enrolment());
+        assert_eq!(outcomes(1), [(3, Waiting)]);
+        let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
+        assert_eq!(last, [(3, Lost)]);
+    }
+
+    #[test]
+    fn two_that_record_under_one_label_both_keep_every_scan() {
+        let dir = tempfile::tempdir().unwrap();
+        let start = || {
+            let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+            RecordingThread::start(store).unwrap()
+        };
+        let both = [start(), start()];
+        for number in 1..=8 {
+            both.iter().for_each(|thread| thread.store(scan(number), enrolment()));
+        }
+        for thread in both {
+            assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
+        }
+        let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
+        assert_eq!(library.entries.len(), 16);
+    }
+
+    #[test]
+    fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+        let thread = RecordingThread::start(store).unwrap();
+        let number = || thread.stored.recv().unwrap().1.trial;
+        thread.store(scan(1), enrolment());
+        assert_eq!(number(), Some(1));
+        let script = dir.path().join("oak/trial2");
+        std::fs::create_dir(&script).unwrap();
+        std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
+        std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
+        thread.store(scan(2), enrolment());
+        assert_eq!(number(), Some(3));
+    }
+}

@@ -1,0 +1,88 @@
+//! A program whose stderr is closed, full or unread goes on, and exits as it should.
+
+#[path = "common/bench.rs"]
+mod bench;
+mod common;
+
+use std::fs::File;
+use std::os::fd::OwnedFd;
+use std::process::{Command, Output, Stdio};
+
+use bench::{Bench, SCANNED, synthetic, trial};
+
+/// A pipe that nobody reads any more.
+fn closed() -> Stdio {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    OwnedFd::from(writer).into()
+}
+
+fn full() -> Stdio {
+    File::options().write(true).open("/dev/full").unwrap().into()
+}
+
+fn surfaced(args: &[&str], stderr: Stdio) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_surfaced"))
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(stderr)
+        .spawn()
+        .and_then(|child| child.wait_with_output())
+        .unwrap()
+}
+
+#[test]
+fn replay_and_eval_print_their_json() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    for stderr in [closed, full] {
+        let replay = ["replay", data, "--json", "--method", "reference"];
+        let output = surfaced(&replay, stderr());
+        assert!(output.status.success(), "{:?}", output.status);
+        assert_eq!(String::from_utf8(output.stdout).unwrap().lines().count(), 2);
+        let eval =
+            ["eval", data, "--protocol", "expert-vs-users", "--method", "reference", "--json"];
+        let output = surfaced(&eval, stderr());
+        assert!(output.status.success(), "{:?}", output.status);
+        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(document["queries"], 2);
+    }
+    let wrong = surfaced(&["eval", "/no/such/folder", "--protocol", "expert-vs-users"], full());
+    assert_eq!(wrong.status.code(), Some(1));
+}
+
+#[test]
+fn a_station_names_scans_whatever_becomes_of_its_log() {
+    let data = synthetic(1.5);
+    for stderr in [closed(), full(), unread()] {
+        let mut bench = Bench::new();
+        let library = bench.library(&data);
+        let args = ["run", "--library", library.to_str().unwrap(), "--method", "reference"];
+        let mut run = bench.surfaced_with(&args, stderr);
+        let mut fake = bench.stylus();
+        fake.wait_for_start();
+        let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 1.5);
+        fake.serve(seconds);
+        assert_eq!(run.line(&mut fake)["surface"], data.surfaces()[1]);
+        run.signal("TERM");
+        assert_eq!(run.end(&mut fake).code(), Some(0));
+    }
+}
+
+/// A pipe that is full, and whose reader has stalled.
+fn unread() -> Stdio {
+    use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+    use std::io::Write;
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    while writer.write(&[b'.'; 4096]).is_ok() {}
+    fcntl_setfl(&writer, flags).unwrap();
+    // It stays open as long as the test runs.
+    std::mem::forget(reader);
+    OwnedFd::from(writer).into()
+}
