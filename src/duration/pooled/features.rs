@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn a_channel_of_two_values_keeps_one_feature_and_a_constant_one_none() {
         let got = features(&samples(1, |_, i| f32::from(noise(0, i) > 6e6)));
-        assert_eq!(got.channels, [0..1]);
+        assert_eq!((got.channels.len(), got.columns.len()), (1, 1));
         assert!(features(&samples(1, |_, _| 2.0)).channels.is_empty());
     }
 
