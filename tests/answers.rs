@@ -220,9 +220,11 @@ fn replay_and_eval_report_the_scan_time_used_and_agree_on_it() {
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         (output, stderr)
     };
-    let (output, stderr) = run("replay", &["embedding", "--json"]);
+    // Twelve left-out trials can show a rate of 1 in 13.
+    let (_, stderr) = run("replay", &["embedding"]);
+    assert!(stderr.contains("wrongly rejects at most 7.7 %"), "{stderr}");
+    let (output, stderr) = run("replay", &["embedding", "--false-rejections", "0", "--json"]);
     assert!(output.status.success(), "{stderr}");
-    assert!(stderr.contains("no scan will be called unknown"), "{stderr}");
     let lines = String::from_utf8_lossy(&output.stdout).into_owned();
     let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 16);

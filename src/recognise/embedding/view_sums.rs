@@ -8,16 +8,18 @@ use std::collections::BTreeMap;
 
 use super::fourier::{BAND_FEATURES, BandScale};
 
-/// Frames whose mean ln power is this far below the median frame's, in whole units (4.3 dB each),
-/// are not of the surface.
-const QUIETER: i32 = 4;
+/// Classes of loudness in one unit of ln power (4.3 dB).
+const CLASSES: f32 = 4.0;
+
+/// Frames that are so many classes quieter than the median frame, 17 dB, are not of the surface.
+const QUIETER: i32 = 16;
 
 /// What some frames of one view add up to, loudness by loudness.
 #[derive(Clone, Debug)]
 pub(super) struct ViewSums {
     channels: usize,
     width: usize,
-    /// By the whole part of a frame's mean ln power.
+    /// By [`loudness`].
     by_loudness: BTreeMap<i32, FrameSums>,
 }
 
@@ -111,8 +113,9 @@ pub(super) fn on_surface(values: &[f32], width: usize) -> Vec<f32> {
     kept.flatten().copied().collect()
 }
 
+/// The class of a frame's mean ln power.
 fn loudness(row: &[f32]) -> i32 {
-    (row.iter().sum::<f32>() / row.len().max(1) as f32).floor() as i32
+    (CLASSES * row.iter().sum::<f32>() / row.len().max(1) as f32).floor() as i32
 }
 
 /// The median (the upper one of an even number) of values that rise, each with how often it occurs.
