@@ -255,7 +255,7 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
     samples(&write("nan.csv", "1,2\n3,NaN\n"), &["nan.csv", "line 2", "`NaN`"]);
     samples(&write("ragged.csv", "1,2\n3\n"), &["line 2", "1 column, but 2"]);
     samples(&write("empty.csv", ""), &["no samples"]);
-    samples(&write("narrow.csv", "1\n2\n"), &["2 column(s)", "has 1"]);
+    samples(&write("narrow.csv", "1\n2\n"), &["2 columns", "has 1"]);
 }
 
 #[test]
