@@ -19,6 +19,7 @@ pub mod device;
 pub mod draw;
 pub mod duration;
 pub mod evaluate;
+pub mod history;
 mod jpeg;
 pub mod kernel;
 pub mod library;

@@ -1,7 +1,7 @@
 //! `surfaced run`: the station at work, with the devices that are there.
 
 use super::answers::AnswerArgs;
-use super::live::{StationArgs, Work, library_of, load, verdict, work};
+use super::live::{StationArgs, Work, check, library_of, load, verdict, work};
 use super::plan::ComparingArgs;
 use super::{Done, Failure, shown};
 
@@ -37,6 +37,7 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
+    let check = Some(check(&library, &how));
     let load = load(&library, &config.scene, &how, &args.answers);
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let totals = work(
@@ -49,6 +50,7 @@ pub fn run(args: &Args) -> Done {
             hint: format!(
                 "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
             ),
+            check,
             json: args.station.json,
             serve: args.station.serve.clone(),
         },

@@ -168,6 +168,7 @@ impl Listener for Terminal {
             StationEvent::Library(library) => self.library(library),
             StationEvent::Warning(text) => self.warn(text),
             StationEvent::Trace(_)
+            | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Reading
             | StationEvent::Alive => return,

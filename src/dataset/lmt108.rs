@@ -76,7 +76,7 @@ pub(super) fn open(
             }
         }
         if !sources.is_empty() {
-            entries.push(recording::entry(key, sources));
+            entries.push(recording::entry(key, sources, None));
         }
     }
     let mut remarks = Vec::new();

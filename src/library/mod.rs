@@ -5,6 +5,7 @@ pub mod audit;
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
+pub mod lock;
 mod picture;
 pub mod recording;
 mod text;
@@ -15,7 +16,7 @@ pub use about::{About, ScanMarks};
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::scene::{Scene, SceneError, SourceId};
@@ -153,6 +154,11 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }
+
+    /// The folder that holds the trial and nothing else, if there is one.
+    fn folder(&self) -> Option<&Path> {
+        None
+    }
 }
 
 #[derive(Debug)]
@@ -242,6 +248,11 @@ impl Entry {
     /// A number that changes whenever the trial does, if that can be known without reading it.
     pub fn stamp(&self) -> Option<u64> {
         self.loader.stamp(&self.sources)
+    }
+
+    /// The folder that holds the trial and nothing else, in the recording format.
+    pub fn folder(&self) -> Option<&Path> {
+        self.loader.folder()
     }
 
     /// What the trial is called in a cache.

@@ -116,7 +116,9 @@ impl<'a> Run<'a> {
                     Ok(Event::Finished(_)) | Err(_) => finished = true,
                     Ok(event) => self.event(event),
                 },
-                recv(done) -> done => if let Ok(done) = done { self.emit(station_event(done)) },
+                recv(done) -> done => if let Ok(done) = done {
+                    station_events(done).into_iter().for_each(|event| self.emit(event));
+                },
                 recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
                 recv(loaded) -> loaded => {
                     self.loading = None;
@@ -136,7 +138,7 @@ impl<'a> Run<'a> {
         let Self { session, worker, recording, mut listeners, mut enrolment, .. } = self;
         let mut emit =
             |event: StationEvent| listeners.iter_mut().for_each(|one| one.on_event(&event));
-        worker.finish().for_each(|done| emit(station_event(done)));
+        worker.finish().flat_map(station_events).for_each(&mut emit);
         for stored in recording.into_iter().flat_map(RecordingThread::finish) {
             enrolled(&mut enrolment, stored).into_iter().for_each(&mut emit);
         }
@@ -293,12 +295,14 @@ impl<'a> Run<'a> {
     }
 }
 
-/// What the worker has done, as an event.
-fn station_event(done: WorkerEvent) -> StationEvent {
+/// What the worker has done, as events.
+fn station_events(done: WorkerEvent) -> Vec<StationEvent> {
     match done {
-        WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
-        WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
-        WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
+        WorkerEvent::Named(Ok(scan)) => {
+            vec![StationEvent::Answer(scan.answer.clone()), StationEvent::Scan(scan)]
+        }
+        WorkerEvent::Named(Err(problem)) => vec![StationEvent::Warning(problem)],
+        WorkerEvent::Guess(guess) => vec![StationEvent::Guess(guess)],
     }
 }
 
