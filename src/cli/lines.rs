@@ -1,26 +1,89 @@
 //! What a station reports as lines of JSON on stdout.
+//!
+//! A thread of its own writes them, so that a reader who stalls holds up neither live devices nor
+//! the end of the program.
 
-use crossbeam_channel::Sender;
+use std::io::Write;
+use std::time::Duration;
 
-use super::show;
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+
 use crate::station::{Command, Listener, StationEvent};
+
+/// Lines that wait for their reader; scans come a few a minute.
+const WAITING: usize = 1024;
+/// How long the end waits for a reader who is late.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Prints a line for each scan that was named, and for each that was to be kept.
 pub struct JsonLines {
-    /// Ends the station once nobody reads the lines.
-    pub commands: Sender<Command>,
+    /// None once the last line was handed over.
+    lines: Option<Sender<String>>,
+    /// Closed when the thread has ended.
+    ended: Receiver<()>,
+    /// Whether to wait for the reader: true where no device would lose by it.
+    waits: bool,
+    /// Lines that were dropped, since the reader has stalled.
+    dropped: u64,
+}
+
+impl JsonLines {
+    /// Prints from now on; quits the station that takes `commands` once nobody reads the lines.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
+        let (lines, to_print) = bounded::<String>(WAITING);
+        let (end, ended) = bounded(0);
+        let print = move || {
+            let _end = end;
+            for line in to_print {
+                if writeln!(std::io::stdout(), "{line}").is_err() {
+                    // Fails only when the station has ended already.
+                    let _ = commands.send(Command::Quit);
+                    return;
+                }
+            }
+        };
+        std::thread::Builder::new().name("lines".into()).spawn(print)?;
+        Ok(Self { lines: Some(lines), ended, waits, dropped: 0 })
+    }
+
+    fn print(&mut self, value: &impl serde::Serialize) {
+        let Some(lines) = &self.lines else { return };
+        let line = super::show::json_text(value);
+        if self.waits {
+            // Fails only when nobody reads any more.
+            let _ = lines.send(line);
+        } else if let Err(TrySendError::Full(_)) = lines.try_send(line) {
+            if self.dropped == 0 {
+                tracing::warn!("nobody reads the lines of JSON; they are dropped");
+            }
+            self.dropped += 1;
+        }
+    }
 }
 
 impl Listener for JsonLines {
     fn on_event(&mut self, event: &StationEvent) {
-        let printed = match event {
-            StationEvent::Answer(answer) => show::try_json(&**answer),
-            StationEvent::Enrolled(enrolled) => show::try_json(enrolled),
-            _ => Ok(()),
-        };
-        if printed.is_err() {
-            // Fails only when the station has ended already.
-            let _ = self.commands.send(Command::Quit);
+        match event {
+            StationEvent::Answer(answer) => self.print(&**answer),
+            StationEvent::Enrolled(enrolled) => self.print(enrolled),
+            _ => {}
+        }
+    }
+}
+
+impl Drop for JsonLines {
+    fn drop(&mut self) {
+        self.lines = None;
+        if self.waits {
+            let _ = self.ended.recv();
+        } else {
+            let _ = self.ended.recv_timeout(PATIENCE);
+        }
+        if self.dropped > 0 {
+            tracing::warn!("lines of JSON that nobody read: {}", self.dropped);
         }
     }
 }

@@ -21,8 +21,8 @@ use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    Command, DurationRequirements, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
-    assemble,
+    Command, DurationRequirements, Keep, LibraryState, Listener, Load, Recogniser, ScanStore,
+    Station, assemble,
 };
 
 /// Which station.
@@ -112,8 +112,8 @@ pub struct Work<'a> {
     pub load: Option<Load>,
     /// Where enrolled scans go.
     pub store: PathBuf,
-    /// Its first command.
-    pub first: Option<Command>,
+    /// Which scans are kept, whenever the page orders nothing else.
+    pub keep: Option<Keep>,
     /// Further listeners, which may send commands.
     pub listeners: Vec<Listen<'a>>,
     /// What a person is to do, shown while there is nothing else to show.
@@ -150,11 +150,14 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     if let Some(load) = work.load {
         station = station.load(load);
     }
+    if let Some(keep) = work.keep {
+        station = station.keep(keep);
+    }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);
     }
     if work.json {
-        station = station.listener(JsonLines { commands: commands.clone() });
+        station = station.listener(JsonLines::start(commands.clone(), false)?);
     }
     for listen in work.listeners {
         station = station.listener(listen(commands.clone()));
@@ -164,10 +167,6 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;
-    if let Some(command) = work.first {
-        // The station holds the other end.
-        let _ = commands.send(command);
-    }
     Ok(station.listener(terminal).run()?)
 }
 

@@ -135,8 +135,9 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        let commands = station.commands();
-        station = station.listener(JsonLines { commands });
+        // Served, it ends on a signal, read or not.
+        let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
+        station = station.listener(lines);
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {

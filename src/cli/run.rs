@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> Done {
         Work {
             load: Some(load),
             store: library,
-            first: None,
+            keep: None,
             listeners: Vec::new(),
             hint: format!(
                 "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
