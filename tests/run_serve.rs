@@ -134,7 +134,11 @@ fn an_enrolment_on_the_page_interrupts_a_recording_from_the_next_scan_on_and_doe
         }
         fake.serve(0.5);
         let line = record.line(&mut fake);
-        assert_eq!((&line["surface"], &line["outcome"]), (&json!(surface), &json!("kept")));
+        assert_eq!(
+            (&line["surface"], &line["outcome"]),
+            (&json!(surface), &json!("kept")),
+            "{line}"
+        );
         in_force(&mut fake, if scan == 1 { "oak" } else { "unlabelled" });
     }
     record.signal("TERM");

@@ -12,7 +12,7 @@ use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent};
+use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent, assemble};
 use crate::trial::EXPERT;
 
 /// The label of scans that are given none.
@@ -118,6 +118,7 @@ fn store(
         Box::new(move |commands| Box::new(Count { commands, order, stored: counted }));
     let totals = work(
         config,
+        assemble(config),
         Work {
             load: None,
             store: library.clone(),

@@ -7,15 +7,20 @@ use std::io::Write;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use serde::Serialize;
 
+use super::show;
 use crate::station::{Command, Listener, StationEvent};
 
 /// Lines that wait for their reader; scans come a few a minute.
 const WAITING: usize = 1024;
+/// Warnings that one line takes; each is also on stderr and in the interface for programs.
+const WARNINGS: usize = 50;
 /// How long the end waits for a reader who is late.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Prints a line for each scan that was named, and for each that was to be kept.
+/// Prints a line for each scan that was named, and for each that was to be kept, with the warnings
+/// since the line before; those after the last one have a line of their own.
 pub struct JsonLines {
     /// None once the last line was handed over.
     lines: Option<Sender<String>>,
@@ -25,6 +30,16 @@ pub struct JsonLines {
     waits: bool,
     /// Lines that were dropped, since the reader has stalled.
     dropped: u64,
+    /// Warnings since the last line.
+    warnings: Vec<String>,
+}
+
+/// One line.
+#[derive(Serialize)]
+struct Line<'a, T> {
+    #[serde(flatten)]
+    of: Option<&'a T>,
+    warnings: Vec<String>,
 }
 
 impl JsonLines {
@@ -46,12 +61,12 @@ impl JsonLines {
             }
         };
         std::thread::Builder::new().name("lines".into()).spawn(print)?;
-        Ok(Self { lines: Some(lines), ended, waits, dropped: 0 })
+        Ok(Self { lines: Some(lines), ended, waits, dropped: 0, warnings: vec![] })
     }
 
-    fn print(&mut self, value: &impl serde::Serialize) {
+    fn print(&mut self, of: Option<&impl Serialize>) {
         let Some(lines) = &self.lines else { return };
-        let line = super::show::json_text(value);
+        let line = show::json_text(&Line { of, warnings: std::mem::take(&mut self.warnings) });
         if self.waits {
             // Fails only when nobody reads any more.
             let _ = lines.send(line);
@@ -67,8 +82,12 @@ impl JsonLines {
 impl Listener for JsonLines {
     fn on_event(&mut self, event: &StationEvent) {
         match event {
-            StationEvent::Answer(answer) => self.print(&**answer),
-            StationEvent::Enrolled(enrolled) => self.print(enrolled),
+            StationEvent::Answer(answer) => self.print(Some(&**answer)),
+            StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
+            StationEvent::Warning(text) if self.warnings.len() < WARNINGS => {
+                self.warnings.push(text.clone());
+            }
+            StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
             _ => {}
         }
     }

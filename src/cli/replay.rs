@@ -141,7 +141,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
-        let load = live::load(folder, &stage.scene, how, &args.answers);
+        let load = live::load(folder, &stage.scene, how, &args.answers, None);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;
