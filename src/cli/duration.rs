@@ -196,7 +196,7 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&answer);
     } else {
-        say!("{}", answer.table().trim_end());
+        result!("{}", answer.table().trim_end());
         let mut remarks: Vec<_> = answer.durations.iter().flat_map(|d| &d.remarks).collect();
         remarks.sort();
         remarks.dedup();

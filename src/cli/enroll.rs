@@ -8,6 +8,7 @@ use crossbeam_channel::Sender;
 
 use super::live::{Listen, StationArgs, Work, library_of, verdict, work};
 use super::method::at_least_one;
+use super::show::quoted;
 use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
@@ -130,6 +131,11 @@ fn store(
     let stored = stored.get();
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
+    let folder = quoted(&library);
+    show::next(&format!(
+        "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced eval \
+         {folder}, then surfaced run --library {folder}"
+    ));
     // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
         return Ok(stored);

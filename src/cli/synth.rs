@@ -66,6 +66,7 @@ pub fn run(args: &Args) -> Done {
         users: args.users,
         seed: args.seed,
         drag_seconds: args.seconds,
+        twins: None,
         difficulty: if args.hard { Difficulty::lmt108() } else { Difficulty::default() },
     });
     record::write_library_toml(&args.out, &library.scene, &library.name, true)?;
@@ -90,6 +91,7 @@ pub fn run(args: &Args) -> Done {
         show::json(&report);
     } else {
         say!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
+        show::next(&format!("surfaced eval {}", show::quoted(&args.out)));
     }
     Ok(())
 }

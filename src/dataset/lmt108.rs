@@ -79,6 +79,10 @@ pub(super) fn open(
             entries.push(recording::entry(key, sources));
         }
     }
+    for (path, what) in headers.remarks() {
+        let place = path.strip_prefix(root).unwrap_or(&path).display().to_string();
+        Seen::count(&mut passed, what, place);
+    }
     let mut remarks = Vec::new();
     if !entries.is_empty() {
         let keys = entries.iter().map(|entry| (&entry.key, entry.sources.as_slice()));
@@ -210,7 +214,7 @@ fn source_files(
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
         // One file each at least: `complete` saw to it.
-        "mi1" | "mi2" => headers.wav(spec, None, &paths.remove(0))?,
+        "mi1" | "mi2" => headers.series(spec, None, &paths.remove(0))?,
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

@@ -5,8 +5,9 @@
 //!   library.toml                 optional: name, synthetic, sources that the defaults do not know
 //!   SURFACE/TRIAL/
 //!     trial.toml                 optional: see [`About`]
-//!     mi2.wav  ac.wav  …         one WAV a source
+//!     mi2.wav  ac.wav  …         one WAV or FLAC a source
 //!     ca1.png or ca1.jpg
+//!   SURFACE/NAME.wav             without trial folders: a trial a file, see [`super::loose`]
 //! ```
 
 use std::collections::BTreeMap;
@@ -15,8 +16,10 @@ use std::sync::Arc;
 
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
+use super::loose;
+use super::series_file;
 use super::{About, Entry, Library, LibraryError, Opened};
-use crate::scene::{Domain, Scene, SourceId};
+use crate::scene::{Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Name of the file that describes a library.
@@ -78,8 +81,8 @@ pub(crate) fn entry(key: TrialKey, files: BTreeMap<SourceId, SourceFiles>) -> En
 fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError {
     let known = scene.sources().map(|s| s.id.as_str()).collect::<Vec<_>>().join(", ");
     let mut problem = format!(
-        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .png or .jpg, where <source> \
-         is one of {known}, and for the LMT108 database (a folder that holds SoundScans/ or \
+        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg, where \
+         <source> is one of {known}, for SURFACE/*.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
          AccelScansComponents/); name the folder that holds the surfaces' folders"
     );
     for remark in remarks {
@@ -115,6 +118,8 @@ struct Opening<'a> {
     name: String,
     scene: Scene,
     declared_hz: BTreeMap<SourceId, f64>,
+    /// The sources that `library.toml` describes.
+    own: Vec<SourceId>,
     synthetic: bool,
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
@@ -130,6 +135,7 @@ impl<'a> Opening<'a> {
             name: String::new(),
             scene,
             declared_hz: BTreeMap::new(),
+            own: Vec::new(),
             synthetic: false,
             headers: Headers::default(),
             trials: BTreeMap::new(),
@@ -138,18 +144,21 @@ impl<'a> Opening<'a> {
         };
         let described = root.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
-            let (own, synthetic) = Scene::from_library_toml(&text)
+            let described = LibraryToml::parse(&text, &opening.scene)
                 .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
-            opening.synthetic = synthetic;
-            opening.declared_hz =
-                own.sources().filter_map(|s| Some((s.id.clone(), s.rate_hz?))).collect();
-            opening.name.clone_from(&own.name);
-            opening.scene = opening.scene.with(own);
+            opening.synthetic = described.synthetic;
+            opening.declared_hz = described.declared_hz;
+            opening.name.clone_from(&described.sources.name);
+            opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
+            opening.scene = opening.scene.with(described.sources);
         }
         Ok(opening)
     }
 
-    fn library(self) -> Result<Opened, LibraryError> {
+    fn library(mut self) -> Result<Opened, LibraryError> {
+        for (path, what) in self.headers.remarks() {
+            self.pass_over(&path, what);
+        }
         let Opening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
         let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
         if trials.is_empty() {
@@ -174,6 +183,7 @@ impl<'a> Opening<'a> {
             Ok(items) => items,
             Err(error) => return self.bad.push(error),
         };
+        let mut loose = Vec::new();
         for item in &items {
             match item.stem_and_extension().1.as_str() {
                 _ if item.is_dir && item.name.ends_with(UNFINISHED) => {
@@ -181,11 +191,48 @@ impl<'a> Opening<'a> {
                 }
                 _ if item.is_hidden() => {}
                 _ if item.is_dir => self.trial(&surface.name, item),
-                "wav" | "png" | "jpg" | "jpeg" => self.pass_over(
+                extension
+                    if series_file::EXTENSIONS.contains(&extension)
+                        && item.unusable.is_none()
+                        && self.scene.get(item.stem_and_extension().0).is_none() =>
+                {
+                    loose.push(item);
+                }
+                "wav" | "flac" | "png" | "jpg" | "jpeg" => self.pass_over(
                     &item.path,
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
                 _ => item.unusable.iter().for_each(|why| self.pass_over(&item.path, *why)),
+            }
+        }
+        self.loose(&surface.name, &loose);
+    }
+
+    /// Files of a surface without trial folders: a trial each.
+    fn loose(&mut self, surface: &str, files: &[&Listed]) {
+        let taken: Vec<u32> = (self.trials.keys())
+            .filter(|key| key.surface == surface && key.user == EXPERT)
+            .map(|key| key.number)
+            .collect();
+        let only = match self.own.as_slice() {
+            [one] => Some(one),
+            _ => None,
+        };
+        let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
+        let places = loose::places(&names, &self.scene, only, &taken);
+        for (item, place) in files.iter().zip(places) {
+            let Some(spec) = self.scene.get(place.source.as_str()) else { continue };
+            let declared_hz = self.declared_hz.get(&place.source).copied();
+            match self.headers.series(spec, declared_hz, &item.path) {
+                Err(error) => self.bad.push(error),
+                Ok(file) => {
+                    if place.guessed {
+                        self.pass_over(&item.path, loose::remark(&place.source));
+                    }
+                    let key = TrialKey::new(surface, EXPERT, place.number);
+                    let trial = || (item.path.clone(), BTreeMap::new());
+                    self.trials.entry(key).or_insert_with(trial).1.insert(place.source, file);
+                }
             }
         }
     }
@@ -247,7 +294,8 @@ impl<'a> Opening<'a> {
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
-        if item.is_hidden() || item.is_dir || !(picture || extension == "wav") {
+        let series = series_file::EXTENSIONS.contains(&extension.as_str());
+        if item.is_hidden() || item.is_dir || !(picture || series) {
             return Ok(None);
         }
         if let Some(why) = item.unusable {
@@ -272,7 +320,7 @@ impl<'a> Opening<'a> {
         };
         if !picture {
             let declared_hz = self.declared_hz.get(stem).copied();
-            let files = self.headers.wav(spec, declared_hz, &item.path)?;
+            let files = self.headers.series(spec, declared_hz, &item.path)?;
             return Ok(Some((spec.id.clone(), files)));
         }
         if spec.domain != Domain::Image {
