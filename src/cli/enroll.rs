@@ -14,10 +14,7 @@ use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
 use crate::station::{Command, Enrolled, EnrolledOutcome, Listener, StationEvent};
-use crate::trial::EXPERT;
-
-/// The label of scans that are given none.
-const UNLABELLED: &str = "unlabelled";
+use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
 ///

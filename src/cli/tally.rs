@@ -163,7 +163,7 @@ impl Tally {
             }
             (Some(true), _) => "correct".to_string(),
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
-            _ => String::new(),
+            _ => answer.trial.map_or_else(String::new, |number| format!("(trial {number})")),
         };
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         result!(

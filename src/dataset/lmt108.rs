@@ -13,7 +13,8 @@ use name::Part;
 
 use crate::library::files::{self, Listed};
 use crate::library::loader::{Headers, SourceFiles, channels as counted};
-use crate::library::recording::{self, Seen};
+use crate::library::recording;
+use crate::library::seen::Seen;
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};

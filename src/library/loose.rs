@@ -51,9 +51,9 @@ pub(super) fn remark(source: &SourceId) -> String {
 fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
     let begins = |id: &str| {
         let rest = name.strip_prefix(id)?;
-        rest.starts_with(|c: char| !c.is_alphanumeric()).then_some(())
+        Some(!rest.starts_with(char::is_alphanumeric))
     };
-    let longest = scene.sources().filter(|spec| begins(spec.id.as_str()).is_some());
+    let longest = scene.sources().filter(|spec| begins(spec.id.as_str()) == Some(true));
     longest.max_by_key(|spec| spec.id.as_str().len()).map(|spec| spec.id.clone())
 }
 
@@ -91,6 +91,7 @@ mod tests {
         let of = |name: &str, number| (name.to_string(), number);
         assert_eq!(placed(&["scan 3", "scan 12"], &[]), [of("mi2", 3), of("mi2", 12)]);
         assert_eq!(placed(&["ac_1", "mi2-1"], &[]), [of("ac", 1), of("mi2", 1)]);
+        assert_eq!(placed(&["ac"], &[]), [of("ac", 1)]);
         assert_eq!(placed(&["acorn1", "first"], &[]), [of("mi2", 1), of("mi2", 2)]);
         assert_eq!(placed(&["a1", "b1"], &[]), [of("mi2", 1), of("mi2", 2)], "one number twice");
         assert_eq!(placed(&["scan1", "scan2"], &[1]), [of("mi2", 2), of("mi2", 3)]);

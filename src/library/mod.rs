@@ -9,6 +9,7 @@ pub(crate) mod loader;
 mod loose;
 mod picture;
 pub mod recording;
+pub(crate) mod seen;
 pub(crate) mod series_file;
 mod text;
 mod wav;

@@ -17,10 +17,11 @@ use std::sync::Arc;
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
 use super::loose;
+use super::seen::Seen;
 use super::series_file;
 use super::{About, Entry, Library, LibraryError, Opened};
 use crate::scene::{Domain, LibraryToml, Scene, SourceId};
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::{EXPERT, TrialKey, UNLABELLED};
 
 /// Name of the file that describes a library.
 pub(crate) const DESCRIPTION: &str = "library.toml";
@@ -54,6 +55,25 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
             opening.pass_over(&surface.path, why);
         }
     }
+    if opening.trials.is_empty() && opening.bad.is_empty() {
+        let files = folders.iter().filter(|item| item.is_series() && !item.is_hidden());
+        opening.loose(UNLABELLED, &files.collect::<Vec<_>>());
+    }
+    opening.library()
+}
+
+/// Opens a single WAV or FLAC file as a library of one unlabelled trial.
+///
+/// # Errors
+/// As [`open`].
+pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
+    let path = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
+    let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
+        return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
+    };
+    let mut opening = Opening::new(folder, defaults.clone())?;
+    opening.name.clone_from(&item.name);
+    opening.loose(UNLABELLED, &[&item]);
     opening.library()
 }
 
@@ -82,7 +102,7 @@ fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError
     let known = scene.sources().map(|s| s.id.as_str()).collect::<Vec<_>>().join(", ");
     let mut problem = format!(
         "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg, where \
-         <source> is one of {known}, for SURFACE/*.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
+         <source> is one of {known}, for SURFACE/*.wav and *.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
          AccelScansComponents/); name the folder that holds the surfaces' folders"
     );
     for remark in remarks {
@@ -90,27 +110,6 @@ fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError
         problem.push_str(remark);
     }
     LibraryError::NothingFound { path: path.to_path_buf(), problem }
-}
-
-/// How often something was passed over, and where first.
-pub(crate) struct Seen {
-    count: usize,
-    first: String,
-}
-
-impl Seen {
-    /// Counts one more.
-    pub fn count(all: &mut BTreeMap<String, Self>, what: String, place: String) {
-        all.entry(what).or_insert(Self { count: 0, first: place }).count += 1;
-    }
-
-    /// The remark: what, how often, where first.
-    pub fn say(&self, what: &str) -> String {
-        match self.count {
-            1 => format!("{}: {what}", self.first),
-            count => format!("{} and {} more: {what}", self.first, count - 1),
-        }
-    }
 }
 
 struct Opening<'a> {
@@ -191,11 +190,7 @@ impl<'a> Opening<'a> {
                 }
                 _ if item.is_hidden() => {}
                 _ if item.is_dir => self.trial(&surface.name, item),
-                extension
-                    if series_file::EXTENSIONS.contains(&extension)
-                        && item.unusable.is_none()
-                        && self.scene.get(item.stem_and_extension().0).is_none() =>
-                {
+                _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
                     loose.push(item);
                 }
                 "wav" | "flac" | "png" | "jpg" | "jpeg" => self.pass_over(
@@ -293,9 +288,9 @@ impl<'a> Opening<'a> {
     /// What one file of a trial is, if it is a source.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
+        let is_series = series_file::EXTENSIONS.contains(&extension.as_str());
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
-        let series = series_file::EXTENSIONS.contains(&extension.as_str());
-        if item.is_hidden() || item.is_dir || !(picture || series) {
+        if item.is_hidden() || item.is_dir || !(picture || is_series) {
             return Ok(None);
         }
         if let Some(why) = item.unusable {
