@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::scan::ScanSums;
-use super::{EmbeddingModel, Posterior};
+use super::EmbeddingModel;
+use super::posterior::Posterior;
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{Look, Settling, Watch};
@@ -80,18 +81,18 @@ impl Follower {
         let settled = self.scan.watch.as_mut().and_then(|watch| watch.see(look));
         Some(GuessSoFar {
             scan_s,
-            named: named(&posterior),
+            named: named(&self.model.labels.surfaces, &posterior),
             p_value: posterior.p_value,
-            settled: settled.map(|(label, at)| (posterior.surfaces[label].clone(), at)),
+            settled: settled.map(|(label, at)| (self.model.labels.surfaces[label].clone(), at)),
         })
     }
 }
 
 /// The most probable surfaces, the first of equal ones first.
-fn named(posterior: &Posterior) -> Vec<(String, f64)> {
-    let mut order: Vec<usize> = (0..posterior.surfaces.len()).collect();
+fn named(surfaces: &[String], posterior: &Posterior) -> Vec<(String, f64)> {
+    let mut order: Vec<usize> = (0..surfaces.len()).collect();
     order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
-    let name = |&i: &usize| (posterior.surfaces[i].clone(), posterior.probabilities[i]);
+    let name = |&i: &usize| (surfaces[i].clone(), posterior.probabilities[i]);
     order.iter().take(NAMED).map(name).collect()
 }
 

@@ -31,10 +31,8 @@ struct SeriesScan {
     views: SourceViews,
     sums: SeriesSums,
     blocks: GrowingBlocks,
-    /// Samples that are not yet used up, one list a view.
+    /// Samples that are not yet used up, one list a view: all, until its first frame is complete.
     pending: [Vec<f32>; 2],
-    /// All samples, until the first frame of each view is complete.
-    beginning: [Vec<f32>; 2],
 }
 
 impl ScanSums {
@@ -123,7 +121,6 @@ impl SeriesScan {
             sums: embedder.no_sums(),
             blocks: GrowingBlocks::new(views.0[0].channels, views.block()),
             pending: Default::default(),
-            beginning: Default::default(),
             views,
         }
     }
@@ -137,14 +134,9 @@ impl SeriesScan {
             let mut fresh = ViewFrames { view: view.clone(), values: Vec::new() };
             let used = fresh.extend(pending) * view.channels;
             pending.drain(..used);
-            if fresh.values.is_empty() {
-                if self.sums.frames(v) == 0 {
-                    self.beginning[v].extend_from_slice(samples);
-                }
-                continue;
+            if !fresh.values.is_empty() {
+                embedder.add_frames(&mut self.sums, v, &rounded(&fresh.values, view.width()));
             }
-            self.beginning[v] = Vec::new();
-            embedder.add_frames(&mut self.sums, v, &rounded(&fresh.values, view.width()));
         }
     }
 
@@ -152,7 +144,7 @@ impl SeriesScan {
         let mut sums = self.sums.clone();
         for (v, view) in self.views.0.iter().enumerate() {
             if sums.frames(v) == 0 {
-                let padded = ViewFrames::new(view.clone(), &self.beginning[v]);
+                let padded = ViewFrames::new(view.clone(), &self.pending[v]);
                 embedder.add_frames(&mut sums, v, &rounded(&padded.values, view.width()));
             }
         }
