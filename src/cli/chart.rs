@@ -18,7 +18,7 @@ use crate::scene::SourceId;
 /// of recordings is drawn again, with whatever was joined to it since.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
-                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg")]
+                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
 pub struct Args {
     /// Recordings (a library, or the LMT108 database), or the JSON of an earlier chart
     lib: PathBuf,

@@ -13,7 +13,7 @@ use crate::trial::Trial;
 #[command(after_help = "Examples:\n  surfaced compare lib/oak/1 lib/beech/1\n  \
                         surfaced compare LMT_108_SurfaceMaterials_Database:G4Bamboo:1 \
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
-                        surfaced compare --samples z.csv y.csv --json")]
+                        surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
 pub struct Args {
     /// The query: the folder of a trial, or DATA:SURFACE:NUMBER[:USER]; with --samples, a CSV file
     a: PathBuf,

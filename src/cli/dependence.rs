@@ -9,7 +9,7 @@ use crate::seed;
 /// Test whether the paired samples of two CSV files depend on each other (HSIC)
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced dependence x.csv y.csv\n  \
-                        surfaced dependence x.csv y.csv --gamma --json")]
+                        surfaced dependence x.csv y.csv --gamma --json\n\nTime: a second for a thousand rows")]
 pub struct Args {
     /// CSV file: a row a sample, a column a channel, no header
     x: PathBuf,

@@ -22,7 +22,7 @@ use crate::trial::{EXPERT, UNLABELLED};
 /// is refused, with the reason; the others are kept at once, so that nothing is lost.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
-                        surfaced enroll felt --library my-library --trials 5 --user anna")]
+                        surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: some 6 s a trial, which is a tap and a drag")]
 pub struct EnrollArgs {
     /// The surface
     #[arg(value_name = "LABEL", value_parser = name)]
@@ -42,7 +42,7 @@ pub struct EnrollArgs {
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library")]
+                        surfaced record --label felt --library my-library\n\nTime: until it is ended, or --trials are recorded")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]

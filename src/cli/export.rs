@@ -13,7 +13,7 @@ use crate::scene::Scene;
 /// that `surfaced import` gives them back byte for byte.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
-                        surfaced export my-library/oak/expert-01 oak.mcap")]
+                        surfaced export my-library/oak/expert-01 oak.mcap\n\nTime: as long as copying the files takes")]
 pub struct ExportArgs {
     /// A library, one trial of it, or the LMT108 database
     recording: PathBuf,
@@ -23,7 +23,7 @@ pub struct ExportArgs {
 
 /// Write back a recording that was exported as MCAP
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced import my-library.mcap my-library")]
+#[command(after_help = "Examples:\n  surfaced import my-library.mcap my-library\n\nTime: as long as copying the files takes")]
 pub struct ImportArgs {
     /// The file
     mcap: PathBuf,

@@ -204,6 +204,7 @@ mod tests {
             let examples: Vec<&str> =
                 after.lines().filter_map(|line| line.trim().strip_prefix("surfaced ")).collect();
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
+            assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
                 // What a shell would take away.
                 let plain = example.split(" > ").next().unwrap_or_default();

@@ -36,7 +36,7 @@ use crate::trial::EXPERT;
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
                         surfaced replay new-scans --library my-library --json\n  \
-                        surfaced replay --speed 1.0 --serve")]
+                        surfaced replay --speed 1.0 --serve\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,

@@ -19,7 +19,7 @@ use crate::scene::SourceSpec;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
-                        dead-sensors,gain --methods embedding,svm")]
+                        dead-sensors,gain --methods embedding,svm\n\nTime: 10 minutes for LMT108's 200 dragging sounds, on two cores; each method is written as it is done, so it may be interrupted")]
 pub struct Args {
     /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
