@@ -173,7 +173,7 @@ fn name(
     Ok(Arc::new(Answer {
         scan: scan.number,
         surface: (!unknown).then(|| ranking.surface().to_string()),
-        truth: truth.map(|key| key.surface.clone()),
+        truth: truth.and_then(|key| key.label().map(String::from)),
         user: truth.map(|key| key.user.clone()),
         trial: truth.map(|key| key.number),
         synthetic: scan.synthetic,
