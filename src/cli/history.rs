@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Done {
         }
         match &mut csv {
             Some(csv) => csv.scan(&scan)?,
-            None if args.json => show::try_json(&scan)?,
+            None if args.json => writeln!(std::io::stdout(), "{scan}")?,
             None => line(&scan)?,
         }
         Ok::<(), Failure>(())

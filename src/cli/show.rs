@@ -1,13 +1,15 @@
-//! What people see: summaries, progress, tables. All of it on stderr.
+//! What people see on stderr: summaries, progress, advice.
 
 use std::io::Write;
+use std::path::Path;
 use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::shown;
 use crate::evaluate::LeftOut;
 use crate::library::Library;
-use crate::station::Answer;
+use crate::station::{Answer, AnswerState};
 
 /// Says what a library holds, and what was skipped.
 pub fn library(library: &Library) {
@@ -20,23 +22,19 @@ pub fn library(library: &Library) {
     }
 }
 
-/// Prints one JSON document, or one line of a stream of them, on stdout.
+/// Prints one JSON document on stdout.
 ///
 /// A reader that has gone away (`| head`) wants no more: the program ends there.
 pub fn json(value: &impl serde::Serialize) {
-    if try_json(value).is_err() {
+    if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
     }
 }
 
-/// As [`json`].
-///
-/// # Errors
-/// If stdout takes no more.
-pub fn try_json(value: &impl serde::Serialize) -> std::io::Result<()> {
+/// A document, or a line of a stream of them.
+pub fn json_text(value: &impl serde::Serialize) -> String {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
-    let text = serde_json::to_string(value).expect("plain data");
-    writeln!(std::io::stdout(), "{text}")
+    serde_json::to_string(value).expect("plain data")
 }
 
 /// Says which sources were left out of queries, and why.
@@ -52,6 +50,27 @@ pub fn left_out(left_out: &LeftOut) {
     }
 }
 
+/// Says which files were written.
+pub fn wrote<P: AsRef<Path>>(files: &[P]) {
+    let names: Vec<String> = files.iter().map(|file| shown(file.as_ref())).collect();
+    say!("wrote {}", names.join(", "));
+}
+
+/// Says what to do next.
+pub fn next(what: &str) {
+    say!("next: {what}");
+}
+
+/// A path as a shell takes it.
+pub fn quoted(path: &Path) -> String {
+    let name = shown(path);
+    let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
+    if !name.is_empty() && name.chars().all(plain) {
+        return name;
+    }
+    format!("'{}'", name.replace('\'', "'\\''"))
+}
+
 /// A number of things: `1 trial`, `2 trials`.
 pub fn counted(number: usize, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
@@ -60,6 +79,16 @@ pub fn counted(number: usize, thing: &str) -> String {
 /// A fraction as a percentage.
 pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
+}
+
+/// An answer in a word or two: the surface, and whether the name stands.
+pub fn named(answer: &Answer) -> String {
+    let surface = answer.surface.as_deref().unwrap_or("unknown");
+    match answer.state {
+        AnswerState::Named | AnswerState::Unknown => surface.into(),
+        AnswerState::Nearest => format!("nearest: {surface}"),
+        AnswerState::Unsure => format!("unsure: {surface}"),
+    }
 }
 
 /// How certain an answer is: its probability where the method states one, else the margin to the

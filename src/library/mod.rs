@@ -4,10 +4,14 @@ mod about;
 pub mod audit;
 pub mod cache;
 pub(crate) mod files;
+mod flac;
 pub(crate) mod loader;
 pub mod lock;
+mod loose;
 mod picture;
 pub mod recording;
+pub(crate) mod seen;
+pub(crate) mod series_file;
 mod text;
 mod wav;
 

@@ -39,6 +39,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .merge(shelf::router())
         .route("/library", get(library))
         .route("/events", get(events))
+        .route("/openapi.json", get(open_api))
         .route(
             "/start",
             post(|State(hub): Shared| async move { send(&hub, "start", Command::Start) }),
@@ -100,6 +101,11 @@ async fn enroll(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
     send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
+}
+
+/// What is at which path, for programs that read it.
+async fn open_api() -> Response {
+    ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
 
 #[derive(Serialize)]

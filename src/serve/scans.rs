@@ -17,7 +17,9 @@ use super::hub::Hub;
 use super::label;
 use super::problem::Problem;
 use super::settings::Shelf;
-use crate::history::{Correction, Extent, HistoryError, NOTES, Precision, nearest_picture};
+use crate::history::{
+    Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, nearest_picture,
+};
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, append_trial, edit};
 use crate::scene::SourceId;
@@ -33,6 +35,8 @@ const MOST: usize = 1000;
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))
+        .route("/scans.csv", get(csv))
+        .route("/scans.jsonl", get(json_lines))
         .route("/scans/{id}", get(scan))
         .route("/scans/{id}/why", get(why))
         .route("/scans/{id}/correct", post(correct))
@@ -89,6 +93,40 @@ async fn scans(
     let most = page.limit.unwrap_or(USUAL).min(MOST);
     let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
     Ok(Json(Scans { scans }))
+}
+
+/// All scans as one text, made on another thread.
+async fn all(
+    hub: Arc<Hub>,
+    content_type: &'static str,
+    write: impl FnOnce(&History) -> Result<Vec<u8>, Problem> + Send + 'static,
+) -> Result<Response, Problem> {
+    let text = aside(move || write(&hub.history)).await?;
+    Ok(([(CONTENT_TYPE, content_type)], text).into_response())
+}
+
+impl From<std::io::Error> for Problem {
+    fn from(error: std::io::Error) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+async fn csv(State(hub): Shared) -> Result<Response, Problem> {
+    let write = |history: &History| {
+        let mut csv = CsvWriter::new(Vec::new())?;
+        history.each(|scan| csv.scan(&scan).map_err(Problem::from))?;
+        Ok(csv.finish()?)
+    };
+    all(hub, "text/csv; charset=utf-8", write).await
+}
+
+async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
+    let write = |history: &History| {
+        let mut text = Vec::new();
+        history.each(|scan| Ok::<_, Problem>(text.extend(format!("{scan}\n").into_bytes())))?;
+        Ok(text)
+    };
+    all(hub, "application/jsonl", write).await
 }
 
 type Named = Result<Path<String>, PathRejection>;

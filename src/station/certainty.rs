@@ -19,8 +19,8 @@ pub(super) struct Case<'a> {
 pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
     let Verdict { ranking, rejection, .. } = case.verdict;
     let of = ranking.ranked.len();
-    if let (Some(p), Some(rejection)) = (ranking.p_value, rejection)
-        && rejection.rejects(p)
+    if let (Some(p), Some(rejection), true) =
+        (ranking.p_value, rejection, case.verdict.is_unknown())
     {
         let reason = format!(
             "looks like none of {of} surfaces: p = {}, and {} or less is unknown",

@@ -10,6 +10,7 @@ mod certainty;
 pub mod config;
 mod enroll;
 mod event;
+mod orders;
 mod recogniser;
 mod requirements;
 mod run;
@@ -20,9 +21,10 @@ mod worker;
 
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Answer, AnswerState, AnsweredScan, Command, Enrolled, EnrolledOutcome, Guess, LibraryState,
-    Listener, Remark, RemarkKind, StationEvent, SurfaceProbability,
+    Answer, AnswerState, AnsweredScan, Command, Enrolled, EnrolledOutcome, Enrolling, Guess,
+    LibraryState, Listener, Remark, RemarkKind, StationEvent, SurfaceProbability,
 };
+pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};
 pub use requirements::DurationRequirements;
 pub use start::Station;

@@ -30,6 +30,14 @@ pub struct Verdict {
     pub remarks: Vec<Remark>,
 }
 
+impl Verdict {
+    /// Whether the scan fits no surface of the library.
+    pub fn is_unknown(&self) -> bool {
+        let test = self.ranking.p_value.zip(self.rejection.as_ref());
+        test.is_some_and(|(p, rejection)| rejection.rejects(p))
+    }
+}
+
 /// Reads a library, as often as it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
@@ -131,23 +139,12 @@ impl Recogniser {
         remarks
     }
 
-    /// Names a scan.
+    /// Ranks the surfaces for a scan.
     ///
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
-    pub fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
-        let at = self.model(scan.truth.as_ref());
-        let (query, left_out) = self.query(scan)?;
-        let ranking = self.models[at].rank(&query)?;
-        let rejection = self.following[at].rejection.clone();
-        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
-        Ok(Verdict {
-            needed_s,
-            rejection,
-            left_out,
-            remarks: self.remarks(scan, &ranking),
-            ranking,
-        })
+    pub fn rank(&self, scan: &Scan) -> Result<Ranking, RecogniseError> {
+        self.models[self.model(scan.truth.as_ref())].rank(&self.query(scan)?.0)
     }
 
     /// A scan as a query to its model: what came out of the rings and nothing else, but for
@@ -165,7 +162,7 @@ impl Recogniser {
     /// long as naming it.
     ///
     /// # Errors
-    /// As [`Recogniser::name`].
+    /// As [`Recogniser::rank`].
     pub fn explain(&self, scan: &Scan) -> Result<Why, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
         let (query, left_out) = self.query(scan)?;
@@ -181,6 +178,27 @@ impl Recogniser {
     /// A trial that scans are compared with.
     pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
         self.trials.get(key)
+    }
+
+    /// What a scan's ranking says.
+    pub fn verdict(&self, scan: &Scan, ranking: Ranking) -> Verdict {
+        let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
+        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
+        let remarks = self.remarks(scan, &ranking);
+        let left_out = self.left_out(scan, &ranking, &remarks);
+        Verdict { needed_s, rejection, left_out, remarks, ranking }
+    }
+
+    /// For people: sources of a scan that the library has and that were not compared.
+    fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
+        let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
+        let not_compared = held.filter(|id| !ranking.sources.contains(id));
+        let why = |id: &SourceId| {
+            let mut flaws = remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+            let flaw = flaws.find(|remark| remark.source == *id).map(|remark| remark.text.clone());
+            flaw.unwrap_or_else(|| format!("{id} was not compared"))
+        };
+        not_compared.map(why).collect()
     }
 
     /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].

@@ -5,13 +5,16 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::enroll::{Enrolment, faults};
+use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
+use super::orders::Enrolment;
+use super::recogniser::Recogniser;
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, append_trial, utc};
 use crate::scan::Scan;
@@ -46,9 +49,12 @@ impl ScanStore {
 /// What became of a scan, and the enrolment that it belongs to.
 pub(super) type Stored = (Enrolment, Enrolled);
 
+/// A scan, the enrolment that it belongs to, and what it is compared with.
+type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
+
 /// The thread, and its two ends.
 pub(super) struct RecordingThread {
-    scans: Sender<(Box<Scan>, Enrolment)>,
+    scans: Sender<ToStore>,
     pub stored: Receiver<Stored>,
     thread: JoinHandle<()>,
 }
@@ -68,9 +74,10 @@ impl RecordingThread {
         Ok(Self { scans, stored, thread })
     }
 
-    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment) {
+    /// Stores a scan, and says what `by` would have named it.
+    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         // Fails only if the thread has panicked, and then nothing is reported as stored either.
-        let _ = self.scans.send((scan, enrolment));
+        let _ = self.scans.send((scan, enrolment, by));
     }
 
     /// Gives what is still to come, after a last attempt to write what waits.
@@ -89,6 +96,8 @@ struct Waiting {
     scan: Box<Scan>,
     enrolment: Enrolment,
     remarks: Vec<String>,
+    /// As [`Enrolled::nearest`].
+    nearest: Option<String>,
 }
 
 struct Writer {
@@ -101,17 +110,20 @@ struct Writer {
 
 impl Writer {
     /// Stores scans until there will be no more.
-    fn run(&mut self, scans: &Receiver<(Box<Scan>, Enrolment)>) {
+    fn run(&mut self, scans: &Receiver<ToStore>) {
         loop {
             let next = match self.waiting.is_empty() {
                 true => scans.recv().map_err(|_| RecvTimeoutError::Disconnected),
                 false => scans.recv_timeout(RETRY),
             };
             match next {
-                Ok((scan, enrolment)) => self.accept(scan, enrolment),
+                Ok(scan) => self.accept(scan),
                 Err(RecvTimeoutError::Timeout) => self.retry(),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
+        }
+        if !self.waiting.is_empty() {
+            self.read_numbers();
         }
         while let Some(mut last) = self.waiting.pop_front() {
             if let Err(error) = self.write(&last) {
@@ -122,13 +134,16 @@ impl Writer {
     }
 
     /// Stores a new scan, unless it is refused.
-    fn accept(&mut self, scan: Box<Scan>, enrolment: Enrolment) {
+    fn accept(&mut self, (scan, enrolment, by): ToStore) {
         let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
         let refused = enrolment.good_only && !remarks.is_empty();
-        let mut new = Waiting { scan, enrolment, remarks };
+        let nearest = by.filter(|_| !refused).and_then(|by| nearest(&by, &scan));
+        let mut new = Waiting { scan, enrolment, remarks, nearest };
         if refused {
             return self.report(&new, EnrolledOutcome::Refused, None);
         }
+        // Each time, since others may write into the same library.
+        self.read_numbers();
         if let Err(error) = self.write(&new) {
             let full = self.waiting.len() >= MAX_WAITING;
             let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
@@ -143,6 +158,7 @@ impl Writer {
 
     /// Tries to write what waits, until the first that fails; another one is first next time.
     fn retry(&mut self) {
+        self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
             if self.write(&first).is_err() {
                 return self.waiting.push_back(first);
@@ -154,10 +170,6 @@ impl Writer {
     fn write(&mut self, waiting: &Waiting) -> Result<(), LibraryError> {
         let Waiting { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
-        // Read each time, since others may write into the same library.
-        if let Ok(numbers) = self.numbers() {
-            self.next = numbers;
-        }
         let number = self.next.get(&of).copied().unwrap_or(1);
         let took = scan.ended_at.elapsed().as_secs_f64() + scan.scan_s;
         let began = SystemTime::now() - Duration::from_secs_f64(took.max(0.0));
@@ -184,14 +196,23 @@ impl Writer {
         let enrolled = Enrolled {
             scan: of.scan.number,
             surface: of.enrolment.surface.clone(),
+            user: of.enrolment.user.clone(),
             outcome,
             trial,
             folder,
             remarks: of.remarks.clone(),
+            nearest: of.nearest.clone(),
             wanted: 0,
         };
         // Fails only if the station has panicked.
         let _ = self.send.send((of.enrolment.clone(), enrolled));
+    }
+
+    /// Learns the numbers that are taken, if the library can be read now.
+    fn read_numbers(&mut self) {
+        if let Ok(numbers) = self.numbers() {
+            self.next = numbers;
+        }
     }
 
     /// The numbers after those that the library holds.
@@ -209,6 +230,14 @@ impl Writer {
         }
         Ok(numbers)
     }
+}
+
+/// The surface that a library would name a scan.
+fn nearest(by: &Recogniser, scan: &Scan) -> Option<String> {
+    // A method that panics must not take the recording with it.
+    let named = std::panic::AssertUnwindSafe(|| Some(by.verdict(scan, by.rank(scan).ok()?)));
+    let verdict = std::panic::catch_unwind(named).ok()??;
+    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
 }
 
 #[cfg(test)]
@@ -235,7 +264,7 @@ mod tests {
     }
 
     fn enrolment() -> Enrolment {
-        Enrolment { id: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
+        Enrolment { order: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
     }
 
     #[test]
@@ -249,7 +278,7 @@ mod tests {
         let outcomes = |n: usize| -> Vec<_> {
             (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
         };
-        (1..=2).for_each(|number| thread.store(scan(number), enrolment()));
+        (1..=2).for_each(|number| thread.store(scan(number), enrolment(), None));
         use EnrolledOutcome::{Kept, Lost, Waiting};
         assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
         std::fs::remove_file(&folder).unwrap();
@@ -257,7 +286,7 @@ mod tests {
         assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
         std::fs::remove_dir_all(&folder).unwrap();
         std::fs::write(&folder, "").unwrap();
-        thread.store(scan(3), enrolment());
+        thread.store(scan(3), enrolment(), None);
         assert_eq!(outcomes(1), [(3, Waiting)]);
         let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
         assert_eq!(last, [(3, Lost)]);
@@ -272,7 +301,7 @@ mod tests {
         };
         let both = [start(), start()];
         for number in 1..=8 {
-            both.iter().for_each(|thread| thread.store(scan(number), enrolment()));
+            both.iter().for_each(|thread| thread.store(scan(number), enrolment(), None));
         }
         for thread in both {
             assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
@@ -287,13 +316,13 @@ mod tests {
         let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
         let thread = RecordingThread::start(store).unwrap();
         let number = || thread.stored.recv().unwrap().1.trial;
-        thread.store(scan(1), enrolment());
+        thread.store(scan(1), enrolment(), None);
         assert_eq!(number(), Some(1));
         let script = dir.path().join("oak/trial2");
         std::fs::create_dir(&script).unwrap();
         std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
         std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
-        thread.store(scan(2), enrolment());
+        thread.store(scan(2), enrolment(), None);
         assert_eq!(number(), Some(3));
     }
 }

@@ -135,17 +135,17 @@ def the_library_is_checked_and_mended(browser, station, shots, wrong):
     """Finds the trial with the wrong label, removes it, sees the verdicts change, and takes it back."""
     browser.click("#shelf-open")
     state = lambda: browser.run("return document.getElementById('shelf').dataset.check")
-    until(browser, "the trials", lambda: browser.run("return document.querySelectorAll('#trials tbody tr').length") > 12)
+    until(browser, "the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length") > 12)
     browser.click("#check")
     until(browser, "the check", lambda: state() == "done", 120)
-    verdicts = "return [...document.querySelectorAll('#trials .wrong')].map(w => w.closest('tr').dataset.trial)"
+    verdicts = "return [...document.querySelectorAll('#shelf-trials .wrong')].map(w => w.closest('tr').dataset.trial)"
     found = browser.run(verdicts)
     mislabelled = next(iter(t for t in found if t.startswith(wrong + "/")), None)
     assert mislabelled, f"the trial with the wrong label is named otherwise: {found}"
     shots_of(browser, shots, "library")
-    browser.run("document.querySelector(arguments[0]).click()", f"#trials tr[data-trial='{mislabelled}'] button:last-child")
+    browser.run("document.querySelector(arguments[0]).click()", f"#shelf-trials tr[data-trial='{mislabelled}'] button:last-child")
     until(browser, "the trial gone", lambda: mislabelled not in browser.run(
-        "return [...document.querySelectorAll('#trials tr')].map(t => t.dataset.trial)"))
+        "return [...document.querySelectorAll('#shelf-trials tr')].map(t => t.dataset.trial)"))
     until(browser, "the verdicts anew", lambda: state() == "done" and mislabelled not in browser.run(verdicts), 120)
     assert (Path(station.library) / ".removed" / mislabelled).is_dir(), "it can come back"
     assert "remove" in browser.text("#undo")

@@ -2,9 +2,13 @@
 
 export const $ = (id) => document.getElementById(id);
 
+// Text without what acts unseen, such as marks that make it read backwards (as printable.rs).
+const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
+export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
+
 export function make(tag, text, className) {
   const element = document.createElement(tag);
-  if (text !== undefined) element.textContent = text;
+  if (text !== undefined) element.textContent = printable(text);
   if (className) element.className = className;
   return element;
 }
@@ -23,7 +27,8 @@ export function fill(id, elements) {
 }
 
 export function say(id, text) {
-  if ($(id).textContent !== text) $(id).textContent = text;
+  const shown = printable(text);
+  if ($(id).textContent !== shown) $(id).textContent = shown;
 }
 
 export function hide(id, hidden) {

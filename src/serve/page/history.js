@@ -1,7 +1,7 @@
 // The list of past scans, the newest first.
 
 import { corrected, nameOf, sureness } from "./answer.js";
-import { $, ask, button, clock, hide, make, many, say } from "./dom.js";
+import { $, ask, button, clock, hide, make, many, printable, say } from "./dom.js";
 
 const MOST = 300;
 let scans = [];
@@ -34,7 +34,7 @@ export function change(scan) {
 
 function badge(text, kind, title) {
   const element = make("span", text, `badge ${kind}`);
-  if (title) element.title = title;
+  if (title) element.title = printable(title);
   return element;
 }
 
@@ -48,7 +48,7 @@ function row(scan) {
   line.dataset.id = scan.id;
   const name = make("td");
   const open = button(nameOf(scan), () => (location.hash = `scan=${scan.id}`), "open");
-  open.setAttribute("aria-label", `open scan ${scan.scan}: ${nameOf(scan)}`);
+  open.setAttribute("aria-label", printable(`open scan ${scan.scan}: ${nameOf(scan)}`));
   name.append(open);
   if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`nearest: ${scan.ranked[0].surface}`, ""));
   if (scan.spoiled.length) name.append(badge("spoiled", "", scan.spoiled.join("\n")));

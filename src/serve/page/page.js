@@ -2,7 +2,7 @@
 // as markup.
 
 import { certainty, nameOf } from "./answer.js";
-import { $, ask, clock, fill, hide, make, many, percent, say, times } from "./dom.js";
+import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { losses, show, spectrum, trace } from "./draw.js";
 import * as history from "./history.js";
 import "./scan.js";
@@ -20,7 +20,7 @@ function runner(name, share, text) {
   fill.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   bar.append(fill);
   item.append(make("span", name), bar, make("b", text));
-  item.title = name;
+  item.title = printable(name);
   return item;
 }
 
@@ -78,7 +78,7 @@ function showDevices() {
   fill("devices", state.devices.map(({ device, state: how, detail }) => {
     const item = make("li", `${device} · ${how}`);
     item.dataset.state = how;
-    item.title = detail;
+    item.title = printable(detail);
     return item;
   }));
   const lost = state.streams.reduce((sum, stream) => sum + stream.lost, 0);
@@ -110,11 +110,40 @@ function showLibrary() {
   hide("enrolling", !enrolling);
   if (enrolling) {
     say("enrolling-what", enrolling.surface);
-    say("enrolling-wanted", `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
+    say("enrolling-wanted", enrolling.wanted === null ? "every scan is kept"
+      : `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
   }
-  fill("enrolled", enrolled.map((e) => {
+  showEnrolled();
+}
+
+// Each trial as it is kept, with a way back.
+function showEnrolled() {
+  const text = JSON.stringify(enrolled);
+  if ($("enrolled").dataset.text === text) return;
+  $("enrolled").dataset.text = text;
+  $("enrolled").replaceChildren(...enrolled.map((e) => {
     const kept = e.trial === null ? `scan ${e.scan} was not kept as ${e.surface}` : `scan ${e.scan} kept as ${e.surface}, trial ${e.trial}`;
-    return make("li", [kept, ...e.remarks].join(" · "));
+    const item = make("li", [kept, ...e.remarks].join(" · "));
+    const looksLike = e.nearest && e.nearest !== e.surface && !e.undone && !e.confirmed;
+    if (looksLike) {
+      item.append(make("p", `This looks like ${e.nearest}, which you have. Is it ${e.surface}?`, "warn"));
+      item.append(button(`Yes, ${e.surface}`, () => {
+        e.confirmed = true;
+        render();
+      }, "small"));
+    }
+    if (e.undone) item.append(make("span", "taken back", "badge"));
+    else if (e.folder) {
+      const name = e.folder.split("/").slice(-2).join("/");
+      const back = button(looksLike ? "No, take it back" : "Undo", async () => {
+        if (!(await ask("library/remove", { trials: [name] }))) return;
+        e.undone = true;
+        render();
+      }, "small");
+      back.setAttribute("aria-label", printable(`take back ${name}`));
+      item.append(back);
+    }
+    return item;
   }));
 }
 

@@ -130,6 +130,7 @@ function showHead(scan) {
 async function load(id) {
   const scan = await ask(`scans/${encodeURIComponent(id)}`);
   if (!scan) return;
+  if (open?.id !== scan.id) $("was").value = "";
   open = scan;
   showHead(scan);
   const body = $("scan-body");

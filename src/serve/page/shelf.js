@@ -119,7 +119,7 @@ function report(found) {
   const parts = [];
   if (found.accuracy !== null) {
     const range = `${share(found.accuracy_low)} to ${share(found.accuracy_high)}`;
-    parts.push(make("p", `Left out and named right: ${share(found.accuracy)} of ${many(found.trials, "trial")} (95 % interval ${range}).`));
+    parts.push(make("p", `Left out and named right: ${share(found.accuracy)} of ${many(found.surfaces.reduce((n, s) => n + s.queries, 0), "trial")} (95 % interval ${range}).`));
   }
   if (found.mend.length) parts.push(lines("To mend", found.mend));
   if (found.advice.length) parts.push(lines("Next", found.advice));
@@ -145,9 +145,9 @@ function render() {
   if (!dialog.open) return;
   const of = found();
   const surfaces = Map.groupBy(listed.trials, (trial) => trial.surface);
-  const held = document.activeElement?.closest("#trials tr")?.dataset.trial;
+  const held = document.activeElement?.closest("#shelf-trials tr")?.dataset.trial;
   $("trials-table").replaceChildren($("trials-table").tHead, ...[...surfaces].map(([surface, trials]) => group(surface, trials, of)));
-  if (held) document.querySelector(`#trials tr[data-trial="${CSS.escape(held)}"] button`)?.focus();
+  if (held) document.querySelector(`#shelf-trials tr[data-trial="${CSS.escape(held)}"] button`)?.focus();
   say("shelf-about", `${many(listed.trials.length, "trial")} of ${many(surfaces.size, "surface")}`);
   hide("undo", !listed.undo);
   if (listed.undo) say("undo", `Undo: ${listed.undo.what}`);
