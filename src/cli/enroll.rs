@@ -13,7 +13,7 @@ use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent};
+use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent, assemble};
 use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
