@@ -177,7 +177,10 @@ fn queries_at_48_khz_cost_next_to_nothing_against_a_library_at_44_1() {
 
     let quick = ReferenceOptions { samples: 20, repetitions: 1, ..ReferenceOptions::default() };
     let reference = Reference::new(scene.clone(), quick);
-    let refused = Evaluation::new(&scene, &both, &other).prepare(&reference);
-    let refused = refused.and_then(|run| run.measure()).unwrap_err().to_string();
+    let run = Evaluation::new(&scene, &both, &other);
+    let refused = match run.prepare(&reference) {
+        Ok(run) => run.measure().unwrap_err().to_string(),
+        Err(error) => error.to_string(),
+    };
     says(&refused, &["48000 Hz", "44100 Hz"]);
 }

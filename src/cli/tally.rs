@@ -1,6 +1,6 @@
 //! The results of a replay, scan by scan and in total, for people.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
@@ -42,8 +42,14 @@ struct Notable {
 
 impl Notable {
     fn add(&mut self, answer: &Answer) {
-        for remark in answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw) {
-            *self.left_out.entry(remark.source.clone()).or_default() += 1;
+        let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+        // A channel each may be flawed, and a source can be used all the same.
+        let left_out: BTreeSet<&SourceId> = flawed
+            .map(|remark| &remark.source)
+            .filter(|source| !answer.sources.contains(source))
+            .collect();
+        for source in left_out {
+            *self.left_out.entry(source.clone()).or_default() += 1;
         }
         let Some(truth) = &answer.truth else { return };
         let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
@@ -75,7 +81,7 @@ impl Notable {
         }
         for (source, count) in &self.left_out {
             let scans = show::counted(*count, "scan");
-            result!("left out {source} of {scans}, since its sensor was at rest or damaged there");
+            result!("left out {source} of {scans}, since its sensor was dead there");
         }
     }
 }
@@ -171,7 +177,7 @@ impl Tally {
             self.answers,
             self.total,
             show::named(answer),
-            show::certainty(answer),
+            if answer.surface.is_some() { show::certainty(answer) } else { "fits none".into() },
             answer.latency_ms,
             longer.unwrap_or_default()
         );

@@ -3,6 +3,7 @@
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -24,6 +25,7 @@ use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
+use crate::trial::Image;
 
 /// How often figures of the streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
@@ -54,6 +56,8 @@ pub struct Inner {
     pub metrics: Metrics,
     subscribers: Subscribers,
     tracer: Tracer,
+    /// The latest picture of each camera stream.
+    pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
 }
@@ -155,7 +159,8 @@ impl Inner {
             }
             StationEvent::Trace(trace) => {
                 let event = self.tracer.add(trace);
-                if !event.streams.is_empty() {
+                self.pictures.extend(trace.images.iter().cloned());
+                if !(event.streams.is_empty() && event.pictures.is_empty()) {
                     self.publish(EventKind::Trace, &event);
                 }
             }
@@ -207,6 +212,7 @@ impl Hub {
             metrics: Metrics::default(),
             subscribers: Subscribers::default(),
             tracer: Tracer::default(),
+            pictures: BTreeMap::new(),
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };

@@ -164,6 +164,7 @@ mod tests {
             trial: None,
             folder: None,
             remarks: Vec::new(),
+            nearest: None,
             wanted: 0,
         }
     }

@@ -8,7 +8,7 @@ use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey};
 /// Surfaces that the expert has recorded, or all but the last of them.
 const SURFACES: usize = 13;
 /// Two surfaces of one material that are almost alike.
-const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.1 };
+const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.05 };
 /// The surface that the library lacks.
 const UNKNOWN: usize = 12;
 /// The scan whose acceleration is a dead line.
