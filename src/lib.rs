@@ -59,6 +59,7 @@ pub mod evaluate;
 mod jpeg;
 pub mod kernel;
 pub mod library;
+mod printable;
 pub mod recognise;
 pub mod record;
 pub mod ring;

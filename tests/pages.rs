@@ -29,8 +29,10 @@ fn blocks(page: &str) -> Vec<String> {
 /// The commands below a heading of the README, as far as they need no device.
 fn commands(heading: &str) -> Vec<Vec<String>> {
     let section = README.split_once(heading).unwrap().1.split("\n## ").next().unwrap();
-    let lines: Vec<String> =
-        blocks(section).iter().flat_map(|b| b.lines().map(String::from).collect::<Vec<_>>()).collect();
+    let lines: Vec<String> = blocks(section)
+        .iter()
+        .flat_map(|b| b.lines().map(String::from).collect::<Vec<_>>())
+        .collect();
     let words = |line: &String| {
         let words = line.split("  #").next().unwrap().strip_prefix("surfaced ")?;
         Some(words.split_whitespace().map(String::from).collect())
@@ -125,7 +127,8 @@ fn links_of_the_pages_lead_somewhere() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let pages = ["README.md", "src/library/README.md", "src/serve/README.md"];
     let more = ["src/evaluate/README.md", "configs/README.md", "tools/python/README.md"];
-    for page in pages.iter().chain(&more).chain(&[".github/CONTRIBUTING.md", "firmware/README.md"]) {
+    for page in pages.iter().chain(&more).chain(&[".github/CONTRIBUTING.md", "firmware/README.md"])
+    {
         let file = root.join(page);
         let text = std::fs::read_to_string(&file).unwrap();
         for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
@@ -149,7 +152,8 @@ fn the_embedded_scene_explains_itself() {
     for part in ["are almost alike", "is not in the library", "the accelerometer is dead"] {
         assert!(said.contains(part), "`{part}` is not in: {said}");
     }
-    for part in ["accuracy ", "unknown  ", "of surfaces that the library lacks", "left out ac of 1 scan"]
+    for part in
+        ["accuracy ", "unknown  ", "of surfaces that the library lacks", "left out ac of 1 scan"]
     {
         assert!(shown.contains(part), "`{part}` is not in: {shown}");
     }

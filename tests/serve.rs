@@ -10,7 +10,9 @@ use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
-use surfaced::station::{Command, Enrolled, EnrolledOutcome, LibraryState, StationEvent};
+use surfaced::station::{
+    Command, Enrolled, EnrolledOutcome, Enrolling, LibraryState, StationEvent,
+};
 
 /// A server that was told a short session.
 fn told() -> Served {
@@ -180,17 +182,24 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
     assert_eq!(events.next("device")["state"], "lost");
     assert_eq!(events.next("advice")["do"], "wait", "without the stylus there is nothing to do");
     served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
-    assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "expert", "wanted": 2}));
+    let ash = |wanted| {
+        let left = Enrolling { surface: "ash".into(), user: "anna".into(), wanted: Some(wanted) };
+        StationEvent::Enrolling(Some(left).filter(|_| wanted > 0))
+    };
+    served.tell([ash(2)]);
+    assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "anna", "wanted": 2}));
     for wanted in [1, 0] {
-        served.tell([StationEvent::Enrolled(Enrolled {
+        let enrolled = StationEvent::Enrolled(Enrolled {
             scan: 4,
             surface: "ash".into(),
+            user: "anna".into(),
             outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,
             remarks: vec![],
             wanted,
-        })]);
+        });
+        served.tell([enrolled, ash(wanted)]);
         assert_eq!(events.next("enrolled")["wanted"], wanted);
         let left = events.next("enrolling");
         assert_eq!(left["wanted"], if wanted == 0 { Value::Null } else { json!(wanted) });

@@ -5,7 +5,9 @@ use crate::device::list::{self, Listed};
 
 /// List serial ports, microphones and cameras with stable ids, and what is wrong with each
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second")]
+#[command(
+    after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second"
+)]
 pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]

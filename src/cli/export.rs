@@ -23,7 +23,9 @@ pub struct ExportArgs {
 
 /// Write back a recording that was exported as MCAP
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced import my-library.mcap my-library\n\nTime: as long as copying the files takes")]
+#[command(
+    after_help = "Examples:\n  surfaced import my-library.mcap my-library\n\nTime: as long as copying the files takes"
+)]
 pub struct ImportArgs {
     /// The file
     mcap: PathBuf,

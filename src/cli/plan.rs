@@ -19,7 +19,9 @@ use crate::scene::Scene;
 /// Tries sources, scan times and methods by cross-validation inside the library, and writes what
 /// it found as a file that `surfaced replay --plan` takes.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  surfaced plan my-library --target 0.99 --out plan.toml\n\nTime: 10 s for LMT108's 200 dragging sounds, on two cores; minutes with eight sources")]
+#[command(
+    after_help = "Example:\n  surfaced plan my-library --target 0.99 --out plan.toml\n\nTime: 10 s for LMT108's 200 dragging sounds, on two cores; minutes with eight sources"
+)]
 pub struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,

@@ -168,12 +168,13 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        let commands = station.commands();
-        station = station.listener(JsonLines { commands });
+        // Served, it ends on a signal, read or not.
+        let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
+        station = station.listener(lines);
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
-        let load = live::load(folder, &stage.scene, how, &args.answers);
+        let load = live::load(folder, &stage.scene, how, &args.answers, None);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;

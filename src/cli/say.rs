@@ -3,12 +3,13 @@
 //! A daemon outlives its log. A line that cannot be written, because stderr is closed or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
 
-use std::fmt;
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use crate::printable::Printable;
 
 /// How long a stalled reader holds up live devices, for the first of the lines it does not take.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -49,7 +50,7 @@ pub fn keep_status_line(on: bool) {
 /// Writes a line; see [`say!`].
 pub fn line(text: &str) {
     let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
-    write(&format!("{clear}{}\n", Printable(text)));
+    write(&format!("{clear}{}\n", lines(text)));
 }
 
 /// From now on, results for people go to stderr: stdout is for JSON.
@@ -70,20 +71,6 @@ pub fn result_line(text: &str) {
 /// Replaces the status line.
 pub fn status(text: &str) {
     write(&format!("\r\x1b[2K{}", Printable(text)));
-}
-
-/// Text without what a terminal would obey: labels and serial numbers are other people's.
-struct Printable<'a>(&'a str);
-
-impl fmt::Display for Printable<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        use fmt::Write;
-        self.0.chars().try_for_each(|c| match c {
-            '\n' | '\t' => f.write_char(c),
-            c if c.is_control() => write!(f, "{}", c.escape_default()),
-            c => f.write_char(c),
-        })
-    }
 }
 
 fn write(text: &str) {
@@ -110,13 +97,25 @@ fn ready(stderr: &io::StderrLock<'_>) -> bool {
     ready
 }
 
+/// A text as it stands on the terminal or in the log: further lines are indented, so that none
+/// passes for a message of its own.
+fn lines(text: &str) -> String {
+    let shown = Printable(text).to_string();
+    let indented = shown.split('\n').enumerate().map(|(at, line)| match at {
+        0 => line.to_string(),
+        _ if line.is_empty() || line.starts_with(' ') => format!("\n{line}"),
+        _ => format!("\n  {line}"),
+    });
+    indented.collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn no_terminal_obeys_a_label() {
-        let label = "oak\x1b]0;mine\x07\r\u{9b}2J é\n";
-        assert_eq!(Printable(label).to_string(), "oak\\u{1b}]0;mine\\u{7}\\r\\u{9b}2J é\n");
+    fn no_label_passes_for_a_message_or_moves_the_cursor() {
+        assert_eq!(lines("oak\n<3>error: disk\x1b[2J"), "oak\n  <3>error: disk\\u{1b}[2J");
+        assert_eq!(lines("2 files:\n  a.wav\n"), "2 files:\n  a.wav\n");
     }
 }

@@ -22,23 +22,19 @@ pub fn library(library: &Library) {
     }
 }
 
-/// Prints one JSON document, or one line of a stream of them, on stdout.
+/// Prints one JSON document on stdout.
 ///
 /// A reader that has gone away (`| head`) wants no more: the program ends there.
 pub fn json(value: &impl serde::Serialize) {
-    if try_json(value).is_err() {
+    if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
     }
 }
 
-/// As [`json`].
-///
-/// # Errors
-/// If stdout takes no more.
-pub fn try_json(value: &impl serde::Serialize) -> std::io::Result<()> {
+/// A document, or a line of a stream of them.
+pub fn json_text(value: &impl serde::Serialize) -> String {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
-    let text = serde_json::to_string(value).expect("plain data");
-    writeln!(std::io::stdout(), "{text}")
+    serde_json::to_string(value).expect("plain data")
 }
 
 /// Says which sources were left out of queries, and why.

@@ -13,7 +13,9 @@ use crate::record::{self, TrialOptions};
 
 /// Write a synthetic dataset, marked as such
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  surfaced synth scene --surfaces 20 --trials 5 --users 3\n\nTime: 5 s for the default size, on two cores")]
+#[command(
+    after_help = "Example:\n  surfaced synth scene --surfaces 20 --trials 5 --users 3\n\nTime: 5 s for the default size, on two cores"
+)]
 pub struct Args {
     /// Folder to write; must not exist, or be empty
     out: PathBuf,

@@ -207,6 +207,11 @@ impl Scene {
         self.sources.get(id)
     }
 
+    /// Whether a source is of the drag; those that the scene lacks are not.
+    pub fn is_dragged(&self, id: &SourceId) -> bool {
+        self.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
+    }
+
     /// All sources, sorted by name.
     pub fn sources(&self) -> impl ExactSizeIterator<Item = &SourceSpec> {
         self.sources.values()
