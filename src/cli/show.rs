@@ -92,8 +92,7 @@ pub fn named(answer: &Answer) -> String {
 }
 
 /// How certain an answer is: `fits none` for an unknown surface, its probability where the method
-/// states one, else the margin to the
-/// next surface.
+/// states one, else the margin to the next surface.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {
         _ if answer.surface.is_none() => "fits none".into(),
