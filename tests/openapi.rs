@@ -14,7 +14,7 @@ fn routes() -> BTreeSet<(String, String)> {
         include_str!("../src/serve/scans.rs"),
         include_str!("../src/serve/shelf.rs"),
     ];
-    let mut routes = BTreeSet::new();
+    let mut routes: BTreeSet<(String, String)> = BTreeSet::new();
     for source in sources {
         for part in source.split(".route(").skip(1) {
             let path = part.trim_start().strip_prefix('"').unwrap_or("").split('"').next().unwrap();

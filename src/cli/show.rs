@@ -91,10 +91,11 @@ pub fn named(answer: &Answer) -> String {
     }
 }
 
-/// How certain an answer is: its probability where the method states one, else the margin to the
-/// next surface.
+/// How certain an answer is: `fits none` for an unknown surface, its probability where the method
+/// states one, else the margin to the next surface.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {
+        _ if answer.surface.is_none() => "fits none".into(),
         Some(probability) if probability > 0.999 => "over 99.9 %".into(),
         Some(probability) => percent(probability),
         None => format!("margin {:.2}", answer.margin),

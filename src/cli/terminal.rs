@@ -1,6 +1,6 @@
 //! The terminal of a station: a status line, and above it the lines that stay.
 //!
-//! Without a terminal there is no status line, and the rest goes to the log.
+//! Without a terminal there is no status line, and the rest goes to the log. Answers go to stdout.
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
@@ -18,7 +18,7 @@ use crate::station::{
     Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent,
 };
 
-/// Shows a station to people, on stderr.
+/// Shows a station to people: answers on stdout, all else on stderr.
 pub struct Terminal {
     /// Answers are on stdout, as JSON.
     json: bool,
@@ -97,13 +97,13 @@ impl Terminal {
         let name = show::named(answer);
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         if !self.json {
-            self.info(&format!(
+            result!(
                 "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
                 answer.scan,
                 show::certainty(answer),
                 answer.scan_s,
                 longer.unwrap_or_default()
-            ));
+            );
         }
         for why in &answer.spoiled {
             self.warn(&format!("scan {}: {why}", answer.scan));

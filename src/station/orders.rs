@@ -166,6 +166,7 @@ mod tests {
             remarks: Vec::new(),
             nearest: None,
             wanted: 0,
+            nearest: None,
         }
     }
 
