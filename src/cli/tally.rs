@@ -177,7 +177,7 @@ impl Tally {
             self.answers,
             self.total,
             show::named(answer),
-            if answer.surface.is_some() { show::certainty(answer) } else { "fits none".into() },
+            show::certainty(answer),
             answer.latency_ms,
             longer.unwrap_or_default()
         );

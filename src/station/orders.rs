@@ -164,7 +164,6 @@ mod tests {
             trial: None,
             folder: None,
             remarks: Vec::new(),
-            nearest: None,
             wanted: 0,
             nearest: None,
         }
