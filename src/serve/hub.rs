@@ -20,7 +20,7 @@ use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
-use crate::history::History;
+use crate::history::{History, Precision};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
@@ -108,8 +108,9 @@ impl Inner {
     }
 
     /// All figures.
-    pub fn metrics(&self, missed_notices: u64) -> String {
+    pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
         self.metrics.text(&Around {
+            precision,
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -238,7 +239,8 @@ impl Hub {
 
     /// All figures.
     pub fn metrics(&self) -> String {
-        self.lock().metrics(self.missed.load(Ordering::Relaxed))
+        let precision = self.history.precision();
+        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
     }
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.
