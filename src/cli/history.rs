@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Done {
         Ok::<(), Failure>(())
     })?;
     if let Some(csv) = csv {
-        csv.finish();
+        csv.finish()?;
     }
     Ok(())
 }
