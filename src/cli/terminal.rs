@@ -94,7 +94,7 @@ impl Terminal {
     }
 
     fn answer(&mut self, answer: &Answer) {
-        let name = answer.surface.as_deref().unwrap_or("unknown");
+        let name = show::named(answer);
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         if !self.json {
             result!(
@@ -109,9 +109,13 @@ impl Terminal {
             self.warn(&format!("scan {}: {why}", answer.scan));
         }
         if !self.json {
-            answer.remarks.iter().for_each(|remark| self.info(&format!("  {}", remark.text)));
+            let doubts = answer.reasons.iter().filter(|why| !answer.spoiled.contains(why));
+            doubts.for_each(|why| self.info(&format!("  {why}")));
+            let texts = answer.remarks.iter().map(|remark| &remark.text);
+            let news = texts.filter(|text| !answer.reasons.contains(text));
+            news.for_each(|text| self.info(&format!("  {text}")));
         }
-        self.last = Some(name.to_string());
+        self.last = Some(name);
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {
@@ -125,6 +129,9 @@ impl Terminal {
             _ => return,
         }
         remarks.iter().for_each(|remark| self.info(&format!("  {remark}")));
+        if let Some(nearest) = enrolled.nearest.as_ref().filter(|nearest| *nearest != surface) {
+            self.warn(&format!("this looks like {nearest}, which the library has"));
+        }
         self.last = Some(match wanted {
             0 => format!("{surface} is complete"),
             // Recording without an end is not counted down.
@@ -168,6 +175,7 @@ impl Listener for Terminal {
             StationEvent::Library(library) => self.library(library),
             StationEvent::Warning(text) => self.warn(text),
             StationEvent::Trace(_)
+            | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Enrolling(_)
             | StationEvent::Reading
