@@ -6,6 +6,7 @@
 pub(crate) mod config;
 mod error;
 
+pub use config::LibraryToml;
 pub use error::SceneError;
 
 use std::borrow::Borrow;

@@ -2,7 +2,6 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
@@ -37,11 +36,11 @@ pub(super) enum WorkerEvent {
 /// An answer, or why there is none.
 pub(super) type ScanAnswer = Result<Arc<Answer>, String>;
 
-/// The thread, and its two ends; it ends when the first is dropped.
+/// The two ends of the thread, which gives an event for each piece of work, in their order. Once
+/// the first is dropped, it ends with what it has in hand, and nobody waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,
-    thread: JoinHandle<()>,
 }
 
 impl Worker {
@@ -73,15 +72,8 @@ impl Worker {
                 free_since = Instant::now();
             }
         };
-        let thread = std::thread::Builder::new().name("recognise".into()).spawn(run)?;
-        Ok(Self { work, done, thread })
-    }
-
-    /// Gives what is still to come.
-    pub fn finish(self) -> impl Iterator<Item = WorkerEvent> {
-        drop(self.work);
-        let _ = self.thread.join();
-        self.done.into_iter()
+        std::thread::Builder::new().name("recognise".into()).spawn(run)?;
+        Ok(Self { work, done })
     }
 }
 
@@ -181,7 +173,7 @@ fn name(
     Ok(Arc::new(Answer {
         scan: scan.number,
         surface: (!unknown).then(|| ranking.surface().to_string()),
-        truth: truth.map(|key| key.surface.clone()),
+        truth: truth.and_then(|key| key.label().map(String::from)),
         user: truth.map(|key| key.user.clone()),
         trial: truth.map(|key| key.number),
         synthetic: scan.synthetic,
@@ -331,7 +323,8 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(worker.finish().count(), 0);
+            drop(worker.work);
+            assert_eq!(worker.done.iter().count(), 0);
         }
     }
 }

@@ -4,7 +4,7 @@ mod label;
 mod quality;
 mod signal;
 
-pub use label::{EXPERT, TrialKey};
+pub use label::{EXPERT, TrialKey, UNLABELLED};
 pub use quality::{Flaw, Rest, flaws, is_plain};
 pub use signal::{Image, Series, Signal, SignalError};
 
