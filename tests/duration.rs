@@ -91,9 +91,9 @@ fn pooled_ends_with_what_t_star_means_for_each_source() {
     let folder = tempfile::tempdir().unwrap();
     library(folder.path());
     let args = ["duration", folder.path().to_str().unwrap(), "--source", "ir"];
-    let (code, _, stderr) = surfaced(&args);
+    let (code, stdout, stderr) = surfaced(&args);
     assert_eq!(code, 0, "{stderr}");
-    let last = stderr.lines().find(|line| line.starts_with("ir:")).unwrap();
+    let last = stdout.lines().find(|line| line.starts_with("ir:")).unwrap();
     assert!(last.contains("fresh evidence") && last.contains("(foam)"), "{last}");
     assert!(last.contains("independent samples") && last.contains("400 samples"), "{last}");
 }

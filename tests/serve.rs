@@ -1,4 +1,4 @@
-//! The interface for programs: what the README promises is what a server answers.
+//! The interface for programs: what its page promises is what a server answers.
 
 mod common;
 
@@ -37,12 +37,10 @@ fn timeless(mut value: Value) -> Value {
     value
 }
 
-/// The requests of the README and the answers that it shows: indented blocks that begin with
+/// The requests of the page and the answers that it shows: indented blocks that begin with
 /// `$ curl`, each followed by its answer.
 fn documented() -> Vec<(String, String)> {
-    let text = include_str!("../README.md");
-    let (_, section) = text.split_once("\n## As a service, and for programs\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
+    let section = include_str!("../src/serve/README.md");
     let mut samples: Vec<(String, String)> = Vec::new();
     let mut within = false;
     for line in section.lines() {
@@ -74,9 +72,9 @@ fn curl(served: &Served, command: &str) -> String {
 }
 
 #[test]
-fn every_answer_that_the_readme_shows_is_what_a_server_says() {
+fn every_answer_that_the_page_shows_is_what_a_server_says() {
     let samples = documented();
-    assert!(samples.len() >= 8, "the README shows an answer of each kind: {samples:#?}");
+    assert!(samples.len() >= 8, "the page shows an answer of each kind: {samples:#?}");
     let mut wrong = String::new();
     for (command, shown) in samples {
         // Each is answered as if it were the first.

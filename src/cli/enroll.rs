@@ -8,15 +8,13 @@ use crossbeam_channel::Sender;
 
 use super::live::{Listen, StationArgs, Work, library_of, verdict, work};
 use super::method::at_least_one;
+use super::show::quoted;
 use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
 use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent, assemble};
-use crate::trial::EXPERT;
-
-/// The label of scans that are given none.
-const UNLABELLED: &str = "unlabelled";
+use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
 ///
@@ -24,7 +22,7 @@ const UNLABELLED: &str = "unlabelled";
 /// is refused, with the reason; the others are kept at once, so that nothing is lost.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
-                        surfaced enroll felt --library my-library --trials 5 --user anna")]
+                        surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: some 6 s a trial, which is a tap and a drag")]
 pub struct EnrollArgs {
     /// The surface
     #[arg(value_name = "LABEL", value_parser = name)]
@@ -44,7 +42,7 @@ pub struct EnrollArgs {
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library")]
+                        surfaced record --label felt --library my-library\n\nTime: until it is ended, or --trials are recorded")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
@@ -132,6 +130,11 @@ fn store(
     let stored = stored.get();
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
+    let folder = quoted(&library);
+    show::next(&format!(
+        "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced eval \
+         {folder}, then surfaced run --library {folder}"
+    ));
     // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
         return Ok(stored);

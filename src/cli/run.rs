@@ -13,7 +13,7 @@ use crate::station::assemble;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
-                        surfaced run --library my-library --stylus /dev/ttyUSB0")]
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until it is ended; an answer comes some 10 ms after its scan")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,

@@ -1,4 +1,4 @@
-//! Text for people: lines on stderr, whatever has become of stderr.
+//! Text for people: results on stdout, all else on stderr, whatever has become of either.
 //!
 //! A daemon outlives its log. A line that cannot be written, because stderr is closed or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
@@ -20,6 +20,8 @@ const ATOMIC: usize = 4096;
 static LIVE: AtomicBool = AtomicBool::new(false);
 /// Whether the reader did not take the last line.
 static STALLED: AtomicBool = AtomicBool::new(false);
+/// Whether stdout is for JSON alone.
+static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
 /// Whether the last line of the terminal is redrawn all the time, and gives way to others.
 static STATUS_LINE: AtomicBool = AtomicBool::new(false);
 
@@ -27,6 +29,12 @@ static STATUS_LINE: AtomicBool = AtomicBool::new(false);
 macro_rules! say {
     () => { $crate::cli::say::line("") };
     ($($text:tt)*) => { $crate::cli::say::line(&format!($($text)*)) };
+}
+
+/// Writes a line of a result on stdout; takes what `format!` takes. It never panics.
+macro_rules! result {
+    () => { $crate::cli::say::result_line("") };
+    ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
 /// From now on, no line waits for its reader.
@@ -43,6 +51,21 @@ pub fn keep_status_line(on: bool) {
 pub fn line(text: &str) {
     let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
     write(&format!("{clear}{}\n", lines(text)));
+}
+
+/// From now on, results for people go to stderr: stdout is for JSON.
+pub fn results_aside(aside: bool) {
+    RESULTS_ASIDE.store(aside, Ordering::Release);
+}
+
+/// Writes a line of a result; see [`result!`].
+pub fn result_line(text: &str) {
+    if RESULTS_ASIDE.load(Ordering::Acquire) {
+        return line(text);
+    }
+    let mut stdout = io::stdout().lock();
+    // A reader that has gone away (`| head`) wants no more.
+    let _ = writeln!(stdout, "{}", lines(text)).and_then(|()| stdout.flush());
 }
 
 /// Replaces the status line.

@@ -1,10 +1,12 @@
-//! What people see: summaries, progress, tables. All of it on stderr.
+//! What people see on stderr: summaries, progress, advice.
 
 use std::io::Write;
+use std::path::Path;
 use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::shown;
 use crate::evaluate::LeftOut;
 use crate::library::Library;
 use crate::station::Answer;
@@ -35,17 +37,39 @@ pub fn json_text(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).expect("plain data")
 }
 
-/// Says which sources were left out of queries, and why.
-pub fn left_out(left_out: &LeftOut) {
-    for (remark, trials) in left_out {
+/// Says which sources were left out of queries, and why; gives the same lines.
+pub fn left_out(left_out: &LeftOut) -> Vec<String> {
+    let lines = left_out.iter().filter_map(|(remark, trials)| {
         let more = match trials.len() {
             0 | 1 => String::new(),
             several => format!(" and {} more", several - 1),
         };
-        if let Some(first) = trials.first() {
-            say!("warning: {remark} ({first}{more})");
-        }
+        trials.first().map(|first| format!("{remark} ({first}{more})"))
+    });
+    let lines: Vec<String> = lines.collect();
+    lines.iter().for_each(|line| say!("warning: {line}"));
+    lines
+}
+
+/// Says which files were written.
+pub fn wrote<P: AsRef<Path>>(files: &[P]) {
+    let names: Vec<String> = files.iter().map(|file| shown(file.as_ref())).collect();
+    say!("wrote {}", names.join(", "));
+}
+
+/// Says what to do next.
+pub fn next(what: &str) {
+    say!("next: {what}");
+}
+
+/// A path as a shell takes it.
+pub fn quoted(path: &Path) -> String {
+    let name = shown(path);
+    let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
+    if !name.is_empty() && name.chars().all(plain) {
+        return name;
     }
+    format!("'{}'", name.replace('\'', "'\\''"))
 }
 
 /// A number of things: `1 trial`, `2 trials`.

@@ -33,7 +33,7 @@ pub use decide::conformal::{Conformity, Rejection, RejectionError, nonconformity
 pub use decide::dead_sensor::without_flawed;
 pub use decide::interval::jeffreys_quantile;
 pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions};
 pub use error::RecogniseError;
 pub use features::{FrameFeatures, amplitude_spectrum, band_bins, hsv};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};

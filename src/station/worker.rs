@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::event::{Answer, Guess};
 use super::recogniser::{Recogniser, Verdict};
-use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
+use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 
 /// What is to be recognised.
@@ -61,7 +61,8 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        WorkerEvent::Named(name(&scan, &by, from, settled_s))
+                        let ranking = followed.finish(&scan, &by);
+                        WorkerEvent::Named(name(&scan, &by, ranking, from, settled_s))
                     }
                     Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &by)),
                 };
@@ -80,18 +81,20 @@ impl Worker {
 #[derive(Default)]
 struct Followed {
     scan: u32,
-    follower: Option<Box<dyn Follow>>,
+    /// With what it is followed by.
+    follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
     last: Option<GuessSoFar>,
 }
 
 impl Followed {
     /// Adds what is new, and gives the scan's first answers.
-    fn guess(&mut self, progress: &Progress, by: &Recogniser) -> Guess {
+    fn guess(&mut self, progress: &Progress, by: &Arc<Recogniser>) -> Guess {
         if self.scan != progress.number {
             let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
+            let follower = follower.map(|follower| (by.clone(), follower));
             *self = Self { scan: progress.number, follower, last: None };
         }
-        if let Some(follower) = &mut self.follower {
+        if let Some((_, follower)) = &mut self.follower {
             // A scan that cannot be compared is followed no longer; its answer will say why.
             match caught(|| look(&mut **follower, progress)) {
                 Some(Ok(guess)) => self.last = guess.or(self.last.take()),
@@ -111,6 +114,19 @@ impl Followed {
                 first.and_then(|(surface, _)| caught(|| by.needed_s(surface)).flatten());
         }
         news
+    }
+
+    /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
+    /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
+    /// another library was read since it began.
+    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranking> {
+        let (followed_by, follower) =
+            self.follower.as_mut().filter(|_| self.scan == scan.number)?;
+        let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
+        if !whole || !Arc::ptr_eq(followed_by, by) {
+            return None;
+        }
+        caught(|| follower.finish(&scan.trial)).flatten()
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.
@@ -139,8 +155,15 @@ fn look(
     follower.look(progress.scan_s)
 }
 
-fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> ScanAnswer {
-    let verdict = caught(|| by.name(scan))
+fn name(
+    scan: &Scan,
+    by: &Recogniser,
+    ranking: Option<Ranking>,
+    from: Instant,
+    settled_s: Option<f64>,
+) -> ScanAnswer {
+    let ranked = || ranking.map_or_else(|| by.rank(scan), Ok);
+    let verdict = caught(|| ranked().map(|ranking| by.verdict(scan, ranking)))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
         .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
@@ -150,7 +173,7 @@ fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> 
     Ok(Arc::new(Answer {
         scan: scan.number,
         surface: (!unknown).then(|| ranking.surface().to_string()),
-        truth: truth.map(|key| key.surface.clone()),
+        truth: truth.and_then(|key| key.label().map(String::from)),
         user: truth.map(|key| key.user.clone()),
         trial: truth.map(|key| key.number),
         synthetic: scan.synthetic,
@@ -236,6 +259,10 @@ mod tests {
             self.by.reach("look");
             let named = vec![("oak".into(), 1.0)];
             Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled: None }))
+        }
+
+        fn finish(&mut self, _: &Trial) -> Option<Ranking> {
+            None
         }
 
         fn settling(&self) -> &Settling {
