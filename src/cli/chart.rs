@@ -132,7 +132,7 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
         };
         say!("{}/{}  {name}{left}", done + 1, all.len());
         let (measured, left_out) = measure(on, one, &name)?;
-        show::left_out(&left_out);
+        let _ = show::left_out(&left_out);
         for point in measured {
             say!(
                 "       {}: {} ({} to {}), {:.2} ms",
