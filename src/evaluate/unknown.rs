@@ -97,7 +97,7 @@ impl UnknownOutcome {
                     let count = if group(*i) == left_out { &mut unknown } else { &mut of_fold };
                     count.add(p_value.is_some_and(|p| rejection.rejects(p)));
                 }
-                in_fold.get_or_insert_with(|| rejection.rate_low..=rejection.rate_high);
+                in_fold.get_or_insert(rejection.rate_low..=rejection.rate_high);
                 if stated.as_ref().is_none_or(|stated| rejection.trials < stated.trials) {
                     stated = Some(rejection);
                 }

@@ -41,6 +41,9 @@ pub(super) struct Inner {
     pub problem: Option<String>,
 }
 
+/// What a line changes of an entry.
+type Change = Box<dyn FnOnce(&mut Entry)>;
+
 impl Inner {
     pub fn write(&mut self, line: &str) -> Result<Option<Span>, HistoryError> {
         self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
@@ -55,7 +58,7 @@ impl Inner {
 
     /// Takes in what a line says.
     pub fn take(&mut self, line: Line, span: Span) {
-        let (id, change): (_, Box<dyn FnOnce(&mut Entry)>) = match line {
+        let (id, change): (String, Change) = match line {
             Line::Answer(head) => {
                 let text = Text::InLog(span);
                 let (correction, trial, signals) = (None, None, None);

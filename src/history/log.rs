@@ -157,7 +157,7 @@ impl Log {
         let path = self.path.with_extension("jsonl.unfinished");
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(HistoryError::Io { path, error });
+                Err(HistoryError::Io { path, error })
             }
             _ => Self::open(&path, false),
         }

@@ -124,7 +124,10 @@ async fn csv(State(hub): Shared) -> Result<Response, Problem> {
 async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
     let write = |history: &History| {
         let mut text = Vec::new();
-        history.each(|scan| Ok::<_, Problem>(text.extend(format!("{scan}\n").into_bytes())))?;
+        history.each(|scan| {
+            text.extend(format!("{scan}\n").into_bytes());
+            Ok::<_, Problem>(())
+        })?;
         Ok(text)
     };
     all(hub, "application/jsonl", write).await

@@ -305,7 +305,7 @@ mod tests {
     #[test]
     fn an_answer_is_named_by_its_moment_and_scan() {
         let moment = UNIX_EPOCH + std::time::Duration::from_millis(1_790_001_000_123);
-        let stamped = ("20260921-131000.123-07".to_string(), 1_790_001_000_123);
+        let stamped = ("20260921-143000.123-07".to_string(), 1_790_001_000_123);
         assert_eq!(stamp(moment, 7), stamped);
     }
 

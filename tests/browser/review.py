@@ -158,12 +158,12 @@ def the_library_is_checked_and_mended(browser, station, shots, wrong):
 
 def a_stalled_device_is_grey(browser, station, shots):
     """Stops the station's process: within a second, no trace looks alive."""
-    stalled = "return document.querySelectorAll('.plot[data-stalled]').length"
+    stalled = "return document.querySelectorAll('.plot:not(.camera)[data-stalled]').length"
     until(browser, "live traces", lambda: browser.run(stalled) == 0)
     station.process.send_signal(signal.SIGSTOP)
     try:
         time.sleep(1)
-        assert browser.run(stalled) == browser.run("return document.querySelectorAll('.plot').length")
+        assert browser.run(stalled) == browser.run("return document.querySelectorAll('.plot:not(.camera)').length")
         assert "no data for" in browser.text(".plot span")
         if shots:
             browser.screenshot(Path(shots) / "stalled.png")

@@ -320,10 +320,10 @@ mod tests {
         let weights = trained.weights();
         let distances = trained.distances(z);
         let u: f64 = trained.project(z).iter().map(|x| x * x).sum();
-        for class in 0..3 {
+        for (class, distance) in distances.iter().enumerate() {
             let terms: f64 = weights.terms(class, z, &stretches).iter().sum();
             let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
-            assert!((distances[class] - (u + mean - 2.0 * terms)).abs() < 1e-2);
+            assert!((distance - (u + mean - 2.0 * terms)).abs() < 1e-2);
         }
     }
 
