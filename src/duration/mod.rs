@@ -43,7 +43,7 @@ pub mod simulate;
 mod trials;
 
 pub use algorithm1::{CurvePoint, Estimate, Outcome, Rule, Search, Settings, t_star};
-pub use figure::{AccuracyCurve, AccuracyPoint, figure};
+pub use figure::{AccuracyCurve, figure};
 pub use need::{SAMPLES, START_S, ScanNeed, Second, worth};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};
 pub use pooled::{Answer, CORRELATION, Dependence, PooledEstimate, VALUES, at_needed_rate};

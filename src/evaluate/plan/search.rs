@@ -9,7 +9,7 @@ use super::method::{ChoosingMethod, Trying};
 use super::study::Study;
 use crate::evaluate::{EvaluateError, Outcome, Progress, Protocol, folds, wilson_interval};
 use crate::library::{Entry, Library};
-use crate::recognise::jeffreys_quantile;
+use crate::recognise::{can_show, reaches};
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
@@ -255,7 +255,7 @@ impl<'a> Search<'a> {
         Expected {
             target: self.target,
             reached: reaches(right, queries, self.target),
-            shown: shown(queries, self.target),
+            shown: can_show(queries, self.target),
             accuracy: right as f64 / queries as f64,
             accuracy_low,
             accuracy_high,
@@ -292,30 +292,5 @@ impl<'a> Search<'a> {
             choice.right,
             self.study.queries()
         ));
-    }
-}
-
-/// Whether this number of queries can show the target at all.
-fn shown(queries: usize, target: f64) -> bool {
-    jeffreys_quantile(queries, queries, 0.5) >= target
-}
-
-fn reaches(right: usize, queries: usize, target: f64) -> bool {
-    queries > 0
-        && (right == queries && !shown(queries, target)
-            || jeffreys_quantile(right, queries, 0.5) >= target)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_target_asks_for_a_margin_and_few_queries_for_perfection() {
-        assert!(!reaches(990, 1000, 0.99) || jeffreys_quantile(990, 1000, 0.5) >= 0.99);
-        assert!(reaches(991, 1000, 0.99) && !reaches(989, 1000, 0.99));
-        assert!(reaches(20, 20, 0.99) && !reaches(19, 20, 0.99) && !shown(20, 0.99));
-        assert!(shown(200, 0.99) && reaches(199, 200, 0.99) && !reaches(197, 200, 0.99));
-        assert!(!reaches(0, 0, 0.5));
     }
 }
