@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use self::algorithm1::Algorithm1Args;
-use super::choose::within;
 use super::figure::write;
 use super::method::at_least_one;
 use super::parse::share;
@@ -16,7 +15,7 @@ use crate::duration::{
     AccuracyCurve, CORRELATION, DurationReport, Estimator, PooledSettings, Question, ReportError,
     Rule, figure, report,
 };
-use crate::library::Library;
+use crate::library::{Entry, Library};
 use crate::recognise::{
     FollowOptions, Goal, LeftOutAccuracy, MethodName, MethodSpec, RecogniseError, ScanTime,
     prepare_library,
@@ -132,16 +131,16 @@ pub fn run(args: &Args) -> Done {
     let steps = show::Steps::new();
     let found = report(&library, &question, |done, of| steps.show("surfaces", done, of));
     let found = found.map_err(|error| args.failure(error))?;
-    let by_time = args.by_time(&library, &steps)?;
+    let by_time = args.by_time(&library, &steps);
     drop(steps);
     let goal = args.accuracy.map_or(Goal::Loss(FollowOptions::default().loss), Goal::Accuracy);
-    let answer = by_time.scan_time(goal);
+    // Trials that cannot be compared may have a T* all the same.
+    let (answer, points) = match &by_time {
+        Ok(found) => (found.scan_time(goal), found.points()),
+        Err(error) => (ScanTime::without_model(goal, error.to_string()), Vec::new()),
+    };
     if let Some(path) = &args.svg {
-        let curve = AccuracyCurve {
-            points: by_time.points(),
-            target: answer.target,
-            enough_s: answer.enough.map(|at| at.scan_s),
-        };
+        let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
         write(path, &figure(&found.durations, Some(&curve))?)?;
     }
     if args.json {
@@ -156,30 +155,35 @@ pub fn run(args: &Args) -> Done {
         say!("  {remark}");
     }
     say!("\n{}", answer.line());
-    say!("{}", found.in_words(answer.needed_s()).trim_end());
+    say!("{}", found.in_words(answer.scan_s()).trim_end());
     Ok(())
 }
 
 impl Args {
     /// How many left-out trials are named right by when, by the sources and of the user that were
     /// named.
-    fn by_time(&self, library: &Library, steps: &show::Steps) -> Result<LeftOutAccuracy, Failure> {
+    fn by_time(
+        &self,
+        library: &Library,
+        steps: &show::Steps,
+    ) -> Result<LeftOutAccuracy, RecogniseError> {
         let scene = match self.source.is_empty() {
             true => library.scene.clone(),
-            false => library.scene.clone().only(&self.source)?,
+            // `report` has found them.
+            false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
         };
-        let mut entries = within(library, &scene)?;
-        entries.retain(|entry| self.user.as_ref().is_none_or(|user| *user == entry.key.user));
+        let is_wanted = |entry: &Entry| {
+            !entry.sources.is_empty()
+                && self.user.as_ref().is_none_or(|user| *user == entry.key.user)
+        };
+        let entries: Vec<Entry> =
+            library.entries.iter().map(|e| e.clone().within(&scene)).filter(is_wanted).collect();
         let method = MethodSpec::from(MethodName::Embedding).build(&scene);
         let all = (0..entries.len()).collect();
         let step = |done, of| steps.show("preparing the library", done, of);
         let prepared = prepare_library(&*method, &entries, &all, Some(&self.lib), &step)?;
-        match prepared.fit_all(&*method) {
-            Ok(model) => Ok(model.left_out_accuracy().unwrap_or_default()),
-            // A single surface: nothing to be told apart.
-            Err(RecogniseError::TooFewSurfaces { .. }) => Ok(LeftOutAccuracy::default()),
-            Err(error) => Err(error.into()),
-        }
+        let model = prepared.fit_all(&*method)?;
+        Ok(model.left_out_accuracy().unwrap_or_default())
     }
 
     fn failure(&self, error: ReportError) -> Failure {

@@ -21,8 +21,7 @@ use crate::scan::{Options, Totals};
 use crate::scene::Scene;
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    Command, DurationRequirements, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
-    assemble,
+    Command, LibraryState, Listener, Load, Recogniser, ScanStore, Station, assemble,
 };
 
 /// Which station.
@@ -96,8 +95,7 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
         let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
         let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
-        let requirements = DurationRequirements::of(&scene, entries, state.synthetic);
-        let mut by = Recogniser::new(model, requirements, state);
+        let mut by = Recogniser::new(model, scene, state).planned(how.planned_s());
         answers.apply(&mut by).map_err(|error| error.to_string())?;
         Ok(Arc::new(by))
     })

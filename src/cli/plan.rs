@@ -93,6 +93,11 @@ pub struct Comparing {
 }
 
 impl Comparing {
+    /// How long the plan lets scans last, in seconds, if there is one that says so.
+    pub fn planned_s(&self) -> Option<f64> {
+        self.plan.as_ref()?.scan_s
+    }
+
     /// The scene with the sources that are compared.
     ///
     /// # Errors

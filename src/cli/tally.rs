@@ -13,7 +13,7 @@ pub struct Tally {
     each: bool,
     total: usize,
     /// How often each kind of remark on a source was made; only the first is shown.
-    remarks: BTreeMap<(RemarkKind, SourceId), usize>,
+    remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     answers: usize,
     with_truth: usize,
     right: usize,
@@ -108,7 +108,7 @@ impl Tally {
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => String::new(),
         };
-        let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
+        let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
         say!(
             "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,

@@ -95,7 +95,7 @@ impl Terminal {
 
     fn answer(&mut self, answer: &Answer) {
         let name = answer.surface.as_deref().unwrap_or("unknown");
-        let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
+        let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
         if !self.json {
             self.info(&format!(
                 "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
@@ -190,11 +190,10 @@ fn so_far(guess: &Guess) -> String {
         format!(": {} {:.0} %{settled}", best.surface, best.probability * 100.0)
     });
     let more_s = guess.needed_s.map(|needed_s| needed_s - guess.scan_s).filter(|s| *s > 0.0);
-    let more = more_s.map(|s| format!(" (T*: {s:.1} s more)"));
-    format!(
-        "dragging {:.1} s{}{}",
-        guess.scan_s,
-        best.unwrap_or_default(),
-        more.unwrap_or_default()
-    )
+    let more = match more_s {
+        _ if guess.enough => " (lift)".into(),
+        Some(s) => format!(" ({s:.1} s more)"),
+        None => String::new(),
+    };
+    format!("dragging {:.1} s{}{more}", guess.scan_s, best.unwrap_or_default())
 }

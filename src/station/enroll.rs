@@ -33,9 +33,19 @@ impl EnrolmentProgress {
         Self { enrolment, wanted, under_way: 0, from_scan }
     }
 
+    /// Whether the scan `number` is to be kept.
+    pub fn wants(&self, number: u32) -> bool {
+        number >= self.from_scan && self.under_way < self.wanted
+    }
+
+    /// Whether scans that are not good are refused.
+    pub fn good_only(&self) -> bool {
+        self.enrolment.good_only
+    }
+
     /// What the scan `number`, which has just ended, is to become, if it is still wanted.
     pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
-        (number >= self.from_scan && self.under_way < self.wanted).then(|| {
+        self.wants(number).then(|| {
             self.under_way += 1;
             self.enrolment.clone()
         })

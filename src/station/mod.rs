@@ -10,10 +10,10 @@ pub mod config;
 mod enroll;
 mod event;
 mod recogniser;
-mod requirements;
 mod run;
 mod start;
 mod store;
+mod trial_need;
 mod worker;
 
 pub use assemble::{Assembled, assemble};
@@ -22,6 +22,5 @@ pub use event::{
     StationEvent, SurfaceProbability,
 };
 pub use recogniser::{Load, Recogniser, Verdict};
-pub use requirements::DurationRequirements;
 pub use start::Station;
 pub use store::ScanStore;

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use crossbeam_channel::{Receiver, never, select};
 
 use super::enroll::{Enrolment, EnrolmentProgress};
-use super::event::{Command, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent};
+use super::event::{Command, EnrolledOutcome, LibraryState, Listener, StationEvent};
 use super::recogniser::{Load, Recogniser};
 use super::store::{RecordingThread, Stored};
-use super::worker::{Job, Work, Worker, WorkerEvent};
+use super::worker::{Job, Purpose, Work, Worker, WorkerEvent};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
+use crate::scene::SourceId;
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
@@ -24,6 +25,16 @@ enum Naming {
     None(String),
 }
 
+impl Naming {
+    /// Why scans cannot be named, if they cannot.
+    fn problem(&self) -> &str {
+        match self {
+            Self::None(why) => why,
+            Self::Loading | Self::Ready(_) => "",
+        }
+    }
+}
+
 type Loaded = Result<Arc<Recogniser>, String>;
 
 /// What works for a station, once it is started.
@@ -31,6 +42,8 @@ pub(super) struct Parts {
     pub session: Session,
     pub worker: Worker,
     pub recording: Option<RecordingThread>,
+    /// Sources of which a good trial holds enough independent samples.
+    pub by_t_star: Vec<SourceId>,
     /// Whether all devices can wait.
     pub waits: bool,
     pub load: Option<Load>,
@@ -41,6 +54,7 @@ pub(super) struct Run<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
+    by_t_star: Vec<SourceId>,
     waits: bool,
     load: Option<Load>,
     naming: Naming,
@@ -60,11 +74,12 @@ pub(super) struct Run<'a> {
 impl<'a> Run<'a> {
     /// A station that knows no library yet.
     pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
-        let Parts { session, worker, recording, waits, load } = parts;
+        let Parts { session, worker, recording, by_t_star, waits, load } = parts;
         Self {
             session,
             worker,
             recording,
+            by_t_star,
             waits,
             load,
             naming: Naming::None("no library was given".into()),
@@ -194,25 +209,36 @@ impl<'a> Run<'a> {
     /// Hands work to the worker, as far as it takes it.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
-            match (&self.naming, job) {
-                (Naming::Loading, job) => return self.pending.push_front(job),
-                (Naming::None(why), Job::Scan(scan)) => {
-                    let text = format!("scan {} was not named: {why}", scan.number);
-                    self.warn(text);
+            let by = match &self.naming {
+                Naming::Loading => return self.pending.push_front(job),
+                Naming::None(_) => None,
+                Naming::Ready(by) => Some(by.clone()),
+            };
+            let work = match (job, by) {
+                (Job::Scan(scan), Some(by)) => Work::Scan(scan, by),
+                (Job::Scan(scan), None) => {
+                    let why = self.naming.problem();
+                    self.warn(format!("scan {} was not named: {why}", scan.number));
+                    continue;
                 }
-                (Naming::None(_), Job::Progress(progress)) => {
-                    self.emit(StationEvent::Guess(Guess::nothing(
-                        progress.number,
-                        progress.scan_s,
-                    )));
+                (Job::Progress(progress), by) => {
+                    let purpose = self.purpose(progress.number);
+                    Work::Progress(progress, purpose, by)
                 }
-                (Naming::Ready(by), job) => {
-                    let work = Work { job, by: by.clone() };
-                    if let Err(back) = self.worker.work.try_send(work) {
-                        return self.pending.push_front(back.into_inner().job);
-                    }
-                }
+            };
+            if let Err(back) = self.worker.work.try_send(work) {
+                return self.pending.push_front(back.into_inner().into_job());
             }
+        }
+    }
+
+    /// What a scan in progress is for.
+    fn purpose(&self, number: u32) -> Purpose {
+        let wanted = self.enrolment.as_ref().filter(|progress| progress.wants(number));
+        match wanted {
+            Some(progress) if progress.good_only() => Purpose::Keep(self.by_t_star.clone()),
+            Some(_) => Purpose::Keep(Vec::new()),
+            None => Purpose::Name,
         }
     }
 

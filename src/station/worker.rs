@@ -9,8 +9,10 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::event::{Answer, Guess};
 use super::recogniser::{Recogniser, Verdict};
+use super::trial_need::TrialNeed;
 use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
+use crate::scene::SourceId;
 
 /// What is to be recognised.
 pub(super) enum Job {
@@ -21,9 +23,30 @@ pub(super) enum Job {
 }
 
 /// What is to be recognised, and by what.
-pub(super) struct Work {
-    pub job: Job,
-    pub by: Arc<Recogniser>,
+pub(super) enum Work {
+    /// A scan to be named.
+    Scan(Box<Scan>, Arc<Recogniser>),
+    /// What is new in the scan in progress, what it is for, and what names it, if anything can.
+    Progress(Progress, Purpose, Option<Arc<Recogniser>>),
+}
+
+impl Work {
+    /// The job without the rest.
+    pub fn into_job(self) -> Job {
+        match self {
+            Self::Scan(scan, _) => Job::Scan(scan),
+            Self::Progress(progress, ..) => Job::Progress(progress),
+        }
+    }
+}
+
+/// What a scan in progress is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// To be named.
+    Name,
+    /// To be kept as a trial, which must hold enough independent samples of these sources.
+    Keep(Vec<SourceId>),
 }
 
 /// What the thread has done.
@@ -56,15 +79,17 @@ impl Worker {
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
-            for Work { job, by } in to_do {
-                let event = match job {
-                    Job::Scan(scan) => {
+            for work in to_do {
+                let event = match work {
+                    Work::Scan(scan, by) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
                         WorkerEvent::Named(name(&scan, &by, from, settled_s))
                     }
-                    Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &by)),
+                    Work::Progress(progress, purpose, by) => {
+                        WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_deref()))
+                    }
                 };
                 if send.send(event).is_err() {
                     return;
@@ -90,14 +115,16 @@ struct Followed {
     scan: u32,
     follower: Option<Box<dyn Follow>>,
     last: Option<GuessSoFar>,
+    trial: TrialNeed,
 }
 
 impl Followed {
-    /// Adds what is new, and gives the scan's first answers.
-    fn guess(&mut self, progress: &Progress, by: &Recogniser) -> Guess {
+    /// Adds what is new, and gives the scan's first answers and whether it may end.
+    fn guess(&mut self, progress: &Progress, purpose: &Purpose, by: Option<&Recogniser>) -> Guess {
+        let truth = progress.truth.as_ref();
         if self.scan != progress.number {
-            let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
-            *self = Self { scan: progress.number, follower, last: None };
+            let follower = by.and_then(|by| caught(|| by.follow(truth)).flatten());
+            *self = Self { scan: progress.number, follower, ..Self::default() };
         }
         if let Some(follower) = &mut self.follower {
             // A scan that cannot be compared is followed no longer; its answer will say why.
@@ -114,11 +141,23 @@ impl Followed {
             };
             news.named = guess.named.iter().map(name).collect();
             news.settled = guess.settled.is_some();
-            let first = guess.named.first();
-            news.needed_s =
-                first.and_then(|(surface, _)| caught(|| by.needed_s(surface)).flatten());
         }
+        news.needed_s = by.and_then(|by| by.needed_s(truth));
+        let mut settled = news.settled && self.rule_is_supported();
+        if let Purpose::Keep(by_t_star) = purpose {
+            let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
+            progress.fresh.iter().filter(judged).for_each(|fresh| self.trial.add(fresh));
+            news.needed_s = self.trial.needed_s(progress.scan_s, news.needed_s);
+            // A name is not what such a scan is for.
+            settled = false;
+        }
+        news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
         news
+    }
+
+    /// Whether the library has enough trials to show what the stop rule is said to cost.
+    fn rule_is_supported(&self) -> bool {
+        self.follower.as_ref().is_some_and(|follower| follower.settling().shown)
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.
@@ -185,8 +224,8 @@ mod tests {
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
     use crate::recognise::{FollowOptions, Model, Prepared, RankedSurface, Ranking, Settling};
-    use crate::scene::{Scene, SourceId};
-    use crate::station::{DurationRequirements, LibraryState};
+    use crate::scene::Scene;
+    use crate::station::LibraryState;
     use crate::trial::{Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
@@ -275,9 +314,8 @@ mod tests {
             ("rank", true, false),
         ] {
             let worker = Worker::start(false).unwrap();
-            let needs = DurationRequirements::of(&Scene::lmt108(), Vec::new(), false);
             let model = Arc::new(PanicsIn(part));
-            let by = Arc::new(Recogniser::new(model, needs, LibraryState::default()));
+            let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
                 let progress = Progress {
                     number,
@@ -286,8 +324,9 @@ mod tests {
                     fresh: Vec::new(),
                     images: Vec::new(),
                 };
-                for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
-                    worker.work.send(Work { job, by: by.clone() }).unwrap();
+                let progress = Work::Progress(progress, Purpose::Name, Some(by.clone()));
+                for work in [progress, Work::Scan(Box::new(scan(number)), by.clone())] {
+                    worker.work.send(work).unwrap();
                 }
                 let Ok(WorkerEvent::Guess(guess)) = worker.done.recv() else {
                     panic!("{part}: no guess")

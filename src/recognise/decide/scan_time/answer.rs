@@ -1,6 +1,6 @@
 //! The answer: how long to drag, or why that cannot be said.
 
-use super::AccuracyAt;
+use super::{AccuracyAt, Goal, LeftOutAccuracy};
 
 /// Why there is no scan time.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +21,8 @@ pub enum Shortfall {
     },
     /// Not even whole trials reach the target.
     NotReached,
+    /// The trials cannot be compared with each other: why.
+    NoModel(String),
 }
 
 /// How long a scan must last, or why that cannot be said.
@@ -72,7 +74,7 @@ impl From<ScanTime> for Document {
         let (at, whole) = (answer.enough, answer.whole);
         Self {
             target: answer.target,
-            scan_s: at.map(|at| at.scan_s),
+            scan_s: answer.scan_s(),
             accuracy: at.map(|at| at.accuracy),
             accuracy_low: at.map(|at| at.accuracy_low),
             accuracy_high: at.map(|at| at.accuracy_high),
@@ -88,10 +90,15 @@ impl From<ScanTime> for Document {
 }
 
 impl ScanTime {
-    /// How long to drag, in seconds: where no less is known to be enough, as long as the library's
-    /// own trials.
-    pub fn needed_s(&self) -> Option<f64> {
-        self.enough.or(self.whole).map(|at| at.scan_s)
+    /// For trials that cannot be compared with each other.
+    pub fn without_model(goal: Goal, why: String) -> Self {
+        let shortfall = Some(Shortfall::NoModel(why));
+        Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
+    }
+
+    /// How long to drag, in seconds, where that is known.
+    pub fn scan_s(&self) -> Option<f64> {
+        self.enough.map(|at| at.scan_s)
     }
 
     /// For people: the answer in one line.
@@ -126,7 +133,7 @@ impl ScanTime {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
             Shortfall::TooFewTrials { of_each, surfaces, .. } => Some(of_each * surfaces),
-            Shortfall::NotReached => None,
+            Shortfall::NotReached | Shortfall::NoModel(_) => None,
         }
     }
 
@@ -158,6 +165,7 @@ impl ScanTime {
                 self.trials,
                 percent(*share)
             ),
+            Shortfall::NoModel(why) => why.clone(),
             Shortfall::NotReached => format!(
                 "no scan time reaches {}; at full length {} of left-out scans are named right ({}): \
                  add a source, or record more trials",
