@@ -150,6 +150,9 @@ fn print(planned: &Planned) {
     for step in &planned.steps {
         say!("{step}");
     }
+    for warning in &planned.warnings {
+        say!("warning: {warning}");
+    }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };

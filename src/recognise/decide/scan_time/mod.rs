@@ -15,7 +15,7 @@ mod answer;
 
 pub use answer::{ScanTime, Shortfall};
 
-use super::interval::{can_show, reaches, wilson, wilson_of_groups};
+use super::interval::{can_show, wilson, wilson_of_groups};
 use crate::recognise::follow::LOOK_S;
 
 /// Ratio of a later scan time to the one before it, at most; the first ones are a look apart.
@@ -153,16 +153,15 @@ impl LeftOutAccuracy {
     /// even their whole length does not.
     fn earliest(&self, goal: Goal, without: Option<usize>) -> Option<usize> {
         let kept = || self.groups.iter().enumerate().filter(|(g, _)| Some(*g) != without);
-        let trials = kept().map(|(_, group)| group.trials).sum();
+        let trials: usize = kept().map(|(_, group)| group.trials).sum();
         let right = |at: usize| kept().map(|(_, group)| group.right[at]).sum::<usize>();
         let last = self.times.len() - 1;
-        let enough = |at: &usize| match goal {
-            Goal::Accuracy(share) => reaches(right(*at), trials, share),
-            Goal::Loss(_) if *at == last => true,
-            Goal::Loss(loss) => {
-                reaches(right(*at), trials, right(last) as f64 / trials as f64 - loss)
-            }
+        let share = |at: usize| right(at) as f64 / f64::max(trials as f64, 1.0);
+        let target = match goal {
+            Goal::Accuracy(target) => target,
+            Goal::Loss(loss) => share(last) - loss,
         };
+        let enough = |at: &usize| share(*at) >= target - 1e-9;
         (0..self.times.len()).rev().take_while(enough).last()
     }
 
@@ -244,7 +243,7 @@ mod tests {
 
     #[test]
     fn the_scan_time_is_the_earliest_from_which_on_the_goal_is_kept() {
-        let mostly = accuracy(200, |i| if i % 50 == 0 { 1.0 } else { 0.5 });
+        let mostly = accuracy(200, |i| if i % 51 == 0 { 1.0 } else { 0.5 });
         let found = |goal| mostly.scan_time(goal).enough.unwrap();
         assert!((found(Goal::Accuracy(0.95)).scan_s - 0.5).abs() < 1e-9);
         let all = found(Goal::Loss(0.01));
