@@ -332,3 +332,6 @@ impl State {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::event::{Answer, Guess};
+use super::event::{Answer, Guess, SurfaceProbability};
 use super::recogniser::{Recogniser, Verdict};
 use super::trial_need::TrialNeed;
 use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
@@ -135,11 +135,9 @@ impl Followed {
         }
         let mut news = Guess::nothing(progress.number, progress.scan_s);
         if let Some(guess) = &self.last {
-            let name = |(surface, probability): &(String, f64)| super::event::SurfaceProbability {
-                surface: surface.clone(),
-                probability: *probability,
-            };
-            news.named = guess.named.iter().map(name).collect();
+            let named = guess.named.iter().cloned();
+            let name = |(surface, probability)| SurfaceProbability { surface, probability };
+            news.named = named.map(name).collect();
             news.settled = guess.settled.is_some();
         }
         news.needed_s = by.and_then(|by| by.needed_s(truth));
@@ -282,7 +280,8 @@ mod tests {
         fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
             self.by.reach("look");
             let named = vec![("oak".into(), 1.0)];
-            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled: None }))
+            let settled = Some(("oak".into(), 0.1));
+            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled }))
         }
 
         fn settling(&self) -> &Settling {
@@ -332,7 +331,8 @@ mod tests {
                     panic!("{part}: no guess")
                 };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
-                assert_eq!(!guess.named.is_empty(), guesses, "{part}");
+                assert_eq!((!guess.named.is_empty(), guess.settled), (guesses, guesses), "{part}");
+                assert!(!guess.enough, "a stop rule that rests on no trial");
                 let Ok(WorkerEvent::Named(named)) = worker.done.recv() else {
                     panic!("{part}: no name")
                 };
