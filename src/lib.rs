@@ -1,5 +1,26 @@
 //! Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
 //!
+//! ```
+//! use surfaced::dataset::synth::{self, Parameters};
+//! use surfaced::recognise::{MethodName, MethodSpec, prepare_library};
+//!
+//! // Recordings; `dataset::open(folder, &Scene::lmt108())` opens your own.
+//! let small = Parameters { surfaces: 3, trials: 3, users: 1, drag_seconds: 0.5, ..Parameters::default() };
+//! let data = synth::library(&small);
+//! let (library, queries): (Vec<_>, Vec<_>) =
+//!     data.entries.into_iter().partition(|entry| entry.key.user == "expert");
+//!
+//! let method = MethodSpec::from(MethodName::Embedding).build(&data.scene);
+//! let all = (0..library.len()).collect();
+//! let model = prepare_library(&*method, &library, &all, None, &|_, _| ())?.fit_all(&*method)?;
+//!
+//! let query = model.prepare(&queries[0], &queries[0].load()?)?;
+//! assert_eq!(model.rank(&query)?.surface(), queries[0].key.surface);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Map
+//!
 //! Data flow; no folder imports against the arrow:
 //!
 //! ```text
@@ -9,19 +30,36 @@
 //! scan, recognise, duration and record; cli and serve stand on top of all.
 //! ```
 //!
-//! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes
-//! every draw of randomness repeatable, [`draw`] makes pictures. Decoders, kernels and statistics are pure: no I/O, no
-//! clock, no global state.
+//! | to | use |
+//! |---|---|
+//! | open recordings of any form | [`dataset::open`], [`library`] |
+//! | write them | [`record::write_trial`] |
+//! | name a trial | [`recognise`] |
+//! | measure how well that works | [`evaluate::Evaluation`] |
+//! | learn how long a scan must last | [`duration`] |
+//! | run a station of your own devices | [`device::Device`], [`station::Station`] |
+//! | compare two samples, or test independence | [`kernel`] |
+//!
+//! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes every
+//! draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no clock, no
+//! global state.
+//!
+//! Before version 1.0, a minor version may change this interface. What the table names is meant to
+//! stay; [`ring`], [`scan`] and [`serve`] are public for those who build a station of their own.
 
+#![warn(missing_docs)]
+
+#[doc(hidden)]
 pub mod cli;
 pub mod dataset;
 pub mod device;
-pub mod draw;
+mod draw;
 pub mod duration;
 pub mod evaluate;
 mod jpeg;
 pub mod kernel;
 pub mod library;
+mod printable;
 pub mod recognise;
 pub mod record;
 pub mod ring;

@@ -14,7 +14,7 @@ use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
-    GuessSoFar, LOOK_S, LibraryShape, Model, Reference, ReferenceOptions, RejectionError,
+    GuessSoFar, LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError,
     without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
@@ -159,6 +159,54 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
     let told = said(&mut *follower, &scene, &halfway, 0.1);
     assert_eq!(told.last().unwrap().named, expected.last().unwrap().named);
     assert_ne!(told[2].named, expected[2].named);
+}
+
+#[test]
+fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
+    let (scene, model, scan) = made();
+    let whole = |trial: &Trial| {
+        let (sound, _) = without_flawed(trial.clone(), &scene, |id, c| model.moves(id, c));
+        let query = model.prepare(&Entry::in_memory(sound.clone()), &sound).unwrap();
+        model.rank(&query).unwrap()
+    };
+    let mut stuck = scan.clone();
+    if let Some(Signal::Series(forces)) = stuck.signals.get_mut(&id("fr")) {
+        forces.view_mut().column_mut(1).fill(0.3);
+    }
+    for trial in [&scan, &stuck] {
+        let expected = whole(trial);
+        for followed_s in [0.0, 0.1, 1.04, 1.73] {
+            let beginning = trial.clone().first_seconds(followed_s, |id| scene.is_dragged(id));
+            let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
+            if followed_s > 0.0 {
+                said(&mut *follower, &scene, &beginning, 0.1);
+            }
+            let ranking = follower.finish(trial).unwrap();
+            let surfaces =
+                |r: &Ranking| r.ranked.iter().map(|one| one.surface.clone()).collect::<Vec<_>>();
+            assert_eq!(surfaces(&ranking), surfaces(&expected), "followed for {followed_s} s");
+            assert_eq!(
+                (ranking.nearest, ranking.sources, ranking.p_value),
+                (expected.nearest.clone(), expected.sources.clone(), expected.p_value)
+            );
+            assert!((ranking.margin - expected.margin).abs() < 1e-3 * expected.margin);
+        }
+    }
+}
+
+#[test]
+fn a_scan_that_is_another_than_was_followed_is_not_finished() {
+    let (scene, model, scan) = made();
+    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let shorter = scan.clone().first_seconds(0.5, |id| scene.is_dragged(id));
+    let mut without = scan.clone();
+    without.signals.remove(&id("mi1"));
+    let mut unlike = scan.clone();
+    unlike.signals.retain(|_, signal| matches!(signal, Signal::Image(_)));
+    for other in [shorter, without, unlike] {
+        assert!(!said(&mut *follower, &scene, &scan, 0.1).is_empty());
+        assert_eq!(follower.finish(&other), None);
+    }
 }
 
 #[test]

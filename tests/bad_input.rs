@@ -112,24 +112,31 @@ fn a_wrong_number_of_channels() {
     write_wav(&path.join("Oak/1/ac.wav"), 10_000, 1, &[1, 2]);
     says(
         &refusal(&path),
-        &["ac.wav: 1 channel, but source `ac` has 3; expected one channel a column"],
+        &[
+            "ac.wav: 1 channel, but source `ac` has 3; expected one channel a column",
+            "[sources.ac] channels = 1",
+        ],
     );
+    write_file(&path.join("library.toml"), "format = 1\n[sources.ac]\nchannels = 1\n");
+    open(&path).unwrap();
 }
 
 #[test]
-fn two_rates_in_one_source() {
+fn two_rates_in_one_source_are_said_and_refused_where_the_band_is_not_there() {
     let (_dir, path) = temp();
     write_wav(&path.join("Ash/1/mi2.wav"), 44_100, 1, &[1, 2]);
     write_wav(&path.join("Oak/1/mi2.wav"), 48_000, 1, &[1, 2]);
-    let first = path.join("Ash/1/mi2.wav").display().to_string();
+    let remarks = open(&path).unwrap().remarks.join("\n");
     says(
-        &refusal(&path),
+        &remarks,
         &[
-            "Oak/1/mi2.wav: two rates in one source: `mi2` has 48000 Hz here, but 44100 Hz in",
-            &first,
-            "resample",
+            "Oak/1/mi2.wav: source `mi2` has 48000 Hz here, but 44100 Hz in",
+            "Ash/1/mi2.wav",
+            "`embedding` compares them by frequency in Hz, the others need one rate",
         ],
     );
+    write_wav(&path.join("Yew/1/mi2.wav"), 8_000, 1, &[1, 2]);
+    says(&refusal(&path), &["Yew/1/mi2.wav", "reaches above half of that"]);
 }
 
 #[test]

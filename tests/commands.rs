@@ -107,10 +107,12 @@ fn an_evaluation_prints_what_was_promised() {
 fn an_evaluation_chooses_a_protocol_and_says_which() {
     let dir = scene();
     let output = surfaced(&["eval", &path(&dir), "--method", "knn", "--sources", "mi2"]);
-    let text = stderr(&output);
-    assert!(text.contains("protocol: expert-vs-users"), "{text}");
-    assert!(text.contains(" of 6 queries; 95 % interval "), "{text}");
-    assert!(text.contains("mean over 2 users: "), "{text}");
+    let said = stderr(&output);
+    assert!(said.contains("protocol: expert-vs-users"), "{said}");
+    assert!(said.contains("next: surfaced chart "), "{said}");
+    let shown = String::from_utf8(output.stdout).unwrap();
+    assert!(shown.contains(" of 6 queries; 95 % interval "), "{shown}");
+    assert!(shown.contains("mean over 2 users: "), "{shown}");
     let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "1"];
     refused(&knn, 1, &["no user has more than 1 trial(s)"]);
     let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();

@@ -91,9 +91,9 @@ fn pooled_ends_with_what_t_star_means_for_each_source() {
     let folder = tempfile::tempdir().unwrap();
     library(folder.path());
     let args = ["duration", folder.path().to_str().unwrap(), "--source", "ir"];
-    let (code, _, stderr) = surfaced(&args);
+    let (code, stdout, stderr) = surfaced(&args);
     assert_eq!(code, 0, "{stderr}");
-    let last = stderr.lines().find(|line| line.starts_with("ir:")).unwrap();
+    let last = stdout.lines().find(|line| line.starts_with("ir:")).unwrap();
     assert!(last.contains("fresh evidence") && last.contains("(foam)"), "{last}");
     assert!(last.contains("independent samples") && last.contains("400 samples"), "{last}");
 }
@@ -117,9 +117,9 @@ fn the_answer_is_how_long_to_drag_or_how_many_trials_are_lacking_for_it() {
     assert!(number("scan_s") > 0.0 && number("scan_s") <= number("whole_s"), "{found}");
     assert!(number("accuracy_low") <= number("accuracy") && number("accuracy") >= 0.9, "{found}");
     assert!((number("whole_s") - 1.2).abs() < 1e-6 && found["target"] == 0.9, "{found}");
-    let (_, _, stderr) = surfaced(&["duration", path, "--accuracy", "0.9", "--source", "ir"]);
-    let mut last = stderr.trim_end().lines().rev();
-    assert!(last.next().unwrap().starts_with("ir: two moments of a drag"), "{stderr}");
+    let (_, stdout, _) = surfaced(&["duration", path, "--accuracy", "0.9", "--source", "ir"]);
+    let mut last = stdout.trim_end().lines().rev();
+    assert!(last.next().unwrap().starts_with("ir: two moments of a drag"), "{stdout}");
     let line = last.next().unwrap();
     assert!(
         line.starts_with("drag for at least ") && line.ends_with("(for this person)"),

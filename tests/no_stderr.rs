@@ -73,6 +73,39 @@ fn a_station_names_scans_whatever_becomes_of_its_log() {
     }
 }
 
+#[test]
+fn a_reader_of_json_who_stalls_does_not_hold_up_the_end() {
+    let data = synthetic(0.8);
+    let mut bench = Bench::new();
+    let library = bench.library(&data);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+        .args(["run", "--json", "--method", "reference", "--library"])
+        .arg(&library)
+        .arg("--config")
+        .arg(bench.path("station.toml"))
+        .arg("--stylus")
+        .arg(bench.path("stylus"))
+        .stdin(Stdio::null())
+        .stdout(unread())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 0, SCANNED), 0.8);
+    fake.serve(seconds + 1.0);
+    assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
+    let began = std::time::Instant::now();
+    let status = loop {
+        match child.try_wait().unwrap() {
+            Some(status) => break status,
+            None => fake.obey(),
+        }
+        assert!(began.elapsed().as_secs() < 5, "it does not end");
+    };
+    assert_eq!(status.code(), Some(0));
+}
+
 /// A pipe that is full, and whose reader has stalled.
 fn unread() -> Stdio {
     use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};

@@ -192,6 +192,35 @@ fn recording_keeps_every_scan_until_it_is_ended() {
 }
 
 #[test]
+fn scans_that_cannot_be_written_wait_and_a_recording_that_loses_them_says_so() {
+    let data = synthetic(0.8);
+    // Some scans are lost, or all of them.
+    for (kept, code) in [(1, 3), (0, 1)] {
+        let mut bench = Bench::new();
+        let path = bench.path("mine");
+        let mut fake = bench.stylus();
+        let mut record = bench.surfaced(&["record", "--library", path.to_str().unwrap()]);
+        fake.wait_for_start();
+        for scan in 0..=kept {
+            if scan == kept {
+                // The folder goes away, and a file is in its place.
+                std::fs::rename(&path, bench.path("moved")).unwrap();
+                std::fs::write(&path, "").unwrap();
+            }
+            let seconds = bench.play(&fake, &trial(&data, 0, 1 + scan), 0.8);
+            fake.serve(seconds);
+            let line = record.line(&mut fake);
+            let outcome = if scan == kept { "waiting" } else { "kept" };
+            assert_eq!(line["outcome"], outcome, "{line} {}", record.said());
+        }
+        record.signal("TERM");
+        assert_eq!(record.line(&mut fake)["outcome"], "lost", "{}", record.said());
+        assert_eq!(record.end(&mut fake).code(), Some(code), "{}", record.said());
+        assert!(record.said().contains("1 scan could not be written"), "{}", record.said());
+    }
+}
+
+#[test]
 fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     let bench = Bench::new();
     let said = |args: &[&str]| {

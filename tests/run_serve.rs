@@ -108,6 +108,48 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
 }
 
 #[test]
+fn an_enrolment_on_the_page_interrupts_a_recording_from_the_next_scan_on_and_does_not_end_it() {
+    let data = synthetic(0.8);
+    let mut bench = Bench::new();
+    let path = bench.path("mine");
+    let library = path.to_str().unwrap().to_string();
+    let mut record = bench.surfaced(&["record", "--library", &library, "--serve=127.0.0.1:0"]);
+    let station = served(&record);
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let in_force = |fake: &mut Fake, surface: &str| {
+        until(station, "/api/v1/state", fake, |s| s["enrolling"]["surface"] == surface)
+    };
+    let state = in_force(&mut fake, "unlabelled");
+    assert_eq!(state["enrolling"]["wanted"], Value::Null, "every scan");
+    let order = json!({ "surface": "oak", "trials": 1 }).to_string();
+    for (scan, surface) in [(1, "unlabelled"), (2, "oak"), (3, "unlabelled")] {
+        let seconds = bench.play(&fake, &trial(&data, 0, scan), 0.8);
+        // In the middle of the first drag.
+        fake.serve(seconds - 0.5);
+        if scan == 1 {
+            assert_eq!(station.get("/api/v1/state").json()["phase"], "drag");
+            assert_eq!(station.post("/api/v1/enroll", &order).status, 202);
+            in_force(&mut fake, "oak");
+        }
+        fake.serve(0.5);
+        let line = record.line(&mut fake);
+        assert_eq!(
+            (&line["surface"], &line["outcome"]),
+            (&json!(surface), &json!("kept")),
+            "{line}"
+        );
+        in_force(&mut fake, if scan == 1 { "oak" } else { "unlabelled" });
+    }
+    record.signal("TERM");
+    assert_eq!(record.end(&mut fake).code(), Some(0), "{}", record.said());
+    let kept = bench::opened(&path);
+    let kept: Vec<_> =
+        kept.entries.iter().map(|e| (e.key.surface.as_str(), e.key.number)).collect();
+    assert_eq!(kept, [("oak", 1), ("unlabelled", 1), ("unlabelled", 2)]);
+}
+
+#[test]
 fn a_replay_is_on_the_page_before_its_models_are_made() {
     let mut replay = Command::new(env!("CARGO_BIN_EXE_surfaced"))
         .args(["replay", "--speed", "1.0", "--json", "--serve=127.0.0.1:0"])

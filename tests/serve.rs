@@ -1,4 +1,4 @@
-//! The interface for programs: what the README promises is what a server answers.
+//! The interface for programs: what its page promises is what a server answers.
 
 mod common;
 
@@ -10,7 +10,9 @@ use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
-use surfaced::station::{Command, Enrolled, EnrolledOutcome, LibraryState, StationEvent};
+use surfaced::station::{
+    Command, Enrolled, EnrolledOutcome, Enrolling, LibraryState, StationEvent,
+};
 
 /// A server that was told a short session.
 fn told() -> Served {
@@ -35,12 +37,10 @@ fn timeless(mut value: Value) -> Value {
     value
 }
 
-/// The requests of the README and the answers that it shows: indented blocks that begin with
+/// The requests of the page and the answers that it shows: indented blocks that begin with
 /// `$ curl`, each followed by its answer.
 fn documented() -> Vec<(String, String)> {
-    let text = include_str!("../README.md");
-    let (_, section) = text.split_once("\n## As a service, and for programs\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
+    let section = include_str!("../src/serve/README.md");
     let mut samples: Vec<(String, String)> = Vec::new();
     let mut within = false;
     for line in section.lines() {
@@ -72,9 +72,9 @@ fn curl(served: &Served, command: &str) -> String {
 }
 
 #[test]
-fn every_answer_that_the_readme_shows_is_what_a_server_says() {
+fn every_answer_that_the_page_shows_is_what_a_server_says() {
     let samples = documented();
-    assert!(samples.len() >= 8, "the README shows an answer of each kind: {samples:#?}");
+    assert!(samples.len() >= 8, "the page shows an answer of each kind: {samples:#?}");
     let mut wrong = String::new();
     for (command, shown) in samples {
         // Each is answered as if it were the first.
@@ -182,17 +182,24 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
     assert_eq!(events.next("device")["state"], "lost");
     assert_eq!(events.next("advice")["do"], "wait", "without the stylus there is nothing to do");
     served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
-    assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "expert", "wanted": 2}));
+    let ash = |wanted| {
+        let left = Enrolling { surface: "ash".into(), user: "anna".into(), wanted: Some(wanted) };
+        StationEvent::Enrolling(Some(left).filter(|_| wanted > 0))
+    };
+    served.tell([ash(2)]);
+    assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "anna", "wanted": 2}));
     for wanted in [1, 0] {
-        served.tell([StationEvent::Enrolled(Enrolled {
+        let enrolled = StationEvent::Enrolled(Enrolled {
             scan: 4,
             surface: "ash".into(),
+            user: "anna".into(),
             outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,
             remarks: vec![],
             wanted,
-        })]);
+        });
+        served.tell([enrolled, ash(wanted)]);
         assert_eq!(events.next("enrolled")["wanted"], wanted);
         let left = events.next("enrolling");
         assert_eq!(left["wanted"], if wanted == 0 { Value::Null } else { json!(wanted) });

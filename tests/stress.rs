@@ -78,7 +78,7 @@ fn a_stress_run_measures_draws_and_tells_where_methods_break() {
     let (json, both) = (out.with_extension("json"), dir.path().join("both.svg"));
     let (json, both) = (json.to_str().unwrap(), both.to_str().unwrap());
     let again = done(&["stress", json, "--beside", json, "--out", both]);
-    let told = String::from_utf8(again.stderr).unwrap();
+    let told = String::from_utf8(again.stdout).unwrap();
     assert!(told.contains("| `naive-bayes` | `embedding (stress)` |"), "{told}");
     let other = dir.path().join("other.json");
     let fewer = std::fs::read_to_string(json).unwrap().replace("\"queries\": 6", "\"queries\": 5");

@@ -6,8 +6,9 @@ use std::time::Instant;
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
+use super::show::quoted;
 use super::{Done, Failure, show};
-use crate::evaluate::chart::{Chart, Charting, Point, What, charted, drag_s, figure, measure};
+use crate::evaluate::chart::{Chart, Charting, What, charted, drag_s, figure, measure};
 use crate::scene::SourceId;
 
 /// Chart accuracy against latency and scan time, for every method
@@ -17,7 +18,7 @@ use crate::scene::SourceId;
 /// of recordings is drawn again, with whatever was joined to it since.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
-                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg")]
+                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
 pub struct Args {
     /// Recordings (a library, or the LMT108 database), or the JSON of an earlier chart
     lib: PathBuf,
@@ -33,15 +34,27 @@ pub fn run(args: &Args) -> Done {
     args.figure.check()?;
     let drawn_again = is_earlier(&args.lib);
     let chart: Chart = if drawn_again { earlier(&args.lib, "chart")? } else { measured(args)? };
-    write(&args.figure.out, &figure(&chart)?)?;
-    let beside = args.figure.beside();
-    if !drawn_again || beside != args.lib {
-        write(&beside, &json(&chart)?)?;
-    }
+    show::wrote(&keep(args, &chart)?);
     if args.figure.json {
         show::json(&chart);
+    } else if !drawn_again {
+        let lib = quoted(&args.lib);
+        show::next(&format!(
+            "surfaced plan {lib} chooses the cheapest setting that is good enough"
+        ));
     }
     Ok(())
+}
+
+/// Writes the picture and its numbers, and gives the files.
+fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
+    let (out, beside) = (args.figure.out.clone(), args.figure.beside());
+    write(&out, &figure(chart)?)?;
+    if beside == args.lib {
+        return Ok(vec![out]);
+    }
+    write(&beside, &json(chart)?)?;
+    Ok(vec![out, beside])
 }
 
 fn measured(args: &Args) -> Result<Chart, Failure> {
@@ -55,7 +68,7 @@ fn measured(args: &Args) -> Result<Chart, Failure> {
     choice.scene = choice.scene.only(&sources)?;
     let drag_s = drag_s(&choice.entries, &choice.scene)?;
     let surfaces: std::collections::BTreeSet<&str> = choice.surfaces().collect();
-    let chart = Chart {
+    let mut chart = Chart {
         data: library.name.clone(),
         synthetic: library.synthetic,
         protocol: choice.protocol.name().into(),
@@ -66,15 +79,17 @@ fn measured(args: &Args) -> Result<Chart, Failure> {
         drag_s,
         points: Vec::new(),
     };
-    let points = points(&choice, drag_s)?;
-    Ok(Chart { points, ..chart })
+    measure_all(args, &choice, &mut chart)?;
+    Ok(chart)
 }
 
-fn points(choice: &Choice, drag_s: Option<f64>) -> Result<Vec<Point>, Failure> {
+/// Measures one setting after the other. What is done stays, should a later one fail or a person
+/// lose patience.
+fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
+    let drag_s = chart.drag_s;
     let all = charted(&choice.scene, drag_s);
     let on = Charting { entries: &choice.entries, folds: &choice.folds };
     let start = Instant::now();
-    let mut points = Vec::new();
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
         let left = match done {
@@ -100,10 +115,11 @@ fn points(choice: &Choice, drag_s: Option<f64>) -> Result<Vec<Point>, Failure> {
                 show::percent(point.accuracy_high),
                 point.query_ms_p50
             );
-            points.push(point);
+            chart.points.push(point);
         }
+        keep(args, chart)?;
     }
-    Ok(points)
+    Ok(())
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use crate::trial::Trial;
 #[command(after_help = "Examples:\n  surfaced compare lib/oak/1 lib/beech/1\n  \
                         surfaced compare LMT_108_SurfaceMaterials_Database:G4Bamboo:1 \
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
-                        surfaced compare --samples z.csv y.csv --json")]
+                        surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
 pub struct Args {
     /// The query: the folder of a trial, or DATA:SURFACE:NUMBER[:USER]; with --samples, a CSV file
     a: PathBuf,
@@ -70,8 +70,9 @@ fn compare_samples(args: &Args) -> Done {
     if args.json {
         show::json(&result);
     } else {
-        say!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
-        say!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
+        result!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
+        result!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
+        show::next("--align-mean and --sigma X change how the two are compared");
     }
     Ok(())
 }
@@ -109,10 +110,10 @@ fn compare_trials(args: &Args) -> Done {
 
 fn tell(report: &Report, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
-    say!("A  {}\nB  {}{mark}\n", report.a, report.b);
-    say!("source     score n·MMD²    MMD²          σ             κ             p");
+    result!("A  {}\nB  {}{mark}\n", report.a, report.b);
+    result!("source     score n·MMD²    MMD²          σ             κ             p");
     for s in &report.comparison.sources {
-        say!(
+        result!(
             "{:<10} {:<15.4} {:<13.4e} {:<13.4e} {:<13.4e} {:<7.4}{}",
             s.source,
             s.score,
@@ -123,7 +124,8 @@ fn tell(report: &Report, alpha: f64) {
             if s.p_value <= alpha { " differ" } else { "" }
         );
     }
-    say!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
+    result!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
+    show::next("surfaced eval my-library says how well whole libraries are told apart");
 }
 
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.

@@ -12,7 +12,7 @@ use super::{Cli, Done};
                         surfaced completion fish > surfaced.fish\n\n\
                         For all users: bash, /usr/share/bash-completion/completions/surfaced; zsh, \
                         /usr/share/zsh/vendor-completions/_surfaced; fish, \
-                        /usr/share/fish/vendor_completions.d/surfaced.fish.")]
+                        /usr/share/fish/vendor_completions.d/surfaced.fish.\n\nTime: none to speak of")]
 pub struct Args {
     /// Which shell
     #[arg(value_enum)]

@@ -5,7 +5,9 @@ use crate::device::list::{self, Listed};
 
 /// List serial ports, microphones and cameras with stable ids, and what is wrong with each
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced devices\n  surfaced devices --json")]
+#[command(
+    after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second"
+)]
 pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
@@ -83,7 +85,10 @@ pub fn run(args: &Args) -> Done {
     ];
     match args.json {
         true => show::json(&inventory),
-        false => classes.into_iter().for_each(|(name, class)| show_class(name, class)),
+        false => {
+            classes.into_iter().for_each(|(name, class)| show_class(name, class));
+            show::next("surfaced enroll LABEL --library my-library");
+        }
     }
     let unlisted: Vec<_> = classes
         .into_iter()
@@ -94,10 +99,10 @@ pub fn run(args: &Args) -> Done {
 }
 
 fn show_class(name: &str, class: &DeviceClass) {
-    say!("{name}:");
+    result!("{name}:");
     match &class.problem {
-        Some(problem) => say!("  {problem}"),
-        None if class.devices.is_empty() => say!("  none"),
+        Some(problem) => result!("  {problem}"),
+        None if class.devices.is_empty() => result!("  none"),
         None => {}
     }
     for device in &class.devices {
@@ -106,9 +111,9 @@ fn show_class(name: &str, class: &DeviceClass) {
             Some(node) if node != id => format!(" (now {node})"),
             _ => String::new(),
         };
-        say!("  {id}{node}: {}", name.replace('\n', ", "));
+        result!("  {id}{node}: {}", name.replace('\n', ", "));
         if let Some(problem) = problem {
-            say!("    ! {problem}");
+            result!("    ! {problem}");
         }
     }
 }

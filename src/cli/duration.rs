@@ -32,7 +32,7 @@ use crate::scene::SourceId;
                         surfaced duration lib --accuracy 0.99\n  \
                         surfaced duration lib --source ir --surface G7EPDMFoam --svg foam.svg\n  \
                         surfaced duration LMT_108_SurfaceMaterials_Database --source mi2\n  \
-                        surfaced duration lib --source ir --rule mean-ci --draws 200")]
+                        surfaced duration lib --source ir --rule mean-ci --draws 200\n\nTime: 6 s for LMT108's 200 dragging sounds, on two cores")]
 pub struct Args {
     /// A library, or any recordings that `eval` reads
     lib: PathBuf,
@@ -147,15 +147,15 @@ pub fn run(args: &Args) -> Done {
         show::json(&Document { report: &found, answer: &answer });
         return Ok(());
     }
-    say!("{}", found.table().trim_end());
+    result!("{}", found.table().trim_end());
     let mut remarks: Vec<_> = found.durations.iter().flat_map(|d| &d.remarks).collect();
     remarks.sort();
     remarks.dedup();
     for remark in remarks {
         say!("  {remark}");
     }
-    say!("\n{}", answer.line());
-    say!("{}", found.in_words(answer.scan_s()).trim_end());
+    result!("\n{}", answer.line());
+    result!("{}", found.in_words(answer.scan_s()).trim_end());
     Ok(())
 }
 

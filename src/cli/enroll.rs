@@ -8,15 +8,13 @@ use crossbeam_channel::Sender;
 
 use super::live::{Listen, StationArgs, Work, library_of, verdict, work};
 use super::method::at_least_one;
+use super::show::quoted;
 use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Command, Enrolled, EnrolledOutcome, Listener, StationEvent};
-use crate::trial::EXPERT;
-
-/// The label of scans that are given none.
-const UNLABELLED: &str = "unlabelled";
+use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent, assemble};
+use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
 ///
@@ -24,7 +22,7 @@ const UNLABELLED: &str = "unlabelled";
 /// is refused, with the reason; the others are kept at once, so that nothing is lost.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
-                        surfaced enroll felt --library my-library --trials 5 --user anna")]
+                        surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: some 6 s a trial, which is a tap and a drag")]
 pub struct EnrollArgs {
     /// The surface
     #[arg(value_name = "LABEL", value_parser = name)]
@@ -39,12 +37,12 @@ pub struct EnrollArgs {
     station: StationArgs,
 }
 
-/// ScanStore every live scan as a trial of a library, until `q` or Ctrl-C
+/// Keep every live scan as a trial of a library, until `q` or Ctrl-C
 ///
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library")]
+                        surfaced record --label felt --library my-library\n\nTime: until it is ended, or --trials are recorded")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
@@ -69,10 +67,10 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
     let wanted = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
     let (surface, user) = (args.label.clone(), args.user.clone());
-    let command = Command::Enroll { surface, user, trials: wanted };
+    let keep = Keep { surface, user, trials: Some(wanted), good_only: true };
     let trials = show::counted(wanted as usize, "trial");
     let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
-    let Stored { kept, lost } = store(&config, &args.station, command, Some(wanted), hint)?;
+    let Stored { kept, lost } = store(&config, &args.station, keep, hint)?;
     if kept < wanted {
         let lost = if lost > 0 { format!("; {lost} could not be written") } else { String::new() };
         return Err(Failure::Failed(format!("{kept} of {wanted} trials were recorded{lost}")));
@@ -83,9 +81,10 @@ pub fn enroll(args: &EnrollArgs) -> Done {
 /// Runs `surfaced record`.
 pub fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
-    let command = Command::Record { surface: args.label.clone(), user: args.user.clone() };
+    let (surface, user) = (args.label.clone(), args.user.clone());
+    let keep = Keep { surface, user, trials: None, good_only: false };
     let hint = format!("keeping every scan as {}; q quits", args.label);
-    let Stored { kept, lost } = store(&config, &args.station, command, None, hint)?;
+    let Stored { kept, lost } = store(&config, &args.station, keep, hint)?;
     let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));
     match (kept, lost) {
         (_, 0) => Ok(()),
@@ -101,26 +100,27 @@ struct Stored {
     lost: u32,
 }
 
-/// Stores scans by `command`: `wanted` of them, or until the station is ended. `hint` is for people.
+/// Stores the scans of an order, and ends with the last of them. `hint` is for people.
 fn store(
     config: &StationConfig,
     args: &StationArgs,
-    command: Command,
-    wanted: Option<u32>,
+    keep: Keep,
     hint: String,
 ) -> Result<Stored, Failure> {
     let library = library_of(config)?;
     describe(&library, &config.scene)?;
     let stored = Rc::new(Cell::new(Stored::default()));
     let counted = stored.clone();
+    let order = keep.clone();
     let count: Listen<'_> =
-        Box::new(move |commands| Box::new(Count { commands, wanted, stored: counted }));
+        Box::new(move |commands| Box::new(Count { commands, order, stored: counted }));
     let totals = work(
         config,
+        assemble(config),
         Work {
             load: None,
             store: library.clone(),
-            first: Some(command),
+            keep: Some(keep),
             listeners: vec![count],
             hint,
             json: args.json,
@@ -130,6 +130,11 @@ fn store(
     let stored = stored.get();
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
+    let folder = quoted(&library);
+    show::next(&format!(
+        "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced eval \
+         {folder}, then surfaced run --library {folder}"
+    ));
     // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
         return Ok(stored);
@@ -148,15 +153,21 @@ fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
 }
 
 /// Counts scans, and ends the station with the last that is wanted.
+///
+/// An order without an end counts whatever is kept meanwhile, also under other labels.
 struct Count {
     commands: Sender<Command>,
-    wanted: Option<u32>,
+    order: Keep,
     stored: Rc<Cell<Stored>>,
 }
 
 impl Listener for Count {
     fn on_event(&mut self, event: &StationEvent) {
-        let StationEvent::Enrolled(Enrolled { outcome, .. }) = event else { return };
+        let StationEvent::Enrolled(Enrolled { outcome, surface, user, .. }) = event else { return };
+        let ours = (surface, user) == (&self.order.surface, &self.order.user);
+        if self.order.trials.is_some() && !ours {
+            return;
+        }
         let Stored { kept, lost } = self.stored.get();
         let stored = match outcome {
             EnrolledOutcome::Kept => Stored { kept: kept + 1, lost },
@@ -164,7 +175,7 @@ impl Listener for Count {
             EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
         };
         self.stored.set(stored);
-        if self.wanted.is_some_and(|wanted| stored.kept >= wanted) {
+        if self.order.trials.is_some_and(|wanted| stored.kept >= wanted) {
             // Fails only when the station has ended already.
             let _ = self.commands.send(Command::Quit);
         }

@@ -11,6 +11,7 @@ use super::bad_files::{self, BadFileArgs};
 use super::choose::{protocol_for, within};
 use super::method::{MethodArgs, at_least_one};
 use super::protocol::ProtocolArg;
+use super::show::quoted;
 use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
 use crate::evaluate::paper::Shard;
@@ -18,7 +19,7 @@ use crate::evaluate::{
     EnrolledOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
     UnknownOutcome, enrol, folds,
 };
-use crate::recognise::{Method, RecogniseError};
+use crate::recognise::{Method, MethodName, RecogniseError};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -30,7 +31,7 @@ use crate::trial::TrialKey;
     after_help = "Examples:\n  surfaced eval LMT_108_SurfaceMaterials_Database \
                   --protocol leave-one-trial-out --sources mi2 --json\n  surfaced eval my-library \
                   --enrolled 1\n  surfaced eval \
-                  LMT_108_SurfaceMaterials_Database --paper --out results"
+                  LMT_108_SurfaceMaterials_Database --paper --out results\n\nTime: 5 s for LMT108's 200 dragging sounds, on two cores; --method reference 10 s; --paper hours, see --shard"
 )]
 pub struct Args {
     #[command(subcommand)]
@@ -138,8 +139,22 @@ pub fn run(args: &Args) -> Done {
         show::json(&report);
     } else {
         report.print();
+        advise(data, &report);
     }
     skipped.map_or(Ok(()), |skipped| skipped.verdict())
+}
+
+/// Says what the recordings are good for.
+fn advise(data: &Path, report: &Report) {
+    let lib = quoted(data);
+    if report.outcome.method == MethodName::Embedding.as_str() {
+        show::next(&format!(
+            "surfaced plan {lib} finds the cheapest setting; surfaced replay NEW --library {lib} \
+             names new scans"
+        ));
+    } else {
+        show::next(&format!("surfaced chart {lib} --out chart.svg compares all methods"));
+    }
 }
 
 fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<Report, Failure> {

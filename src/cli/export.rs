@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{Done, shown};
+use super::show::quoted;
+use super::{Done, show, shown};
 use crate::record::mcap;
 use crate::scene::Scene;
 
@@ -12,7 +13,7 @@ use crate::scene::Scene;
 /// that `surfaced import` gives them back byte for byte.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
-                        surfaced export my-library/oak/expert-01 oak.mcap")]
+                        surfaced export my-library/oak/expert-01 oak.mcap\n\nTime: as long as copying the files takes")]
 pub struct ExportArgs {
     /// A library, one trial of it, or the LMT108 database
     recording: PathBuf,
@@ -22,7 +23,9 @@ pub struct ExportArgs {
 
 /// Write back a recording that was exported as MCAP
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced import my-library.mcap my-library")]
+#[command(
+    after_help = "Examples:\n  surfaced import my-library.mcap my-library\n\nTime: as long as copying the files takes"
+)]
 pub struct ImportArgs {
     /// The file
     mcap: PathBuf,
@@ -34,7 +37,9 @@ pub struct ImportArgs {
 pub fn export(args: &ExportArgs) -> Done {
     let library = mcap::open(&args.recording, &Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
-    say!("wrote {} to {}", counted(trials), shown(&args.out));
+    say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.out));
+    let out = quoted(&args.out);
+    show::next(&format!("open it in Foxglove, or surfaced import {out} FOLDER"));
     Ok(())
 }
 
@@ -43,11 +48,8 @@ pub fn import(args: &ImportArgs) -> Done {
     let trials = mcap::import(&args.mcap, &args.library)?;
     match trials {
         0 => say!("wrote {}", shown(&args.library)),
-        trials => say!("wrote {} to {}", counted(trials), shown(&args.library)),
+        trials => say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.library)),
     }
+    show::next(&format!("surfaced eval {}", quoted(&args.library)));
     Ok(())
-}
-
-fn counted(trials: usize) -> String {
-    if trials == 1 { "1 trial".into() } else { format!("{trials} trials") }
 }

@@ -1,26 +1,108 @@
 //! What a station reports as lines of JSON on stdout.
+//!
+//! A thread of its own writes them, so that a reader who stalls holds up neither live devices nor
+//! the end of the program.
 
-use crossbeam_channel::Sender;
+use std::io::Write;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use serde::Serialize;
 
 use super::show;
 use crate::station::{Command, Listener, StationEvent};
 
-/// Prints a line for each scan that was named, and for each that was to be kept.
+/// Lines that wait for their reader; scans come a few a minute.
+const WAITING: usize = 1024;
+/// Warnings that one line takes; each is also on stderr and in the interface for programs.
+const WARNINGS: usize = 50;
+/// How long the end waits for a reader who is late.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Prints a line for each scan that was named, and for each that was to be kept, with the warnings
+/// since the line before; those after the last one have a line of their own.
 pub struct JsonLines {
-    /// Ends the station once nobody reads the lines.
-    pub commands: Sender<Command>,
+    /// None once the last line was handed over.
+    lines: Option<Sender<String>>,
+    /// Closed when the thread has ended.
+    ended: Receiver<()>,
+    /// Whether to wait for the reader: true where no device would lose by it.
+    waits: bool,
+    /// Lines that were dropped, since the reader has stalled.
+    dropped: u64,
+    /// Warnings since the last line.
+    warnings: Vec<String>,
+}
+
+/// One line.
+#[derive(Serialize)]
+struct Line<'a, T> {
+    #[serde(flatten)]
+    of: Option<&'a T>,
+    warnings: Vec<String>,
+}
+
+impl JsonLines {
+    /// Prints from now on; quits the station that takes `commands` once nobody reads the lines.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
+        let (lines, to_print) = bounded::<String>(WAITING);
+        let (end, ended) = bounded(0);
+        let print = move || {
+            let _end = end;
+            for line in to_print {
+                if writeln!(std::io::stdout(), "{line}").is_err() {
+                    // Fails only when the station has ended already.
+                    let _ = commands.send(Command::Quit);
+                    return;
+                }
+            }
+        };
+        std::thread::Builder::new().name("lines".into()).spawn(print)?;
+        Ok(Self { lines: Some(lines), ended, waits, dropped: 0, warnings: vec![] })
+    }
+
+    fn print(&mut self, of: Option<&impl Serialize>) {
+        let Some(lines) = &self.lines else { return };
+        let line = show::json_text(&Line { of, warnings: std::mem::take(&mut self.warnings) });
+        if self.waits {
+            // Fails only when nobody reads any more.
+            let _ = lines.send(line);
+        } else if let Err(TrySendError::Full(_)) = lines.try_send(line) {
+            if self.dropped == 0 {
+                tracing::warn!("nobody reads the lines of JSON; they are dropped");
+            }
+            self.dropped += 1;
+        }
+    }
 }
 
 impl Listener for JsonLines {
     fn on_event(&mut self, event: &StationEvent) {
-        let printed = match event {
-            StationEvent::Answer(answer) => show::try_json(&**answer),
-            StationEvent::Enrolled(enrolled) => show::try_json(enrolled),
-            _ => Ok(()),
-        };
-        if printed.is_err() {
-            // Fails only when the station has ended already.
-            let _ = self.commands.send(Command::Quit);
+        match event {
+            StationEvent::Answer(answer) => self.print(Some(&**answer)),
+            StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
+            StationEvent::Warning(text) if self.warnings.len() < WARNINGS => {
+                self.warnings.push(text.clone());
+            }
+            StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
+            _ => {}
+        }
+    }
+}
+
+impl Drop for JsonLines {
+    fn drop(&mut self) {
+        self.lines = None;
+        if self.waits {
+            let _ = self.ended.recv();
+        } else {
+            let _ = self.ended.recv_timeout(PATIENCE);
+        }
+        if self.dropped > 0 {
+            tracing::warn!("lines of JSON that nobody read: {}", self.dropped);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What the commands share that work with live devices: `run`, `enroll` and `record`.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -18,10 +19,11 @@ use crate::dataset;
 use crate::device::serial::Selector;
 use crate::recognise::{LOOK_S, prepare_library};
 use crate::scan::{Options, Totals};
-use crate::scene::Scene;
+use crate::scene::{Scene, SourceId};
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    Command, LibraryState, Listener, Load, Recogniser, ScanStore, Station, assemble,
+    Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
+    StationEvent,
 };
 
 /// Which station.
@@ -71,8 +73,15 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     })
 }
 
-/// Reads a library and makes it ready to name scans, each time that it is called.
-pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -> Load {
+/// Reads a library and makes it ready to name scans, each time that it is called. `given` are the
+/// sources that scans can have, where that is known.
+pub fn load(
+    path: &Path,
+    scene: &Scene,
+    how: &Comparing,
+    answers: &AnswerArgs,
+    given: Option<BTreeSet<SourceId>>,
+) -> Load {
     let (path, scene) = (path.to_path_buf(), scene.clone());
     let (how, answers) = (how.clone(), answers.clone());
     Arc::new(move || {
@@ -90,6 +99,11 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
             }
         };
         let state = LibraryState::of(&library.name, &entries, library.synthetic);
+        if let Some(given) = &given
+            && !state.sources.iter().any(|source| given.contains(source))
+        {
+            return Err(nothing_in_common(&path, &state.sources, given));
+        }
         let beside = how.cache.then_some(path.as_path());
         let all = (0..entries.len()).collect();
         let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
@@ -101,6 +115,24 @@ pub fn load(path: &Path, scene: &Scene, how: &Comparing, answers: &AnswerArgs) -
     })
 }
 
+/// That no scan of a station can be compared with its library.
+fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceId>) -> String {
+    let list =
+        |ids: Vec<&SourceId>| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
+    let live = match cfg!(all(feature = "microphone", feature = "camera")) {
+        true => "",
+        false => " (for sound and pictures, build with `--features live`)",
+    };
+    format!(
+        "{}: it has {}, but the devices of this station give {}, so no scan can ever be named; \
+         record a library with these devices (`surfaced enroll LABEL`), or configure those that it \
+         was recorded with{live}",
+        path.display(),
+        list(library.iter().collect()),
+        list(given.iter().collect()),
+    )
+}
+
 /// Makes a listener that may send commands.
 pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
@@ -110,8 +142,8 @@ pub struct Work<'a> {
     pub load: Option<Load>,
     /// Where enrolled scans go.
     pub store: PathBuf,
-    /// Its first command.
-    pub first: Option<Command>,
+    /// Which scans are kept, whenever the page orders nothing else.
+    pub keep: Option<Keep>,
     /// Further listeners, which may send commands.
     pub listeners: Vec<Listen<'a>>,
     /// What a person is to do, shown while there is nothing else to show.
@@ -122,13 +154,21 @@ pub struct Work<'a> {
     pub serve: ServeArgs,
 }
 
-/// Runs a station until a key, a signal or a listener makes it quit.
-pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
-    let assembled = assemble(config);
-    for what in &assembled.left_out {
-        say!("{what}");
-    }
+/// The sources that scans of these devices can have.
+pub fn given(assembled: &Assembled) -> BTreeSet<SourceId> {
+    assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok()).collect()
+}
+
+/// Runs a station of these devices until a key, a signal or a listener makes it quit.
+pub fn work(
+    config: &StationConfig,
+    assembled: Assembled,
+    work: Work<'_>,
+) -> Result<Totals, Failure> {
     if assembled.devices.is_empty() {
+        for what in &assembled.left_out {
+            say!("{what}");
+        }
         return Err(Failure::Usage("no device is configured that this build can use".into()));
     }
     let options = Options {
@@ -148,11 +188,14 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     if let Some(load) = work.load {
         station = station.load(load);
     }
+    if let Some(keep) = work.keep {
+        station = station.keep(keep);
+    }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);
     }
     if work.json {
-        station = station.listener(JsonLines { commands: commands.clone() });
+        station = station.listener(JsonLines::start(commands.clone(), false)?);
     }
     for listen in work.listeners {
         station = station.listener(listen(commands.clone()));
@@ -162,11 +205,11 @@ pub fn work(config: &StationConfig, work: Work<'_>) -> Result<Totals, Failure> {
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;
-    if let Some(command) = work.first {
-        // The station holds the other end.
-        let _ = commands.send(command);
+    let mut station = station.listener(terminal);
+    for what in assembled.left_out {
+        station.emit(&StationEvent::Warning(what));
     }
-    Ok(station.listener(terminal).run()?)
+    Ok(station.run()?)
 }
 
 /// How a command with live devices ends.

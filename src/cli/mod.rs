@@ -170,6 +170,30 @@ mod tests {
 
     use super::*;
 
+    /// The commands of a page: indented lines that begin with `surfaced`, without their comments.
+    fn commands(page: &str) -> impl Iterator<Item = &str> {
+        let indented = page.lines().filter_map(|line| line.strip_prefix("    "));
+        let plain = |line| str::split(line, "  #").next().unwrap_or_default().trim();
+        indented.map(plain).filter(|line| line.starts_with("surfaced "))
+    }
+
+    #[test]
+    fn every_command_of_the_pages_can_be_typed() {
+        let pages = [
+            include_str!("../../README.md"),
+            include_str!("../evaluate/README.md"),
+            include_str!("../library/README.md"),
+            include_str!("../serve/README.md"),
+            include_str!("../../configs/README.md"),
+            include_str!("../../firmware/README.md"),
+        ];
+        for command in pages.into_iter().flat_map(commands) {
+            let words = command.split(" > ").next().unwrap_or_default().split_whitespace();
+            let parsed = Cli::try_parse_from(words);
+            assert!(parsed.is_ok(), "{command}: {}", parsed.err().unwrap());
+        }
+    }
+
     #[test]
     fn every_help_has_an_example_that_can_be_typed() {
         let mut cli = Cli::command();
@@ -180,6 +204,7 @@ mod tests {
             let examples: Vec<&str> =
                 after.lines().filter_map(|line| line.trim().strip_prefix("surfaced ")).collect();
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
+            assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
                 // What a shell would take away.
                 let plain = example.split(" > ").next().unwrap_or_default();

@@ -141,15 +141,15 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
 
 fn print(report: &Report) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
-    say!();
-    say!("{}{mark} · reference · {}", report.data, report.settings);
-    say!("accuracies in percent, mean ± sd over folds");
-    say!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
+    result!();
+    result!("{}{mark} · reference · {}", report.data, report.settings);
+    result!("accuracies in percent, mean ± sd over folds");
+    result!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
     let mut head = (String::new(), "");
     for row in &report.rows {
         let of_row = (row.place.to_string(), row.protocol);
         if of_row != head {
-            say!("{} · {}", row.place, row.protocol);
+            result!("{} · {}", row.place, row.protocol);
             head = of_row;
         }
         print_row(row);
@@ -162,7 +162,7 @@ fn print_row(row: &ReportRow) {
         None => format!("{mean:.1}       "),
     };
     if let Some(why) = &row.not_run {
-        say!("  {:<52} not run: {why}", row.name);
+        result!("  {:<52} not run: {why}", row.name);
         return;
     }
     let ours = match row.accuracy_mean {
@@ -175,9 +175,9 @@ fn print_row(row: &ReportRow) {
         [] => String::new(),
         missing => format!("  without {}, which the data lack", missing.join(", ")),
     };
-    say!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
+    result!("  {:<52} {ours:>14} {paper:>14} {points:>7}{lacks}", row.name);
     if let Some(Some(precision)) = row.published.map(|p| p.precision) {
         let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
-        say!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
+        result!("  {:<52} {ours:>14} {:>14}", "  its precision", figure(precision, None));
     }
 }

@@ -11,17 +11,19 @@ use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
 use super::protocol::ProtocolArg;
 use super::serve::ServeArgs;
+use super::show::quoted;
 use super::tally::Tally;
-use super::{Done, Failure, live, show};
+use super::{Done, Failure, live, say, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
+use crate::evaluate::{Evaluation, Fold, first_seconds};
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::Settings;
 use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent};
+use crate::trial::EXPERT;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
@@ -32,7 +34,7 @@ use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent}
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
                         surfaced replay new-scans --library my-library --json\n  \
-                        surfaced replay --speed 1.0 --serve")]
+                        surfaced replay --speed 1.0 --serve\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
 pub struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -72,17 +74,48 @@ pub(super) struct Stage {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
+    say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;
     let stage = match (&args.data, &args.library) {
-        (None, _) => {
-            let scene = synth::embedded();
-            show::library(&scene);
-            by_protocol(&how, scene, Some(ProtocolArg(Protocol::ExpertVsUsers)))?
-        }
+        (None, _) => demonstration(&how)?,
         (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    play(args, &how, &stage)
+    play(args, &how, &stage)?;
+    if !args.json {
+        advise(args);
+    }
+    Ok(())
+}
+
+/// Says what to do with what was seen.
+fn advise(args: &Args) {
+    let next = match (&args.data, &args.library) {
+        (None, _) if args.serve.is_wanted() => "surfaced eval my-library measures your own \
+                                                recordings; see README.md for their form"
+            .to_string(),
+        (None, _) => "surfaced replay --speed 1.0 --serve plays it in real time, on a page".into(),
+        (Some(data), None) => format!("surfaced eval {} sums up confusions", quoted(data)),
+        (Some(_), Some(lib)) => {
+            format!("surfaced run --library {} names live scans", quoted(lib))
+        }
+    };
+    show::next(&next);
+}
+
+/// The embedded scene: the expert's trials are the library, those of users the queries, also of the
+/// surface that the library lacks.
+fn demonstration(how: &Comparing) -> Result<Stage, Failure> {
+    let synth::Embedded { library, remarks } = synth::embedded();
+    show::library(&library);
+    remarks.iter().for_each(|remark| say!("  {remark}"));
+    let scene = how.narrow(library.scene.clone())?;
+    let entries = within(&library, &scene)?;
+    let (of_expert, mut queries): (Vec<usize>, Vec<usize>) =
+        (0..entries.len()).partition(|&i| entries[i].key.user == EXPERT);
+    queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
+    let fold = Fold { name: "expert".into(), library: of_expert, queries };
+    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic: true })
 }
 
 fn by_protocol(
@@ -133,12 +166,13 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        let commands = station.commands();
-        station = station.listener(JsonLines { commands });
+        // Served, it ends on a signal, read or not.
+        let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
+        station = station.listener(lines);
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
-        let load = live::load(folder, &stage.scene, how, &args.answers);
+        let load = live::load(folder, &stage.scene, how, &args.answers, None);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let address = Settings::default().address;

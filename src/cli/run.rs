@@ -1,9 +1,10 @@
 //! `surfaced run`: the station at work, with the devices that are there.
 
 use super::answers::AnswerArgs;
-use super::live::{StationArgs, Work, library_of, load, verdict, work};
+use super::live::{StationArgs, Work, given, library_of, load, verdict, work};
 use super::plan::ComparingArgs;
 use super::{Done, Failure, shown};
+use crate::station::assemble;
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
@@ -12,7 +13,7 @@ use super::{Done, Failure, shown};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
-                        surfaced run --library my-library --stylus /dev/ttyUSB0")]
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until it is ended; an answer comes some 10 ms after its scan")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,
@@ -37,14 +38,17 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
-    let load = load(&library, &config.scene, &how, &args.answers);
+    let assembled = assemble(&config);
+    let given = Some(given(&assembled));
+    let load = load(&library, &config.scene, &how, &args.answers, given);
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let totals = work(
         &config,
+        assembled,
         Work {
             load: Some(load),
             store: library,
-            first: None,
+            keep: None,
             listeners: Vec::new(),
             hint: format!(
                 "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"

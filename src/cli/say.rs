@@ -1,14 +1,15 @@
-//! Text for people: lines on stderr, whatever has become of stderr.
+//! Text for people: results on stdout, all else on stderr, whatever has become of either.
 //!
 //! A daemon outlives its log. A line that cannot be written, because stderr is closed or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
 
-use std::fmt;
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use crate::printable::Printable;
 
 /// How long a stalled reader holds up live devices, for the first of the lines it does not take.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -19,6 +20,8 @@ const ATOMIC: usize = 4096;
 static LIVE: AtomicBool = AtomicBool::new(false);
 /// Whether the reader did not take the last line.
 static STALLED: AtomicBool = AtomicBool::new(false);
+/// Whether stdout is for JSON alone.
+static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
 /// Whether the last line of the terminal is redrawn all the time, and gives way to others.
 static STATUS_LINE: AtomicBool = AtomicBool::new(false);
 
@@ -26,6 +29,12 @@ static STATUS_LINE: AtomicBool = AtomicBool::new(false);
 macro_rules! say {
     () => { $crate::cli::say::line("") };
     ($($text:tt)*) => { $crate::cli::say::line(&format!($($text)*)) };
+}
+
+/// Writes a line of a result on stdout; takes what `format!` takes. It never panics.
+macro_rules! result {
+    () => { $crate::cli::say::result_line("") };
+    ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
 /// From now on, no line waits for its reader.
@@ -41,26 +50,27 @@ pub fn keep_status_line(on: bool) {
 /// Writes a line; see [`say!`].
 pub fn line(text: &str) {
     let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
-    write(&format!("{clear}{}\n", Printable(text)));
+    write(&format!("{clear}{}\n", lines(text)));
+}
+
+/// From now on, results for people go to stderr: stdout is for JSON.
+pub fn results_aside(aside: bool) {
+    RESULTS_ASIDE.store(aside, Ordering::Release);
+}
+
+/// Writes a line of a result; see [`result!`].
+pub fn result_line(text: &str) {
+    if RESULTS_ASIDE.load(Ordering::Acquire) {
+        return line(text);
+    }
+    let mut stdout = io::stdout().lock();
+    // A reader that has gone away (`| head`) wants no more.
+    let _ = writeln!(stdout, "{}", Printable(text)).and_then(|()| stdout.flush());
 }
 
 /// Replaces the status line.
 pub fn status(text: &str) {
     write(&format!("\r\x1b[2K{}", Printable(text)));
-}
-
-/// Text without what a terminal would obey: labels and serial numbers are other people's.
-struct Printable<'a>(&'a str);
-
-impl fmt::Display for Printable<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        use fmt::Write;
-        self.0.chars().try_for_each(|c| match c {
-            '\n' | '\t' => f.write_char(c),
-            c if c.is_control() => write!(f, "{}", c.escape_default()),
-            c => f.write_char(c),
-        })
-    }
 }
 
 fn write(text: &str) {
@@ -87,13 +97,25 @@ fn ready(stderr: &io::StderrLock<'_>) -> bool {
     ready
 }
 
+/// A text as it stands on the terminal or in the log: further lines are indented, so that none
+/// passes for a message of its own.
+fn lines(text: &str) -> String {
+    let shown = Printable(text).to_string();
+    let indented = shown.split('\n').enumerate().map(|(at, line)| match at {
+        0 => line.to_string(),
+        _ if line.is_empty() || line.starts_with(' ') => format!("\n{line}"),
+        _ => format!("\n  {line}"),
+    });
+    indented.collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn no_terminal_obeys_a_label() {
-        let label = "oak\x1b]0;mine\x07\r\u{9b}2J é\n";
-        assert_eq!(Printable(label).to_string(), "oak\\u{1b}]0;mine\\u{7}\\r\\u{9b}2J é\n");
+    fn no_label_passes_for_a_message_or_moves_the_cursor() {
+        assert_eq!(lines("oak\n<3>error: disk\x1b[2J"), "oak\n  <3>error: disk\\u{1b}[2J");
+        assert_eq!(lines("2 files:\n  a.wav\n"), "2 files:\n  a.wav\n");
     }
 }

@@ -1,10 +1,12 @@
-//! What people see: summaries, progress, tables. All of it on stderr.
+//! What people see on stderr: summaries, progress, advice.
 
 use std::io::Write;
+use std::path::Path;
 use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::shown;
 use crate::evaluate::LeftOut;
 use crate::library::Library;
 use crate::station::Answer;
@@ -20,23 +22,19 @@ pub fn library(library: &Library) {
     }
 }
 
-/// Prints one JSON document, or one line of a stream of them, on stdout.
+/// Prints one JSON document on stdout.
 ///
 /// A reader that has gone away (`| head`) wants no more: the program ends there.
 pub fn json(value: &impl serde::Serialize) {
-    if try_json(value).is_err() {
+    if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
     }
 }
 
-/// As [`json`].
-///
-/// # Errors
-/// If stdout takes no more.
-pub fn try_json(value: &impl serde::Serialize) -> std::io::Result<()> {
+/// A document, or a line of a stream of them.
+pub fn json_text(value: &impl serde::Serialize) -> String {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
-    let text = serde_json::to_string(value).expect("plain data");
-    writeln!(std::io::stdout(), "{text}")
+    serde_json::to_string(value).expect("plain data")
 }
 
 /// Says which sources were left out of queries, and why.
@@ -50,6 +48,27 @@ pub fn left_out(left_out: &LeftOut) {
             say!("warning: {remark} ({first}{more})");
         }
     }
+}
+
+/// Says which files were written.
+pub fn wrote<P: AsRef<Path>>(files: &[P]) {
+    let names: Vec<String> = files.iter().map(|file| shown(file.as_ref())).collect();
+    say!("wrote {}", names.join(", "));
+}
+
+/// Says what to do next.
+pub fn next(what: &str) {
+    say!("next: {what}");
+}
+
+/// A path as a shell takes it.
+pub fn quoted(path: &Path) -> String {
+    let name = shown(path);
+    let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
+    if !name.is_empty() && name.chars().all(plain) {
+        return name;
+    }
+    format!("'{}'", name.replace('\'', "'\\''"))
 }
 
 /// A number of things: `1 trial`, `2 trials`.

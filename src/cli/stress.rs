@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{MethodArg, at_least_one};
-use super::{Done, Failure, show, shown};
+use super::{Done, Failure, say, show, shown};
 use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::SourceSpec;
@@ -19,7 +19,7 @@ use crate::scene::SourceSpec;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
-                        dead-sensors,gain --methods embedding,svm")]
+                        dead-sensors,gain --methods embedding,svm\n\nTime: 10 minutes for LMT108's 200 dragging sounds, on two cores; each method is written as it is done, so it may be interrupted")]
 pub struct Args {
     /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
@@ -61,11 +61,13 @@ pub fn run(args: &Args) -> Done {
         let refused = |why| Failure::Usage(format!("{}: {why}", shown(path)));
         report.join(other, &whose).map_err(refused)?;
     }
-    keep(args, &report)?;
-    say!("\n{}", report.markdown());
+    show::wrote(&keep(args, &report)?);
+    say::results_aside(args.figure.json);
+    result!("\n{}", report.markdown());
     if args.figure.json {
         show::json(&report);
     }
+    show::next("look for the row where your method fails first, and mend that at the station");
     Ok(())
 }
 
@@ -143,9 +145,10 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
     Ok(found)
 }
 
-/// Writes the pictures and their numbers.
-fn keep(args: &Args, report: &Report) -> Done {
+/// Writes the pictures and their numbers, and gives the files.
+fn keep(args: &Args, report: &Report) -> Result<Vec<PathBuf>, Failure> {
     let out = &args.figure.out;
+    let mut written = vec![out.clone(), out.with_extension("md"), args.figure.beside()];
     write(out, &figure(report, Measure::Accuracy)?)?;
     let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     for (name, measure) in
@@ -153,9 +156,12 @@ fn keep(args: &Args, report: &Report) -> Done {
     {
         // Where no method states a probability there is nothing to draw.
         if let Ok(svg) = figure(report, measure) {
-            write(&out.with_file_name(format!("{stem}-{name}.svg")), &svg)?;
+            let path = out.with_file_name(format!("{stem}-{name}.svg"));
+            write(&path, &svg)?;
+            written.push(path);
         }
     }
     write(&out.with_extension("md"), &report.markdown())?;
-    write(&args.figure.beside(), &json(report)?)
+    write(&args.figure.beside(), &json(report)?)?;
+    Ok(written)
 }

@@ -1,6 +1,6 @@
 //! The results of a replay, scan by scan and in total, for people.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
@@ -21,8 +21,69 @@ pub struct Tally {
     /// What was named when an answer was settled, by the number of the scan.
     settled: BTreeMap<u32, String>,
     by_then: ByThen,
+    notable: Notable,
     damages: usize,
     spoiled: usize,
+}
+
+/// What made naming hard, for the summary.
+#[derive(Default)]
+struct Notable {
+    /// How often one surface was taken for another.
+    confused: BTreeMap<(String, String), usize>,
+    /// Scans of surfaces that the library has and that were called unknown.
+    rejected: usize,
+    /// Scans of surfaces that the library lacks, and how many of them were called unknown.
+    lacking: usize,
+    called_unknown: usize,
+    /// Why each source was left out of scans, and of how many.
+    left_out: BTreeMap<SourceId, usize>,
+}
+
+impl Notable {
+    fn add(&mut self, answer: &Answer) {
+        let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+        // A channel each may be flawed, and a source can be used all the same.
+        let left_out: BTreeSet<&SourceId> = flawed
+            .filter_map(|remark| remark.source.as_ref())
+            .filter(|source| !answer.sources.contains(source))
+            .collect();
+        for source in left_out {
+            *self.left_out.entry(source.clone()).or_default() += 1;
+        }
+        let Some(truth) = &answer.truth else { return };
+        let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
+        self.lacking += usize::from(lacks);
+        match &answer.surface {
+            None if lacks => self.called_unknown += 1,
+            None => self.rejected += 1,
+            Some(surface) if surface != truth && !lacks => {
+                *self.confused.entry((truth.clone(), surface.clone())).or_default() += 1;
+            }
+            Some(_) => {}
+        }
+    }
+
+    fn show(&self) {
+        for ((truth, surface), count) in &self.confused {
+            result!("confused {truth} taken for {surface} in {}", show::counted(*count, "scan"));
+        }
+        if self.lacking > 0 {
+            result!(
+                "unknown  {} of {} of surfaces that the library lacks called unknown",
+                self.called_unknown,
+                show::counted(self.lacking, "scan")
+            );
+        }
+        if self.rejected > 0 {
+            let scans = show::counted(self.rejected, "scan");
+            result!("rejected {scans} of surfaces that the library has called unknown");
+        }
+        for (source, count) in &self.left_out {
+            let scans = show::counted(*count, "scan");
+            result!("left out {source} of {scans}, since its sensor was dead there");
+        }
+    }
 }
 
 /// Answers as they were when they were settled, or at the end of their scan.
@@ -63,6 +124,7 @@ impl Tally {
             latencies_ms: Vec::new(),
             settled: BTreeMap::new(),
             by_then: ByThen::default(),
+            notable: Notable::default(),
             damages: 0,
             spoiled: 0,
         }
@@ -76,6 +138,7 @@ impl Tally {
         self.with_truth += usize::from(right.is_some());
         self.right += usize::from(right == Some(true));
         self.settled_answer(answer);
+        self.notable.add(answer);
         for reason in &answer.spoiled {
             say!("warning: scan {}: {reason}", answer.scan);
         }
@@ -106,15 +169,15 @@ impl Tally {
             }
             (Some(true), _) => "correct".to_string(),
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
-            _ => String::new(),
+            _ => answer.trial.map_or_else(String::new, |number| format!("(trial {number})")),
         };
         let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
-        say!(
+        result!(
             "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,
             self.total,
             answer.surface.as_deref().unwrap_or("unknown"),
-            show::certainty(answer),
+            if answer.surface.is_some() { show::certainty(answer) } else { "fits none".into() },
             answer.latency_ms,
             longer.unwrap_or_default()
         );
@@ -147,9 +210,9 @@ impl Tally {
         let (low, high) = wilson_interval(self.right, self.with_truth);
         self.latencies_ms.sort_by(f64::total_cmp);
         let median = self.latencies_ms[self.latencies_ms.len() / 2];
-        say!();
+        result!();
         if self.with_truth > 0 {
-            say!(
+            result!(
                 "accuracy {} of {} scans (95 % interval {} to {}){mark}",
                 show::percent(self.right as f64 / self.with_truth as f64),
                 self.with_truth,
@@ -157,11 +220,11 @@ impl Tally {
                 show::percent(high)
             );
         }
-        say!("latency  {median:.1} ms from the end of a scan to its answer (median)");
+        result!("latency  {median:.1} ms from the end of a scan to its answer (median)");
         let then = &self.by_then;
         if then.settled > 0 {
             let n = self.answers as f64;
-            say!(
+            result!(
                 "settled  {} of {} scans before their end; on average {:.2} s of {:.2} s of scan \
                  used{}",
                 then.settled,
@@ -176,6 +239,7 @@ impl Tally {
                 }
             );
         }
+        self.notable.show();
     }
 
     /// How the command ends, after `lost` samples were lost.

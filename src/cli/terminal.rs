@@ -115,7 +115,7 @@ impl Terminal {
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {
-        let Enrolled { scan, surface, outcome, trial, folder, remarks, wanted } = enrolled;
+        let Enrolled { scan, surface, outcome, trial, folder, remarks, wanted, .. } = enrolled;
         match (outcome, trial, folder) {
             (_, Some(trial), Some(folder)) => {
                 self.info(&format!("kept: trial {trial} of {surface} in {}", shown(folder)));
@@ -169,6 +169,7 @@ impl Listener for Terminal {
             StationEvent::Warning(text) => self.warn(text),
             StationEvent::Trace(_)
             | StationEvent::Streams(_)
+            | StationEvent::Enrolling(_)
             | StationEvent::Reading
             | StationEvent::Alive => return,
             StationEvent::Finished(totals) => {

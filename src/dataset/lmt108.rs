@@ -13,7 +13,8 @@ use name::Part;
 
 use crate::library::files::{self, Listed};
 use crate::library::loader::{Headers, SourceFiles, channels as counted};
-use crate::library::recording::{self, Seen};
+use crate::library::recording;
+use crate::library::seen::Seen;
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
@@ -78,6 +79,10 @@ pub(super) fn open(
         if !sources.is_empty() {
             entries.push(recording::entry(key, sources));
         }
+    }
+    for (path, what) in headers.remarks() {
+        let place = path.strip_prefix(root).unwrap_or(&path).display().to_string();
+        Seen::count(&mut passed, what, place);
     }
     let mut remarks = Vec::new();
     if !entries.is_empty() {
@@ -210,7 +215,7 @@ fn source_files(
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
         // One file each at least: `complete` saw to it.
-        "mi1" | "mi2" => headers.wav(spec, None, &paths.remove(0))?,
+        "mi1" | "mi2" => headers.series(spec, None, &paths.remove(0))?,
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

@@ -19,7 +19,7 @@ use name::Listing;
 use super::lmt108;
 use crate::library::files::{self, Listed};
 use crate::library::loader::channels as counted;
-use crate::library::recording::Seen;
+use crate::library::seen::Seen;
 use crate::library::{Entry, Library, LibraryError, Opened};
 use crate::scene::{Domain, Scene, SourceSpec};
 use crate::trial::TrialKey;

@@ -17,6 +17,7 @@ use crate::scene::Scene;
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
 ///   its folders, here or one folder further down),
 /// - its authors' processed form (`DataLMT108/` or `surfaceList_LMT108train.mat`, likewise),
+/// - a single WAV or FLAC file: one trial, whose surface nobody knows,
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
 /// The sources are those of `defaults`, and those that the library itself describes. Data are read
@@ -34,6 +35,9 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
 /// # Errors
 /// If the folder cannot be read, or nothing in it can be used.
 pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
+    if path.is_file() && Listed::file(path).is_some_and(|item| item.is_series()) {
+        return recording::open_file(path, defaults);
+    }
     let listed = files::list(path)?;
     if let Some(library) = open_lmt108(path, &listed, defaults) {
         return library;

@@ -27,7 +27,7 @@ pub use v4l::{V4l, cameras};
 
 use self::flash::{Cycle, Light};
 use self::reader::{ControlRequest, News};
-use super::open::{OpenError, RETRY, failed};
+use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
@@ -141,7 +141,7 @@ impl Device for Camera {
             damaged: 0,
             summed_up: None,
         };
-        let mut reported = None;
+        let mut retry = Retry::new(LONGEST_RETRY);
         while !control.stopped() {
             let stop = Stop::default();
             let (orders, news) = reader::start(watch.camera.video.clone(), stop.clone())?;
@@ -155,10 +155,10 @@ impl Device for Camera {
             match end {
                 End::Stop => break,
                 End::Failed(error) => {
-                    failed(error, watch.seen, &mut reported, control)?;
+                    retry.failed(error, watch.seen, control)?;
                 }
                 End::Lost(why) => {
-                    reported = None;
+                    retry.opened();
                     control.state(DeviceState::Lost, why);
                     control.sleep_until(Instant::now() + RETRY);
                 }

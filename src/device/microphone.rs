@@ -25,7 +25,7 @@ pub use level::{Level, LevelWatch};
 pub use mono::{Pcm, Pick, mix};
 pub use pace::Pace;
 
-use super::open::{OpenError, failed};
+use super::open::{LONGEST_RETRY, OpenError, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Piece, SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
@@ -135,7 +135,7 @@ impl Device for Microphone {
             begin: Instant::now(),
             received: false,
         };
-        let mut reported = None;
+        let mut retry = Retry::new(LONGEST_RETRY);
         while !control.stopped() {
             let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * rate_hz) as usize;
@@ -145,12 +145,12 @@ impl Device for Microphone {
             let broken = sink.broken();
             let stream = match self.sound.open(sink, trouble) {
                 Ok(stream) => stream,
-                Err(error) => match failed(error, listening.received, &mut reported, control)? {
+                Err(error) => match retry.failed(error, listening.received, control)? {
                     true => continue,
                     false => break,
                 },
             };
-            reported = None;
+            retry.opened();
             let end = listening.follow(&mut leave, &woken, &errors);
             drop(stream);
             if broken.get() > 0 {

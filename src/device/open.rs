@@ -1,11 +1,14 @@
 //! Why hardware cannot be opened, and what to do about it.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::{Control, DeviceError, DeviceState};
 
 /// How long a driver waits before it tries again.
 pub(super) const RETRY: Duration = Duration::from_millis(300);
+
+/// The longest wait of drivers that look through all the hardware of their kind.
+pub(super) const LONGEST_RETRY: Duration = Duration::from_secs(5);
 
 /// Why hardware cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,25 +42,47 @@ impl OpenError {
     }
 }
 
-/// Reports a failure to open, then waits. False if it is time to stop.
-///
-/// # Errors
-/// If trying again is of no use.
-pub(super) fn failed(
-    error: OpenError,
-    was_there: bool,
-    reported: &mut Option<OpenError>,
-    control: &Control,
-) -> Result<bool, DeviceError> {
-    if !error.may_pass() {
-        return Err(DeviceError::Failed(error.to_string()));
+/// How a driver tries to open its hardware again and again.
+pub(super) struct Retry {
+    /// Why it could not be opened, if it could not.
+    reported: Option<OpenError>,
+    wait: Duration,
+    longest: Duration,
+}
+
+impl Retry {
+    /// Waits [`RETRY`] at first, and ever longer up to `longest`, for what is dear to open.
+    pub fn new(longest: Duration) -> Self {
+        Self { reported: None, wait: RETRY, longest }
     }
-    let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
-    control.state(state, error.to_string());
-    // The state stays, but the reason is another one: busy instead of absent, say.
-    if reported.as_ref().is_some_and(|before| *before != error) {
-        control.warn(error.to_string());
+
+    /// It could be opened.
+    pub fn opened(&mut self) {
+        *self = Self::new(self.longest);
     }
-    *reported = Some(error);
-    Ok(control.sleep_until(std::time::Instant::now() + RETRY))
+
+    /// Reports a failure to open, then waits. False if it is time to stop.
+    ///
+    /// # Errors
+    /// If trying again is of no use.
+    pub fn failed(
+        &mut self,
+        error: OpenError,
+        was_there: bool,
+        control: &Control,
+    ) -> Result<bool, DeviceError> {
+        if !error.may_pass() {
+            return Err(DeviceError::Failed(error.to_string()));
+        }
+        let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
+        control.state(state, error.to_string());
+        // The state stays, but the reason is another one: busy instead of absent, say.
+        if self.reported.as_ref().is_some_and(|before| *before != error) {
+            control.warn(error.to_string());
+        }
+        self.reported = Some(error);
+        let wait = self.wait;
+        self.wait = (2 * wait).min(self.longest.max(RETRY));
+        Ok(control.sleep_until(Instant::now() + wait))
+    }
 }

@@ -20,7 +20,7 @@ pub use light::Light;
 pub use port::{BAUD, OpenPort, Port, Selector};
 
 use self::connection::{Connection, End, LinkErrors};
-use super::open::{RETRY, failed};
+use super::open::{RETRY, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
 use crate::scene::SourceId;
@@ -102,11 +102,11 @@ impl Device for Stylus {
     fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
         let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
         let begin = Instant::now();
-        let (mut was_there, mut reported) = (false, None);
+        let (mut was_there, mut retry) = (false, Retry::new(RETRY));
         while !control.stopped() {
             match self.port.open() {
                 Ok((port, path)) => {
-                    reported = None;
+                    retry.opened();
                     control.state(DeviceState::Opening, path.clone());
                     intake.reopened();
                     let now = Instant::now();
@@ -136,7 +136,7 @@ impl Device for Stylus {
                     }
                 }
                 Err(error) => {
-                    failed(error, was_there, &mut reported, control)?;
+                    retry.failed(error, was_there, control)?;
                     continue;
                 }
             }

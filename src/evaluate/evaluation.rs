@@ -18,7 +18,7 @@ use crate::recognise::{
     LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, prepare_library,
     without_flawed,
 };
-use crate::scene::{Phase, Scene, SourceId};
+use crate::scene::Scene;
 use crate::trial::{Trial, TrialKey};
 
 /// Called after each step: what is being done, how much is done, how much there is to do.
@@ -333,7 +333,5 @@ pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entr
 
 /// The trial with its drag cut to the first seconds.
 fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {
-    let is_drag =
-        |id: &SourceId| scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
-    trial.first_seconds(seconds, is_drag)
+    trial.first_seconds(seconds, |id| scene.is_dragged(id))
 }

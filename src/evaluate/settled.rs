@@ -7,7 +7,7 @@ use super::{EvaluateError, wilson_interval};
 use crate::recognise::{
     Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
-use crate::scene::{Phase, Scene};
+use crate::scene::{Scene, SourceId};
 use crate::trial::{Series, Signal, Trial};
 
 /// Answers by the stop rule against answers by the whole scan. Shares are fractions from 0 to 1.
@@ -71,7 +71,7 @@ impl SettledOutcome {
             for &query in &fold.queries {
                 let trial = run.recording(query)?;
                 let truth = run.on().trials.key(query).surface.clone();
-                let scan_s = drag_s(&trial, scene);
+                let scan_s = trial.drag_s(|id| scene.is_dragged(id)).unwrap_or(0.0);
                 let start_s = processor_s();
                 let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
                 busy_s += processor_s() - start_s;
@@ -132,11 +132,10 @@ pub fn follow(
     scan_s: f64,
 ) -> Result<Option<GuessSoFar>, RecogniseError> {
     follower.begin();
-    let is_drag = |id: &str| scene.get(id).is_some_and(|spec| spec.phase == Phase::Drag);
     for (id, signal) in &trial.signals {
         match signal {
             Signal::Image(picture) => follower.add_picture(id, picture)?,
-            Signal::Series(series) if !is_drag(id.as_str()) => {
+            Signal::Series(series) if !scene.is_dragged(id) => {
                 add(follower, id, series, 0, series.frames())?;
             }
             Signal::Series(_) => {}
@@ -146,7 +145,7 @@ pub fn follow(
     let steps = (scan_s / LOOK_S + 1e-9).floor() as usize;
     for step in 1..=steps {
         for (id, signal) in &trial.signals {
-            if let (Signal::Series(series), true) = (signal, is_drag(id.as_str())) {
+            if let (Signal::Series(series), true) = (signal, scene.is_dragged(id)) {
                 let until = |step: usize| {
                     let frames = (step as f64 * LOOK_S * series.rate_hz()).ceil() as usize;
                     frames.min(series.frames())
@@ -161,7 +160,7 @@ pub fn follow(
 
 fn add(
     follower: &mut dyn Follow,
-    source: &crate::scene::SourceId,
+    source: &SourceId,
     series: &Series,
     from: usize,
     to: usize,
@@ -169,17 +168,6 @@ fn add(
     let channels = series.channels();
     let samples = &series.samples()[from * channels..to * channels];
     follower.add(FreshFrames { source, rate_hz: series.rate_hz(), channels, samples })
-}
-
-/// Length of the longest source of a trial's drag, in seconds; 0 without one.
-fn drag_s(trial: &Trial, scene: &Scene) -> f64 {
-    let lengths = trial.signals.iter().filter_map(|(id, signal)| match signal {
-        Signal::Series(series) if scene.get(id.as_str())?.phase == Phase::Drag => {
-            Some(series.duration_s())
-        }
-        _ => None,
-    });
-    lengths.fold(0.0, f64::max)
 }
 
 /// Processor time of this process so far, all threads, in seconds.

@@ -8,20 +8,31 @@
 //! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
 //! ```
 //! `key` stands for the settings that the trials were prepared with, `stamp` for the files of a
-//! trial: device, inode, size and times of change. Whatever is wrong with the file, the answer is that it holds less: never an
-//! error, at most a remark.
+//! trial: device, inode, size and times of change. Whatever is wrong with the file, the answer is
+//! that it holds less: never an error, at most a remark.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::ffi::OsStr;
+use std::fs::{self, Permissions};
+use std::io::{self, BufWriter, Read, Write};
 use std::ops::Range;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use rustix::fs::{FlockOperation, flock};
+
+use super::files;
 
 const MAGIC: &[u8; 14] = b"surfaced cache";
 /// Raised whenever what prepared trials hold, or how they are stored, changes.
 const VERSION: u16 = 2;
 const HEADER: usize = MAGIC.len() + 2 + 8;
+/// How the name of a file ends that is being written; its writer holds a lock on it.
+const UNFINISHED: &str = ".unfinished";
+/// A file that nobody has locked for so long was left by a writer that was killed.
+const ABANDONED: Duration = Duration::from_secs(60);
 
 /// What a cache file held.
 #[derive(Debug)]
@@ -49,11 +60,8 @@ impl Cache {
     pub fn open(library: &Path, method: &str, key: u64) -> (Self, Option<String>) {
         let path = library.join(format!(".{method}.surfaced-cache"));
         let mut cache = Self { path, key, bytes: Vec::new(), records: BTreeMap::new() };
-        let remark = match fs::read(&cache.path) {
-            Ok(bytes) => {
-                cache.bytes = bytes;
-                cache.index().err()
-            }
+        let remark = match cache.read() {
+            Ok(()) => None,
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => Some(error.to_string()),
         };
@@ -62,19 +70,35 @@ impl Cache {
         (cache, remark)
     }
 
-    /// Finds the records; an error leaves those found so far.
-    fn index(&mut self) -> Result<(), String> {
-        let bytes = self.bytes.as_slice();
-        let rest = bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
+    /// Reads the file, if it is one for these settings; an error leaves the records found so far.
+    fn read(&mut self) -> io::Result<()> {
+        let (mut file, length) = files::open(&self.path)?;
+        // First, so that nothing else that has this name is read into memory.
+        self.bytes = vec![0; HEADER.min(length as usize)];
+        file.read_exact(&mut self.bytes)?;
+        self.check_header().map_err(io::Error::other)?;
+        // No more than it had when it was opened: it is replaced, never appended to.
+        file.take(length - HEADER as u64).read_to_end(&mut self.bytes)?;
+        self.index().map_err(io::Error::other)
+    }
+
+    fn check_header(&self) -> Result<(), String> {
+        let rest = self.bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
         let (version, rest) = rest.split_first_chunk().ok_or("the file is cut short")?;
         let version = u16::from_le_bytes(*version);
         if version != VERSION {
             return Err(format!("a cache of version {version}, not {VERSION}"));
         }
         let (key, _) = rest.split_first_chunk().ok_or("the file is cut short")?;
-        if u64::from_le_bytes(*key) != self.key {
-            return Err("prepared with other settings".into());
+        match u64::from_le_bytes(*key) == self.key {
+            true => Ok(()),
+            false => Err("prepared with other settings".into()),
         }
+    }
+
+    /// Finds the records.
+    fn index(&mut self) -> Result<(), String> {
+        let bytes = self.bytes.as_slice();
         let mut at = HEADER;
         while at < bytes.len() {
             let found = record(bytes, at).ok_or("the file is cut short or damaged")?;
@@ -94,13 +118,7 @@ impl Cache {
 
     /// Writes a new file in the place of the old one; says what went wrong, if anything did.
     pub fn replace(&self, records: &[Record<'_>]) -> Option<String> {
-        // Two programs may do so at once: each writes a file of its own.
-        let unfinished = self.path.with_extension(format!("unfinished-{}", std::process::id()));
-        let written =
-            self.write(&unfinished, records).and_then(|()| fs::rename(&unfinished, &self.path));
-        written.err().map(|error| {
-            // Best effort: it may not even exist.
-            let _ = fs::remove_file(&unfinished);
+        self.write(records).err().map(|error| {
             format!(
                 "{}: {error}; the prepared library is not kept, and will be prepared anew next time",
                 self.path.display()
@@ -108,8 +126,20 @@ impl Cache {
         })
     }
 
-    fn write(&self, path: &Path, records: &[Record<'_>]) -> io::Result<()> {
-        let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
+    fn write(&self, records: &[Record<'_>]) -> io::Result<()> {
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        let name = self.path.file_name().unwrap_or_default();
+        remove_abandoned(folder, &name.to_string_lossy());
+        // Two programs may do so at once: each writes a file of its own.
+        let unfinished = tempfile::Builder::new()
+            .prefix(&[name, OsStr::new(".")].join(OsStr::new("")))
+            .rand_bytes(16)
+            .suffix(UNFINISHED)
+            .permissions(Permissions::from_mode(0o666))
+            .tempfile_in(folder)?;
+        // Where there are no locks, nobody removes anything either.
+        let _ = flock(unfinished.as_file(), FlockOperation::NonBlockingLockExclusive);
+        let mut file = BufWriter::with_capacity(1 << 20, unfinished.as_file());
         file.write_all(MAGIC)?;
         file.write_all(&VERSION.to_le_bytes())?;
         file.write_all(&self.key.to_le_bytes())?;
@@ -126,7 +156,29 @@ impl Cache {
             file.write_all(&record.bytes)?;
             file.write_all(&sum.finalize().to_le_bytes())?;
         }
-        file.into_inner().map_err(io::IntoInnerError::into_error).map(drop)
+        file.flush()?;
+        drop(file);
+        unfinished.persist(&self.path)?;
+        Ok(())
+    }
+}
+
+/// Removes what writers of the cache `name` left behind that were killed.
+fn remove_abandoned(folder: &Path, name: &str) {
+    // Best effort, here and below: what stays costs room, and nothing else.
+    let Ok(items) = fs::read_dir(folder) else { return };
+    for path in items.flatten().map(|item| item.path()) {
+        let of_cache = |name_of: &str| name_of.starts_with(name) && name_of.ends_with(UNFINISHED);
+        if !path.file_name().and_then(|name| name.to_str()).is_some_and(of_cache) {
+            continue;
+        }
+        let Ok((file, _)) = files::open(&path) else { continue };
+        let modified = file.metadata().and_then(|about| about.modified());
+        let age = modified.ok().and_then(|at| at.elapsed().ok());
+        let left = age.is_some_and(|age| age >= ABANDONED);
+        if left && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
+            let _ = fs::remove_file(&path);
+        }
     }
 }
 
@@ -154,6 +206,8 @@ fn record(all: &[u8], at: usize) -> Option<Found<'_>> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
+
     use super::*;
 
     fn records() -> Vec<Record<'static>> {
@@ -215,6 +269,46 @@ mod tests {
             let (cache, _) = Cache::open(folder.path(), "m", 5);
             assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "cut at {at}");
         }
+    }
+
+    #[test]
+    fn what_is_no_regular_file_neither_hangs_nor_is_read() {
+        for kind in ["pipe", "device", "folder"] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(".m.surfaced-cache");
+            match kind {
+                "pipe" => {
+                    rustix::fs::mkfifoat(rustix::fs::CWD, &path, rustix::fs::Mode::RWXU).unwrap();
+                }
+                "device" => std::os::unix::fs::symlink("/dev/zero", &path).unwrap(),
+                _ => fs::create_dir(&path).unwrap(),
+            }
+            let (cache, remark) = Cache::open(folder.path(), "m", 5);
+            assert!(remark.unwrap().contains("not a regular file"), "{kind}");
+            assert_eq!(cache.replace(&records()).is_none(), kind != "folder", "{kind}");
+        }
+        // Large, but no cache: not read.
+        let folder = tempfile::tempdir().unwrap();
+        let file = File::create(folder.path().join(".m.surfaced-cache")).unwrap();
+        file.set_len(1 << 40).unwrap();
+        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("no cache of surfaced"));
+    }
+
+    #[test]
+    fn nobody_removes_what_another_is_writing_but_what_the_killed_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let long_ago = std::time::SystemTime::now() - 2 * ABANDONED;
+        let [left, locked, fresh] = ["a", "b", "c"].map(|name| {
+            let path = folder.path().join(format!(".m.surfaced-cache.{name}{UNFINISHED}"));
+            let file = File::create(&path).unwrap();
+            file.set_modified(long_ago).unwrap();
+            (path, file)
+        });
+        flock(&locked.1, FlockOperation::NonBlockingLockExclusive).unwrap();
+        fresh.1.set_modified(std::time::SystemTime::now()).unwrap();
+        let (cache, _) = Cache::open(folder.path(), "m", 5);
+        assert_eq!(cache.replace(&records()), None);
+        assert!(!left.0.exists() && locked.0.exists() && fresh.0.exists());
     }
 
     #[test]

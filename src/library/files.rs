@@ -7,7 +7,7 @@ use std::os::unix::fs::MetadataExt;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use super::LibraryError;
+use super::{LibraryError, series_file};
 use crate::scene::SourceId;
 use crate::seed;
 
@@ -53,6 +53,19 @@ impl Listed {
     pub fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
         Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
+    }
+
+    /// A file by its path; `None` if its name is not UTF-8.
+    pub fn file(path: &Path) -> Option<Self> {
+        Some(Self { is_dir: false, ..Self::folder(path)? })
+    }
+
+    /// Whether it is a file that holds one series, by its extension.
+    pub fn is_series(&self) -> bool {
+        let extension = self.stem_and_extension().1;
+        !self.is_dir
+            && self.unusable.is_none()
+            && series_file::EXTENSIONS.contains(&extension.as_str())
     }
 
     /// The name without its extension, and the extension in lower case.

@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::wav::{self, Header};
+use super::series_file::{self, Header};
 use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
 use crate::scene::{Domain, SourceId, SourceSpec};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 
 /// Where the data of one source of one trial are.
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
-    /// One WAV file, and what its header said.
-    Wav { path: PathBuf, header: Header },
+    /// One WAV or FLAC file, what its header said, and whether its two channels become one.
+    Series { path: PathBuf, header: Header, mixed: bool },
     /// One picture.
     Picture(PathBuf),
     /// One text file a channel.
@@ -54,15 +54,16 @@ impl LoadTrial for FileTrial {
 impl SourceFiles {
     fn paths(&self) -> &[PathBuf] {
         match self {
-            Self::Wav { path, .. } | Self::Picture(path) => std::slice::from_ref(path),
+            Self::Series { path, .. } | Self::Picture(path) => std::slice::from_ref(path),
             Self::Columns { paths, .. } => paths,
         }
     }
 
     fn outline(&self) -> Result<Option<Outline>, LibraryError> {
         Ok(match self {
-            Self::Wav { header: Header { rate_hz, channels, frames }, .. } => {
-                Some(Outline { rate_hz: *rate_hz, channels: *channels, frames: *frames })
+            Self::Series { header: Header { rate_hz, channels, frames }, mixed, .. } => {
+                let channels = if *mixed { 1 } else { *channels };
+                Some(Outline { rate_hz: *rate_hz, channels, frames: *frames })
             }
             Self::Picture(_) => None,
             Self::Columns { paths, rate_hz } => {
@@ -74,13 +75,18 @@ impl SourceFiles {
 
     fn read(&self) -> Result<Signal, LibraryError> {
         match self {
-            Self::Wav { path, header } => {
-                let series = wav::read(path)?;
+            Self::Series { path, header, mixed } => {
+                let series = series_file::read(path)?;
                 if (series.rate_hz(), series.channels()) != (header.rate_hz, header.channels) {
                     let problem = "it changed since the library was opened; open it again";
                     return Err(LibraryError::file(path, problem));
                 }
-                Ok(Signal::Series(series))
+                if !mixed {
+                    return Ok(Signal::Series(series));
+                }
+                mixed_down(&series)
+                    .map_err(|error| LibraryError::Signal { path: path.clone(), error })
+                    .map(Signal::Series)
             }
             Self::Picture(path) => picture::read(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => text::read(paths, *rate_hz).map(Signal::Series),
@@ -88,20 +94,28 @@ impl SourceFiles {
     }
 }
 
-/// Checks headers while a library is opened: channels as described, one rate a source.
+/// The mean of all channels.
+fn mixed_down(series: &Series) -> Result<Series, SignalError> {
+    let channels = series.channels();
+    let mean = |frame: &[f32]| frame.iter().sum::<f32>() / channels as f32;
+    Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
+}
+
+/// Checks headers while a library is opened: channels and rates as described.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
     first: BTreeMap<SourceId, (f64, PathBuf)>,
+    remarks: Vec<(PathBuf, String)>,
 }
 
 impl Headers {
-    /// A WAV file as the data of a source. `declared_hz` is the rate that the library's own
+    /// A WAV or FLAC file as the data of a source. `declared_hz` is the rate that the library's own
     /// description asks for.
     ///
     /// # Errors
-    /// If the source is an image, if the file cannot be read, or if its channels or its rate are
-    /// not those expected.
-    pub fn wav(
+    /// If the source is an image, if the file cannot be read, if its channels are not those
+    /// expected, or if its rate is not the one declared or too low for the source's band.
+    pub fn series(
         &mut self,
         spec: &SourceSpec,
         declared_hz: Option<f64>,
@@ -110,18 +124,25 @@ impl Headers {
         let id = &spec.id;
         let fail = |problem| Err(LibraryError::file(path, problem));
         if spec.domain == Domain::Image {
+            let kind = if path.extension().is_some_and(|ext| ext.eq_ignore_ascii_case("flac")) {
+                "FLAC"
+            } else {
+                "WAV"
+            };
             return fail(format!(
-                "a WAV file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
+                "a {kind} file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
             ));
         }
-        let header = wav::probe(path)?;
+        let header = series_file::probe(path)?;
         spec.check_rate(header.rate_hz).map_err(|problem| LibraryError::file(path, problem))?;
-        if header.channels != spec.channels {
+        let mixed = (header.channels, spec.channels) == (2, 1);
+        if header.channels != spec.channels && !mixed {
             return fail(format!(
                 "{}, but source `{id}` has {}; expected one channel a column: record again, or \
-                 correct `channels` of [sources.{id}] in library.toml",
+                 say in library.toml: [sources.{id}] channels = {}",
                 channels(header.channels),
                 spec.channels,
+                header.channels,
             ));
         }
         if let Some(declared) = declared_hz
@@ -133,17 +154,33 @@ impl Headers {
                 header.rate_hz
             ));
         }
+        self.remark(spec, header, mixed, path);
+        Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
+    }
+
+    /// Notes what is unusual about a file that is used all the same.
+    fn remark(&mut self, spec: &SourceSpec, header: Header, mixed: bool, path: &Path) {
+        let id = &spec.id;
+        if mixed {
+            let what = format!("stereo, mixed down to the one channel of source `{id}`");
+            self.remarks.push((path.to_path_buf(), what));
+        }
         let (rate_hz, first) =
             self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));
         if *rate_hz != header.rate_hz {
-            return fail(format!(
-                "two rates in one source: `{id}` has {} Hz here, but {rate_hz} Hz in {}; resample \
-                 one of them (for example with `sox IN.wav -r {rate_hz} OUT.wav`), or remove it",
+            let what = format!(
+                "source `{id}` has {} Hz here, but {rate_hz} Hz in {}; method `embedding` compares \
+                 them by frequency in Hz, the others need one rate",
                 header.rate_hz,
                 first.display(),
-            ));
+            );
+            self.remarks.push((path.to_path_buf(), what));
         }
-        Ok(SourceFiles::Wav { path: path.to_path_buf(), header })
+    }
+
+    /// What was unusual about files that are used all the same, in the order of the files.
+    pub fn remarks(&mut self) -> Vec<(PathBuf, String)> {
+        std::mem::take(&mut self.remarks)
     }
 }
 

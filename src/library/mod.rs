@@ -4,9 +4,13 @@ mod about;
 pub mod audit;
 pub mod cache;
 pub(crate) mod files;
+mod flac;
 pub(crate) mod loader;
+mod loose;
 mod picture;
 pub mod recording;
+pub(crate) mod seen;
+pub(crate) mod series_file;
 mod text;
 mod wav;
 

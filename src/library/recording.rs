@@ -5,8 +5,9 @@
 //!   library.toml                 optional: name, synthetic, sources that the defaults do not know
 //!   SURFACE/TRIAL/
 //!     trial.toml                 optional: see [`About`]
-//!     mi2.wav  ac.wav  …         one WAV a source
+//!     mi2.wav  ac.wav  …         one WAV or FLAC a source
 //!     ca1.png or ca1.jpg
+//!   SURFACE/NAME.wav             without trial folders: a trial a file, see [`super::loose`]
 //! ```
 
 use std::collections::BTreeMap;
@@ -15,9 +16,12 @@ use std::sync::Arc;
 
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
+use super::loose;
+use super::seen::Seen;
+use super::series_file;
 use super::{About, Entry, Library, LibraryError, Opened};
-use crate::scene::{Domain, Scene, SourceId};
-use crate::trial::{EXPERT, TrialKey};
+use crate::scene::{Domain, LibraryToml, Scene, SourceId};
+use crate::trial::{EXPERT, TrialKey, UNLABELLED};
 
 /// Name of the file that describes a library.
 pub(crate) const DESCRIPTION: &str = "library.toml";
@@ -51,6 +55,25 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
             opening.pass_over(&surface.path, why);
         }
     }
+    if opening.trials.is_empty() && opening.bad.is_empty() {
+        let files = folders.iter().filter(|item| item.is_series() && !item.is_hidden());
+        opening.loose(UNLABELLED, &files.collect::<Vec<_>>());
+    }
+    opening.library()
+}
+
+/// Opens a single WAV or FLAC file as a library of one unlabelled trial.
+///
+/// # Errors
+/// As [`open`].
+pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
+    let path = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
+    let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
+        return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
+    };
+    let mut opening = Opening::new(folder, defaults.clone())?;
+    opening.name.clone_from(&item.name);
+    opening.loose(UNLABELLED, &[&item]);
     opening.library()
 }
 
@@ -78,8 +101,8 @@ pub(crate) fn entry(key: TrialKey, files: BTreeMap<SourceId, SourceFiles>) -> En
 fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError {
     let known = scene.sources().map(|s| s.id.as_str()).collect::<Vec<_>>().join(", ");
     let mut problem = format!(
-        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .png or .jpg, where <source> \
-         is one of {known}, and for the LMT108 database (a folder that holds SoundScans/ or \
+        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg, where \
+         <source> is one of {known}, for SURFACE/*.wav and *.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
          AccelScansComponents/); name the folder that holds the surfaces' folders"
     );
     for remark in remarks {
@@ -89,32 +112,13 @@ fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError
     LibraryError::NothingFound { path: path.to_path_buf(), problem }
 }
 
-/// How often something was passed over, and where first.
-pub(crate) struct Seen {
-    count: usize,
-    first: String,
-}
-
-impl Seen {
-    /// Counts one more.
-    pub fn count(all: &mut BTreeMap<String, Self>, what: String, place: String) {
-        all.entry(what).or_insert(Self { count: 0, first: place }).count += 1;
-    }
-
-    /// The remark: what, how often, where first.
-    pub fn say(&self, what: &str) -> String {
-        match self.count {
-            1 => format!("{}: {what}", self.first),
-            count => format!("{} and {} more: {what}", self.first, count - 1),
-        }
-    }
-}
-
 struct Opening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
     declared_hz: BTreeMap<SourceId, f64>,
+    /// The sources that `library.toml` describes.
+    own: Vec<SourceId>,
     synthetic: bool,
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
@@ -130,6 +134,7 @@ impl<'a> Opening<'a> {
             name: String::new(),
             scene,
             declared_hz: BTreeMap::new(),
+            own: Vec::new(),
             synthetic: false,
             headers: Headers::default(),
             trials: BTreeMap::new(),
@@ -138,18 +143,21 @@ impl<'a> Opening<'a> {
         };
         let described = root.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
-            let (own, synthetic) = Scene::from_library_toml(&text)
+            let described = LibraryToml::parse(&text, &opening.scene)
                 .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
-            opening.synthetic = synthetic;
-            opening.declared_hz =
-                own.sources().filter_map(|s| Some((s.id.clone(), s.rate_hz?))).collect();
-            opening.name.clone_from(&own.name);
-            opening.scene = opening.scene.with(own);
+            opening.synthetic = described.synthetic;
+            opening.declared_hz = described.declared_hz;
+            opening.name.clone_from(&described.sources.name);
+            opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
+            opening.scene = opening.scene.with(described.sources);
         }
         Ok(opening)
     }
 
-    fn library(self) -> Result<Opened, LibraryError> {
+    fn library(mut self) -> Result<Opened, LibraryError> {
+        for (path, what) in self.headers.remarks() {
+            self.pass_over(&path, what);
+        }
         let Opening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
         let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
         if trials.is_empty() {
@@ -174,6 +182,7 @@ impl<'a> Opening<'a> {
             Ok(items) => items,
             Err(error) => return self.bad.push(error),
         };
+        let mut loose = Vec::new();
         for item in &items {
             match item.stem_and_extension().1.as_str() {
                 _ if item.is_dir && item.name.ends_with(UNFINISHED) => {
@@ -181,11 +190,44 @@ impl<'a> Opening<'a> {
                 }
                 _ if item.is_hidden() => {}
                 _ if item.is_dir => self.trial(&surface.name, item),
-                "wav" | "png" | "jpg" | "jpeg" => self.pass_over(
+                _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
+                    loose.push(item);
+                }
+                "wav" | "flac" | "png" | "jpg" | "jpeg" => self.pass_over(
                     &item.path,
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
                 _ => item.unusable.iter().for_each(|why| self.pass_over(&item.path, *why)),
+            }
+        }
+        self.loose(&surface.name, &loose);
+    }
+
+    /// Files of a surface without trial folders: a trial each.
+    fn loose(&mut self, surface: &str, files: &[&Listed]) {
+        let taken: Vec<u32> = (self.trials.keys())
+            .filter(|key| key.surface == surface && key.user == EXPERT)
+            .map(|key| key.number)
+            .collect();
+        let only = match self.own.as_slice() {
+            [one] => Some(one),
+            _ => None,
+        };
+        let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
+        let places = loose::places(&names, &self.scene, only, &taken);
+        for (item, place) in files.iter().zip(places) {
+            let Some(spec) = self.scene.get(place.source.as_str()) else { continue };
+            let declared_hz = self.declared_hz.get(&place.source).copied();
+            match self.headers.series(spec, declared_hz, &item.path) {
+                Err(error) => self.bad.push(error),
+                Ok(file) => {
+                    if place.guessed {
+                        self.pass_over(&item.path, loose::remark(&place.source));
+                    }
+                    let key = TrialKey::new(surface, EXPERT, place.number);
+                    let trial = || (item.path.clone(), BTreeMap::new());
+                    self.trials.entry(key).or_insert_with(trial).1.insert(place.source, file);
+                }
             }
         }
     }
@@ -246,8 +288,9 @@ impl<'a> Opening<'a> {
     /// What one file of a trial is, if it is a source.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
+        let is_series = series_file::EXTENSIONS.contains(&extension.as_str());
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
-        if item.is_hidden() || item.is_dir || !(picture || extension == "wav") {
+        if item.is_hidden() || item.is_dir || !(picture || is_series) {
             return Ok(None);
         }
         if let Some(why) = item.unusable {
@@ -272,7 +315,7 @@ impl<'a> Opening<'a> {
         };
         if !picture {
             let declared_hz = self.declared_hz.get(stem).copied();
-            let files = self.headers.wav(spec, declared_hz, &item.path)?;
+            let files = self.headers.series(spec, declared_hz, &item.path)?;
             return Ok(Some((spec.id.clone(), files)));
         }
         if spec.domain != Domain::Image {

@@ -12,15 +12,8 @@ use hound::{SampleFormat, WavReader};
 
 use super::LibraryError;
 use super::files::{self, EMPTY_FILE};
+use super::series_file::{Header, too_long};
 use crate::trial::Series;
-
-/// What a WAV header says.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Header {
-    pub rate_hz: f64,
-    pub channels: usize,
-    pub frames: usize,
-}
 
 /// Reads a header and checks that the file is long enough to hold what it promises.
 ///
@@ -150,16 +143,7 @@ fn check(data: Data, rest: u64) -> Result<(), String> {
             ),
         });
     }
-    if samples > Series::MOST_SAMPLES as u64 {
-        let frames = samples as f64 / f64::from(data.channels);
-        return Err(format!(
-            "{:.0} minutes are too long for a trial: {samples} samples, but at most {} are read; \
-             cut the recording into trials",
-            frames / f64::from(data.rate_hz.max(1)) / 60.0,
-            Series::MOST_SAMPLES,
-        ));
-    }
-    Ok(())
+    too_long(data.header()).map_or(Ok(()), Err)
 }
 
 enum Problem {

@@ -7,8 +7,9 @@
 use super::decide::conformal::Rejection;
 use super::decide::settle::Settling;
 use super::error::RecogniseError;
+use super::rank::Ranking;
 use crate::scene::SourceId;
-use crate::trial::Image;
+use crate::trial::{Image, Trial};
 
 /// Scan time between two looks, in seconds.
 pub const LOOK_S: f64 = 0.1;
@@ -80,6 +81,12 @@ pub trait Follow: Send {
     /// # Errors
     /// If what came cannot be compared with the library.
     fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError>;
+
+    /// The ranking of a scan that has ended and is `trial`, as [`super::Model::rank`] would give it
+    /// without its flawed sources ([`super::without_flawed`]): only what was not followed yet is
+    /// worked on. `None` where what was followed is not a beginning of the trial, or the trial
+    /// cannot be named.
+    fn finish(&mut self, trial: &Trial) -> Option<Ranking>;
 
     /// When answers count as settled, and how that was found.
     fn settling(&self) -> &Settling;

@@ -34,7 +34,7 @@ pub use decide::dead_sensor::without_flawed;
 pub use decide::interval::{can_show, reaches, wilson};
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Posterior};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions};
 pub use error::RecogniseError;
 pub use features::{FrameFeatures, amplitude_spectrum, band_bins, hsv};
 pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};

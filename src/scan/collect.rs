@@ -5,6 +5,8 @@
 //! their marks read in the same turn, before anything old is forgotten.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Select};
@@ -35,7 +37,8 @@ pub(super) struct Collector {
     /// Names of the devices, and whether each has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
-    pub begun: u32,
+    /// How many have begun, for those outside.
+    pub begun: Arc<AtomicU32>,
     /// Sets marks where the devices set none.
     pub detector: Option<ScanDetector>,
     pub commands: Receiver<ScanCommand>,
@@ -123,8 +126,8 @@ impl Collector {
         match mark {
             Mark::Begin(begin) => {
                 self.abandon(|_| true, "another scan began before it ended");
-                self.begun += 1;
-                return self.scans.push_back(Marked::new(self.begun, device, begin));
+                let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
+                return self.scans.push_back(Marked::new(number, device, begin));
             }
             Mark::GiveUp { why } => return self.abandon(|_| true, &why),
             _ => {}

@@ -4,6 +4,7 @@ use std::any::Any;
 use std::collections::{BTreeSet, VecDeque};
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -119,6 +120,7 @@ pub struct Session {
     commands: Sender<ScanCommand>,
     stop: Stop,
     waker: Waker,
+    begun: Arc<AtomicU32>,
     meters: Vec<StreamMeter>,
     devices: Vec<(String, JoinHandle<()>)>,
     collector: Option<JoinHandle<Totals>>,
@@ -160,6 +162,7 @@ impl Session {
             .detection
             .clone()
             .map(|detection| ScanDetector::new(detection, &streams, options.longest_scan_s));
+        let begun = Arc::<AtomicU32>::default();
         let collector = Collector {
             options,
             streams,
@@ -169,7 +172,7 @@ impl Session {
             event_queue,
             devices: names,
             scans: VecDeque::new(),
-            begun: 0,
+            begun: begun.clone(),
             detector,
             commands: cued,
         };
@@ -183,6 +186,7 @@ impl Session {
             commands,
             stop,
             waker,
+            begun,
             meters,
             devices: vec![],
             collector: Some(collector),
@@ -206,6 +210,11 @@ impl Session {
     /// What each stream carries.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
+    }
+
+    /// Number of the next scan to begin.
+    pub fn next_scan(&self) -> u32 {
+        self.begun.load(Ordering::Acquire).saturating_add(1)
     }
 
     /// Begins or ends a scan by command.

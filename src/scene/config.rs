@@ -32,7 +32,7 @@ enum DomainName {
 }
 
 /// What a file said of one source.
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -41,31 +41,24 @@ pub(crate) struct SourceBlock {
     sensor: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     phase: Option<Phase>,
-    domain: DomainName,
-    #[serde(default, skip_serializing_if = "is_default_colour")]
-    colour: Colour,
-    #[serde(default = "one_channel")]
-    channels: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    domain: Option<DomainName>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    colour: Option<Colour>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    channels: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rate_hz: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     band_hz: Option<[f64; 2]>,
-    #[serde(default)]
-    align_mean: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    align_mean: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     weight: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sigma: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     score_offset: Option<f64>,
-}
-
-fn is_default_colour(colour: &Colour) -> bool {
-    *colour == Colour::default()
-}
-
-fn one_channel() -> usize {
-    1
 }
 
 impl Scene {
@@ -84,22 +77,13 @@ impl Scene {
         parse(text)
     }
 
-    /// The same for the `library.toml` of a library, which may carry `synthetic = true`: the
-    /// scene, and whether it does.
-    ///
-    /// # Errors
-    /// As [`Scene::from_toml`].
-    pub fn from_library_toml(text: &str) -> Result<(Self, bool), SceneError> {
-        parse_library(text)
-    }
-
     /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
     pub fn to_toml(&self) -> String {
         write(self, false)
     }
 
     /// The scene as the `library.toml` of a library, in the form that
-    /// [`Scene::from_library_toml`] reads.
+    /// [`LibraryToml::parse`] reads.
     pub fn to_library_toml(&self, synthetic: bool) -> String {
         write(self, synthetic)
     }
@@ -110,26 +94,59 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-fn parse(text: &str) -> Result<Scene, SceneError> {
-    parse_library(text).map(|(scene, _)| scene)
+/// What the `library.toml` of a library says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LibraryToml {
+    /// The sources that it describes, and the library's name.
+    pub sources: Scene,
+    /// The rates that it asks for itself.
+    pub declared_hz: BTreeMap<SourceId, f64>,
+    /// Whether it carries `synthetic = true`.
+    pub synthetic: bool,
 }
 
-/// The scene, and whether the file carries the mark `synthetic`.
-fn parse_library(text: &str) -> Result<(Scene, bool), SceneError> {
-    let file: SceneFile = toml::from_str(text)?;
-    if *file.format.get_ref() != 1 {
-        let line = line_of(text, file.format.span().start);
-        return Err(SceneError::Format { line, found: *file.format.get_ref() });
+impl LibraryToml {
+    /// Parses the file's text. A source that `defaults` know needs only what differs from them;
+    /// one that is of another domain than theirs is described anew.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`].
+    pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
+        let file = SceneFile::parse(text)?;
+        let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
+            Some((SourceId::new(name).ok()?, block.get_ref().rate_hz?))
+        };
+        let declared_hz = file.sources.iter().filter_map(declared).collect();
+        let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
+        Ok(Self { sources, declared_hz, synthetic: file.synthetic })
     }
-    let scene = scene(file.name.unwrap_or_default(), file.sources, text)?;
-    Ok((scene, file.synthetic))
 }
 
-/// A scene of what a file with this `text` said of each source.
+impl SceneFile {
+    fn parse(text: &str) -> Result<Self, SceneError> {
+        let file: Self = toml::from_str(text)?;
+        match *file.format.get_ref() {
+            1 => Ok(file),
+            found => {
+                let line = line_of(text, file.format.span().start);
+                Err(SceneError::Format { line, found })
+            }
+        }
+    }
+}
+
+fn parse(text: &str) -> Result<Scene, SceneError> {
+    let file = SceneFile::parse(text)?;
+    scene(file.name.unwrap_or_default(), file.sources, text, None)
+}
+
+/// A scene of what a file with this `text` said of each source; what it does not say of one that
+/// `defaults` know is as they have it.
 pub(crate) fn scene(
     name: String,
     blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
     text: &str,
+    defaults: Option<&Scene>,
 ) -> Result<Scene, SceneError> {
     let mut sources = BTreeMap::new();
     for (name, block) in blocks {
@@ -139,7 +156,8 @@ pub(crate) fn scene(
             problem,
         };
         let id = SourceId::new(&name).map_err(|error| fail(error.to_string()))?;
-        let spec = block.get_ref().resolve(id.clone()).map_err(fail)?;
+        let default = defaults.and_then(|scene| scene.get(id.as_str()));
+        let spec = block.get_ref().over(default).resolve(id.clone()).map_err(fail)?;
         sources.insert(id, spec);
     }
     Ok(Scene { name, sources })
@@ -164,34 +182,43 @@ fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Opti
 }
 
 impl SourceBlock {
-    fn resolve(&self, id: SourceId) -> Result<SourceSpec, String> {
-        if !(1..=MOST_CHANNELS).contains(&self.channels) {
-            return Err(format!("channels = {}; expected 1 to {MOST_CHANNELS}", self.channels));
+    /// What was said, and for the rest what `default` says, if it is of the same domain.
+    fn over(&self, default: Option<&SourceSpec>) -> Self {
+        let Some(default) = default.map(Self::from_spec) else { return self.clone() };
+        if self.domain.is_some() && self.domain != default.domain {
+            return self.clone();
         }
-        let domain = match (self.domain, self.band_hz) {
-            (DomainName::Spectrum, Some([low, high]))
-                if 0.0 <= low && low < high && high <= RATES_HZ.1 =>
-            {
-                Domain::Spectrum { band_hz: (low, high) }
-            }
-            (DomainName::Spectrum, Some([low, high])) => {
-                return Err(format!(
-                    "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
-                    RATES_HZ.1
-                ));
-            }
-            (DomainName::Spectrum, None) => {
-                return Err("a spectrum needs band_hz = [low, high], in Hz".into());
-            }
-            (_, Some(_)) => return Err("band_hz goes with domain = \"spectrum\" alone".into()),
-            (DomainName::Time, None) => Domain::Time,
-            (DomainName::Image, None) if self.channels == 3 => Domain::Image,
-            (DomainName::Image, None) => {
-                return Err(format!("an image has 3 channels, not {}", self.channels));
-            }
+        let own = self.clone();
+        Self {
+            what: own.what.or(default.what),
+            sensor: own.sensor.or(default.sensor),
+            phase: own.phase.or(default.phase),
+            domain: default.domain,
+            colour: own.colour.or(default.colour),
+            channels: own.channels.or(default.channels),
+            // A rate is asked for only where somebody says so.
+            rate_hz: own.rate_hz,
+            band_hz: own.band_hz.or(default.band_hz),
+            align_mean: own.align_mean.or(default.align_mean),
+            weight: own.weight.or(default.weight),
+            sigma: own.sigma.or(default.sigma),
+            score_offset: own.score_offset.or(default.score_offset),
+        }
+    }
+
+    fn resolve(&self, id: SourceId) -> Result<SourceSpec, String> {
+        let channels = match (self.channels, self.domain) {
+            (Some(channels), _) => channels,
+            (None, Some(DomainName::Image)) => 3,
+            (None, _) => 1,
         };
+        if !(1..=MOST_CHANNELS).contains(&channels) {
+            return Err(format!("channels = {channels}; expected 1 to {MOST_CHANNELS}"));
+        }
+        let domain = self.domain_of(channels)?;
         let image = domain == Domain::Image;
-        if !image && !is_default_colour(&self.colour) {
+        let colour = self.colour.unwrap_or_default();
+        if !image && colour != Colour::default() {
             return Err("colour goes with domain = \"image\" alone".into());
         }
         let spec = SourceSpec {
@@ -200,16 +227,42 @@ impl SourceBlock {
             phase: self.phase.unwrap_or(if image { Phase::Still } else { Phase::Drag }),
             id,
             domain,
-            colour: self.colour,
-            channels: self.channels,
+            colour,
+            channels,
             rate_hz: within("rate_hz", self.rate_hz, RATES_HZ)?,
-            align_mean: self.align_mean,
+            align_mean: self.align_mean.unwrap_or(false),
             weight: within("weight", self.weight, WEIGHTS)?.unwrap_or(1.0),
             sigma: within("sigma", self.sigma, SIGMAS)?,
             score_offset: within("score_offset", self.score_offset, OFFSETS)?.unwrap_or(0.0),
         };
         spec.rate_hz.map_or(Ok(()), |rate_hz| spec.check_rate(rate_hz))?;
         Ok(spec)
+    }
+
+    fn domain_of(&self, channels: usize) -> Result<Domain, String> {
+        match (self.domain, self.band_hz) {
+            (Some(DomainName::Spectrum) | None, Some([low, high]))
+                if 0.0 <= low && low < high && high <= RATES_HZ.1 =>
+            {
+                Ok(Domain::Spectrum { band_hz: (low, high) })
+            }
+            (Some(DomainName::Spectrum) | None, Some([low, high])) => Err(format!(
+                "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
+                RATES_HZ.1
+            )),
+            (None, None) => Err("no default is called so; say what it is: domain = \"time\", \
+                                 \"image\", or \"spectrum\" with band_hz = [low, high]"
+                .into()),
+            (Some(DomainName::Spectrum), None) => {
+                Err("a spectrum needs band_hz = [low, high], in Hz".into())
+            }
+            (_, Some(_)) => Err("band_hz goes with domain = \"spectrum\" alone".into()),
+            (Some(DomainName::Time), None) => Ok(Domain::Time),
+            (Some(DomainName::Image), None) if channels == 3 => Ok(Domain::Image),
+            (Some(DomainName::Image), None) => {
+                Err(format!("an image has 3 channels, not {channels}"))
+            }
+        }
     }
 
     fn from_spec(spec: &SourceSpec) -> Self {
@@ -223,12 +276,12 @@ impl SourceBlock {
             what: Some(spec.what.clone()),
             sensor: Some(spec.sensor.clone()),
             phase: Some(spec.phase),
-            domain,
-            colour: spec.colour,
-            channels: spec.channels,
+            domain: Some(domain),
+            colour: (spec.colour != Colour::default()).then_some(spec.colour),
+            channels: Some(spec.channels),
             rate_hz: spec.rate_hz,
             band_hz,
-            align_mean: spec.align_mean,
+            align_mean: Some(spec.align_mean),
             weight: unless(spec.weight, 1.0),
             sigma: spec.sigma,
             score_offset: unless(spec.score_offset, 0.0),
@@ -301,6 +354,29 @@ mod tests {
             let error = Scene::from_toml(&text).unwrap_err().to_string();
             assert!(error.contains("line 3") && error.contains(part), "{line}: {error}");
         }
+    }
+
+    #[test]
+    fn a_source_that_the_defaults_know_needs_only_what_differs() {
+        let of = |lines: &str, name: &str| {
+            let text = format!("format = 1\n[sources.{name}]\n{lines}\n");
+            let parsed = LibraryToml::parse(&text, &Scene::lmt108());
+            parsed.map(|library| library.sources.get(name).unwrap().clone())
+        };
+        let default = |name: &str| Scene::lmt108().get(name).unwrap().clone();
+        let stereo = of("channels = 2", "mi2").unwrap();
+        assert_eq!(stereo, SourceSpec { channels: 2, rate_hz: None, ..default("mi2") });
+        let band = of("band_hz = [50, 5000]", "mi2").unwrap();
+        assert_eq!(band.domain, Domain::Spectrum { band_hz: (50.0, 5000.0) });
+        assert!(band.align_mean && band.what == "sound while dragging");
+        let anew = of("domain = \"time\"", "mi2").unwrap();
+        assert!(
+            !anew.align_mean && anew.domain == Domain::Time,
+            "another domain is another source"
+        );
+        let unknown = of("channels = 2", "pac").unwrap_err().to_string();
+        assert!(unknown.contains("line 2") && unknown.contains("domain = \"time\""), "{unknown}");
+        assert_eq!(of("domain = \"image\"", "top").unwrap().channels, 3);
     }
 
     #[test]

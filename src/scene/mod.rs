@@ -6,6 +6,7 @@
 pub(crate) mod config;
 mod error;
 
+pub use config::LibraryToml;
 pub use error::SceneError;
 
 use std::borrow::Borrow;
@@ -204,6 +205,11 @@ impl Scene {
     /// One source.
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
         self.sources.get(id)
+    }
+
+    /// Whether a source is of the drag; those that the scene lacks are not.
+    pub fn is_dragged(&self, id: &SourceId) -> bool {
+        self.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
     }
 
     /// All sources, sorted by name.

@@ -15,7 +15,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use super::metrics::{Around, Metrics};
 use super::settings::Settings;
 use super::spectrum;
-use super::state::{Enrolling, State};
+use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
 use crate::ring::Counts;
@@ -161,7 +161,8 @@ impl Inner {
                 self.publish(EventKind::Answer, &answer);
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
-            StationEvent::Alive => {}
+            // The state holds it, and its change is published.
+            StationEvent::Enrolling(_) | StationEvent::Alive => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(_) => {
                 let library = self.state.library.clone();
@@ -243,29 +244,18 @@ impl Hub {
     /// # Errors
     /// If it has ended, is busy with the orders before, or cannot do that.
     pub fn order(&self, order: Command) -> Result<(), Undelivered> {
-        let enrolling = match &order {
-            Command::Enroll { surface, user, trials } => {
-                let (surface, user) = (surface.clone(), Some(user.clone()));
-                Some(Some(Enrolling { surface, user, wanted: *trials }))
-            }
-            Command::EndEnroll => Some(None),
-            _ => None,
-        };
-        let inner = &mut *self.lock();
+        let enrolls = matches!(order, Command::Enroll { .. } | Command::EndEnroll);
+        let inner = self.lock();
         if inner.state.finished {
             return Err(Undelivered::Ended);
         }
-        if enrolling.is_some() && !inner.enrolls {
+        if enrolls && !inner.enrolls {
             return Err(Undelivered::NoLibrary);
         }
         self.orders.try_send(order).map_err(|error| match error {
             TrySendError::Full(_) => Undelivered::Busy,
             TrySendError::Disconnected(_) => Undelivered::Ended,
-        })?;
-        if let Some(enrolling) = enrolling {
-            inner.change(|inner| inner.state.enroll(enrolling));
-        }
-        Ok(())
+        })
     }
 }
 

@@ -7,6 +7,7 @@ use std::fmt::{Display, Write};
 
 use super::state::State;
 use crate::device::DeviceState;
+use crate::printable::Printable;
 use crate::scan::StreamMeter;
 
 /// The content type of the format.
@@ -126,6 +127,7 @@ impl Page {
     fn line(&mut self, name: &str, labels: &[(&str, &str)], value: impl Display) {
         self.0.push_str(name);
         for (at, (label, text)) in labels.iter().enumerate() {
+            let text = Printable(text).to_string();
             let text = text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n");
             let _ = write!(self.0, "{}{label}=\"{text}\"", if at == 0 { '{' } else { ',' });
         }
@@ -190,7 +192,7 @@ mod tests {
     fn buckets_add_up_and_labels_are_escaped() {
         let mut state = State::new();
         state.take(&StationEvent::Device {
-            device: "a \"b\"\\\n".into(),
+            device: "a \"b\"\\\n\u{202e}".into(),
             state: DeviceState::Streaming,
             detail: String::new(),
         });
@@ -207,7 +209,7 @@ mod tests {
         };
         let text = metrics.text(&around);
         for line in [
-            "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\"} 1",
+            "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
             "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",
             "surfaced_answer_latency_seconds_bucket{le=\"0.005\"} 3",
             "surfaced_answer_latency_seconds_bucket{le=\"+Inf\"} 4",

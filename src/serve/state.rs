@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::device::DeviceState;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolled, Guess, LibraryState, StationEvent};
+use crate::station::{Answer, Enrolling, Guess, LibraryState, StationEvent};
 
 /// Scans that are kept for the history.
 const HISTORY: usize = 1000;
@@ -101,17 +101,6 @@ impl From<&LibraryState> for LibraryView {
     }
 }
 
-/// Scans are being kept for the library.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Enrolling {
-    /// As which surface.
-    pub surface: String,
-    /// Who drags; `None` where it was not ordered through this server.
-    pub user: Option<String>,
-    /// How many are still wanted.
-    pub wanted: u32,
-}
-
 /// A scan of the history.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NamedScan {
@@ -173,7 +162,7 @@ pub struct State {
     pub library: Option<LibraryView>,
     /// Whether it is being read.
     pub reading: bool,
-    /// Whether scans are being kept for the library.
+    /// What the next scan is to become, if it is to be kept.
     pub enrolling: Option<Enrolling>,
     /// What has come of it so far.
     pub counts: Counts,
@@ -229,7 +218,10 @@ impl State {
             }
             StationEvent::Guess(guess) => self.guess = Some(guess.clone()),
             StationEvent::Answer(answer) => self.answered(answer),
-            StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
+            StationEvent::Enrolled(enrolled) => {
+                self.counts.enrolled += u64::from(enrolled.trial.is_some());
+            }
+            StationEvent::Enrolling(enrolling) => self.enrolling.clone_from(enrolling),
             StationEvent::Reading => self.reading = true,
             StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.into()), false);
@@ -270,26 +262,10 @@ impl State {
         self.guess = None;
     }
 
-    fn enrolled(&mut self, enrolled: &Enrolled) {
-        self.counts.enrolled += u64::from(enrolled.trial.is_some());
-        let Enrolled { surface, wanted, .. } = enrolled;
-        let known = self.enrolling.take().filter(|enrolling| enrolling.surface == *surface);
-        if *wanted > 0 {
-            let user = known.and_then(|enrolling| enrolling.user);
-            self.enrolling = Some(Enrolling { surface: surface.clone(), user, wanted: *wanted });
-        }
-    }
-
     fn warned(&mut self, text: &str) {
         self.counts.warnings += 1;
         self.warnings.push_front(WarningView { unix_ms: unix_ms(), text: text.into() });
         self.warnings.truncate(WARNINGS);
-    }
-
-    /// Scans are to be kept from now on, or no more.
-    pub fn enroll(&mut self, enrolling: Option<Enrolling>) {
-        self.enrolling = enrolling;
-        self.advice = self.advise();
     }
 
     fn advise(&self) -> Advice {

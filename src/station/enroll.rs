@@ -1,73 +1,9 @@
-//! Which scans are kept: under which label, how many more, and whether a scan is good enough.
+//! Whether a scan is good enough to be kept.
 
-use super::event::{Enrolled, EnrolledOutcome};
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Series, Signal, flaws};
-
-/// What scans are to become.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Enrolment {
-    /// Distinguishes it from others of the same label.
-    pub id: u64,
-    pub surface: String,
-    pub user: String,
-    /// Whether a scan that is not good is refused.
-    pub good_only: bool,
-}
-
-/// How far an enrolment has come.
-pub(super) struct EnrolmentProgress {
-    enrolment: Enrolment,
-    wanted: u32,
-    /// Scans on their way to the disk.
-    under_way: u32,
-    /// The first scan that counts.
-    from_scan: u32,
-}
-
-impl EnrolmentProgress {
-    /// Wants `wanted` scans, from number `from_scan` on.
-    pub fn new(enrolment: Enrolment, wanted: u32, from_scan: u32) -> Self {
-        Self { enrolment, wanted, under_way: 0, from_scan }
-    }
-
-    /// Whether the scan `number` is to be kept.
-    pub fn wants(&self, number: u32) -> bool {
-        number >= self.from_scan && self.under_way < self.wanted
-    }
-
-    /// Whether scans that are not good are refused.
-    pub fn good_only(&self) -> bool {
-        self.enrolment.good_only
-    }
-
-    /// What the scan `number`, which has just ended, is to become, if it is still wanted.
-    pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
-        self.wants(number).then(|| {
-            self.under_way += 1;
-            self.enrolment.clone()
-        })
-    }
-
-    /// Counts what became of a scan; ends with the last that was wanted.
-    pub fn count(
-        progress: &mut Option<Self>,
-        (enrolment, mut enrolled): (Enrolment, Enrolled),
-    ) -> Enrolled {
-        if let Some(these) = progress.as_mut().filter(|these| these.enrolment.id == enrolment.id) {
-            let ended = enrolled.outcome != EnrolledOutcome::Waiting;
-            these.under_way = these.under_way.saturating_sub(u32::from(ended));
-            these.wanted = these.wanted.saturating_sub(u32::from(enrolled.trial.is_some()));
-            enrolled.wanted = these.wanted;
-            if these.wanted == 0 {
-                *progress = None;
-            }
-        }
-        enrolled
-    }
-}
 
 /// Why a scan is no good trial, a line each. `by_t_star` are the sources of which it must hold
 /// enough independent samples.

@@ -160,6 +160,8 @@ pub struct Enrolled {
     pub scan: u32,
     /// The surface.
     pub surface: String,
+    /// The person who dragged.
+    pub user: String,
     /// What became of it.
     pub outcome: EnrolledOutcome,
     /// Number of the trial, if it was kept.
@@ -168,8 +170,19 @@ pub struct Enrolled {
     pub folder: Option<PathBuf>,
     /// For people: why it was not kept, or what is not perfect about it, a line each.
     pub remarks: Vec<String>,
-    /// How many trials are still wanted.
+    /// How many trials its order still wants; 0 once that order has ended.
     pub wanted: u32,
+}
+
+/// What the next scan is to become.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Enrolling {
+    /// The surface.
+    pub surface: String,
+    /// The person who drags.
+    pub user: String,
+    /// How many scans are to come; `None` for every scan until the station ends.
+    pub wanted: Option<u32>,
 }
 
 /// What became of a scan that was to be kept.
@@ -216,6 +229,8 @@ pub enum StationEvent {
     Answer(Arc<Answer>),
     /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
+    /// What the next scan is to become has changed; `None` if it is only named.
+    Enrolling(Option<Enrolling>),
     /// The library is being read; scans wait for it.
     Reading,
     /// Scans are compared with this library from now on.
@@ -242,7 +257,8 @@ pub enum Command {
     Start,
     /// End the scan in progress.
     Stop,
-    /// ScanStore the next `trials` good scans as trials of `surface`.
+    /// Keep the next `trials` good scans as trials of `surface`, from the next scan to begin on, in
+    /// the place of the order before.
     Enroll {
         /// the label
         surface: String,
@@ -251,20 +267,14 @@ pub enum Command {
         /// how many
         trials: u32,
     },
-    /// ScanStore all scans that follow, good or not.
-    Record {
-        /// the label
-        surface: String,
-        /// the person who drags
-        user: String,
-    },
-    /// ScanStore no more scans.
+    /// End the order in force from the next scan to begin on, but for the station's own.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station.
+    /// End the scan in progress, name it, and stop the station. Within 5 s: what is not named by
+    /// then is reported.
     Quit,
 }
 

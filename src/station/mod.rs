@@ -9,6 +9,7 @@ mod assemble;
 pub mod config;
 mod enroll;
 mod event;
+mod orders;
 mod recogniser;
 mod run;
 mod start;
@@ -18,9 +19,10 @@ mod worker;
 
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Answer, Command, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, Remark, RemarkKind,
-    StationEvent, SurfaceProbability,
+    Answer, Command, Enrolled, EnrolledOutcome, Enrolling, Guess, LibraryState, Listener, Remark,
+    RemarkKind, StationEvent, SurfaceProbability,
 };
+pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};
 pub use start::Station;
 pub use store::ScanStore;

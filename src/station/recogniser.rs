@@ -141,22 +141,25 @@ impl Recogniser {
         remarks
     }
 
-    /// Names a scan.
+    /// Ranks the surfaces for a scan.
     ///
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
-    pub fn name(&self, scan: &Scan) -> Result<Verdict, RecogniseError> {
-        let at = self.model(scan.truth.as_ref());
-        let model = &self.models[at];
+    pub fn rank(&self, scan: &Scan) -> Result<Ranking, RecogniseError> {
+        let model = &self.models[self.model(scan.truth.as_ref())];
         // What came out of the rings and nothing else, but for channels with flaws.
         let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
         let (trial, _) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
-        let ranking = model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)?;
-        let rejection = self.following[at].rejection.as_ref();
+        model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)
+    }
+
+    /// What a scan's ranking says.
+    pub fn verdict(&self, scan: &Scan, ranking: Ranking) -> Verdict {
+        let rejection = self.following[self.model(scan.truth.as_ref())].rejection.as_ref();
         let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
         let needed_s = self.needed_s(scan.truth.as_ref());
-        Ok(Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking })
+        Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking }
     }
 
     /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].

@@ -1,20 +1,26 @@
 //! The loop of a station: session events, answers and commands in; station events out.
 
+mod reading;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, never, select};
+use crossbeam_channel::{Receiver, at, never, select};
 
-use super::enroll::{Enrolment, EnrolmentProgress};
-use super::event::{Command, EnrolledOutcome, LibraryState, Listener, StationEvent};
+use super::event::{Command, EnrolledOutcome, Enrolling, Listener, StationEvent};
+use super::orders::{Keep, Orders};
 use super::recogniser::{Load, Recogniser};
 use super::store::{RecordingThread, Stored};
-use super::worker::{Job, Purpose, Work, Worker, WorkerEvent};
+use super::trial_need::Purpose;
+use super::worker::{Job, Work, Worker, WorkerEvent};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
+/// How long [`Command::Quit`] waits for answers. Devices have 2 s of it to stop.
+const PATIENCE: Duration = Duration::from_secs(3);
 
 /// What scans are named with.
 enum Naming {
@@ -23,16 +29,6 @@ enum Naming {
     Ready(Arc<Recogniser>),
     /// They cannot be named: why.
     None(String),
-}
-
-impl Naming {
-    /// Why scans cannot be named, if they cannot.
-    fn problem(&self) -> &str {
-        match self {
-            Self::None(why) => why,
-            Self::Loading | Self::Ready(_) => "",
-        }
-    }
 }
 
 type Loaded = Result<Arc<Recogniser>, String>;
@@ -47,6 +43,8 @@ pub(super) struct Parts {
     /// Whether all devices can wait.
     pub waits: bool,
     pub load: Option<Load>,
+    /// The station's own order.
+    pub keep: Option<Keep>,
 }
 
 /// A station at work.
@@ -63,18 +61,22 @@ pub(super) struct Run<'a> {
     load_again: bool,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
-    enrolment: Option<EnrolmentProgress>,
-    /// Enrolments so far.
-    enrolments: u64,
-    /// Number of the next scan to begin.
-    next_scan: u32,
+    /// The number of the scan, for each job that the worker has; none for a scan in progress.
+    in_hand: VecDeque<Option<u32>>,
+    orders: Orders,
+    /// What the next scan is to become, as last reported.
+    enrolling: Option<Enrolling>,
+    /// Until when answers are waited for; none before the end is ordered.
+    deadline: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
 impl<'a> Run<'a> {
     /// A station that knows no library yet.
     pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
-        let Parts { session, worker, recording, by_t_star, waits, load } = parts;
+        let Parts { session, worker, recording, by_t_star, waits, load, keep } = parts;
+        let mut orders = Orders::default();
+        keep.into_iter().for_each(|keep| orders.set_own(keep));
         Self {
             session,
             worker,
@@ -86,21 +88,18 @@ impl<'a> Run<'a> {
             loading: None,
             load_again: false,
             pending: VecDeque::new(),
-            enrolment: None,
-            enrolments: 0,
-            next_scan: 1,
+            in_hand: VecDeque::new(),
+            orders,
+            enrolling: None,
+            deadline: None,
             listeners,
         }
     }
 
-    /// Reports what the streams carry.
-    pub fn announce_streams(&mut self) {
+    /// Reports what the streams carry, and what the first scan is to become.
+    pub fn announce(&mut self) {
         self.emit(StationEvent::Streams(self.session.meters().to_vec()));
-    }
-
-    /// Whether there is a library to read.
-    pub fn can_load(&self) -> bool {
-        self.load.is_some()
+        self.report_order();
     }
 
     fn emit(&mut self, event: StationEvent) {
@@ -111,12 +110,15 @@ impl<'a> Run<'a> {
         self.emit(StationEvent::Warning(text.into()));
     }
 
-    /// Works until the session has ended and its scans are handed on.
+    /// Works until the session has ended and its scans are named, or time is up.
     pub fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
             self.hand_on();
-            if finished && self.pending.is_empty() {
+            if self.deadline.is_some_and(|deadline| deadline <= Instant::now()) {
+                self.give_up_naming();
+            }
+            if finished && self.pending.is_empty() && self.in_hand.is_empty() {
                 return;
             }
             // A recording waits until its scans are named; nothing else may be kept waiting.
@@ -125,13 +127,19 @@ impl<'a> Run<'a> {
             let done = self.worker.done.clone();
             let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);
+            let waiting = !(self.pending.is_empty() && self.in_hand.is_empty());
+            let deadline = self.deadline.filter(|_| waiting).map_or_else(never, at);
             select! {
                 recv(events) -> event => match event {
                     // If the channel just closes, the collector has panicked; `finish` says so.
                     Ok(Event::Finished(_)) | Err(_) => finished = true,
                     Ok(event) => self.event(event),
                 },
-                recv(done) -> done => if let Ok(done) = done { self.emit(station_event(done)) },
+                recv(done) -> done => match done {
+                    Ok(done) => self.done(done),
+                    // It catches the panics of methods; one of its own is a defect.
+                    Err(_) => return,
+                },
                 recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
                 recv(loaded) -> loaded => {
                     self.loading = None;
@@ -142,31 +150,42 @@ impl<'a> Run<'a> {
                     }
                 }
                 recv(commands) -> command => if let Ok(command) = command { self.obey(command) },
+                recv(deadline) -> _ => {}
             }
         }
     }
 
-    /// Waits for what is under way, and reports the end.
-    pub fn finish(self) -> Result<Totals, SessionError> {
-        let Self { session, worker, recording, mut listeners, mut enrolment, .. } = self;
-        let mut emit =
-            |event: StationEvent| listeners.iter_mut().for_each(|one| one.on_event(&event));
-        worker.finish().for_each(|done| emit(station_event(done)));
-        for stored in recording.into_iter().flat_map(RecordingThread::finish) {
-            enrolled(&mut enrolment, stored).into_iter().for_each(&mut emit);
+    /// Reports scans that will not be named, since the end does not wait for them any longer.
+    fn give_up_naming(&mut self) {
+        let pending = self.pending.drain(..).filter_map(|job| match job {
+            Job::Scan(scan) => Some(scan.number),
+            Job::Progress(_) => None,
+        });
+        let numbers: Vec<u32> = self.in_hand.drain(..).flatten().chain(pending).collect();
+        let busy = match &self.naming {
+            Naming::Loading => "the library was still being read",
+            _ => "there was no time for it",
+        };
+        for number in numbers {
+            self.warn(format!("scan {number} was not named: {busy} when the station was ended"));
         }
+    }
+
+    /// Waits for what is being written, and reports the end.
+    pub fn finish(mut self) -> Result<Totals, SessionError> {
+        let written = self.recording.take().into_iter().flat_map(RecordingThread::finish);
+        written.for_each(|stored| self.stored(stored));
+        let Self { session, mut listeners, .. } = self;
         let totals = session.wait()?;
-        emit(StationEvent::Finished(Arc::new(totals.clone())));
+        let event = StationEvent::Finished(Arc::new(totals.clone()));
+        listeners.iter_mut().for_each(|listener| listener.on_event(&event));
         Ok(totals)
     }
 
     fn event(&mut self, event: Event) {
         match event {
             Event::Scan(scan) => self.scan(scan),
-            Event::Phase { scan, phase } => {
-                self.next_scan = self.next_scan.max(scan.saturating_add(1));
-                self.emit(StationEvent::Phase { scan, phase });
-            }
+            Event::Phase { scan, phase } => self.emit(StationEvent::Phase { scan, phase }),
             Event::Progress(progress) => self.progress(progress),
             Event::Trace(trace) => self.emit(StationEvent::Trace(Arc::new(trace))),
             Event::Device { device, state, detail } => {
@@ -179,10 +198,11 @@ impl<'a> Run<'a> {
     }
 
     fn scan(&mut self, scan: Box<Scan>) {
-        if let (Some(progress), Some(recording)) = (&mut self.enrolment, &self.recording)
-            && let Some(enrolment) = progress.claim(scan.number)
+        if let Some(recording) = &self.recording
+            && let Some(enrolment) = self.orders.claim(scan.number)
         {
-            return recording.store(scan, enrolment);
+            recording.store(scan, enrolment);
+            return self.report_order();
         }
         self.pending.push_back(Job::Scan(scan));
         let waiting = self.pending.iter().filter(|job| matches!(job, Job::Scan(_))).count();
@@ -211,133 +231,99 @@ impl<'a> Run<'a> {
         while let Some(job) = self.pending.pop_front() {
             let by = match &self.naming {
                 Naming::Loading => return self.pending.push_front(job),
-                Naming::None(_) => None,
-                Naming::Ready(by) => Some(by.clone()),
+                Naming::Ready(by) => Ok(by.clone()),
+                Naming::None(why) => Err(why.clone()),
             };
-            let work = match (job, by) {
-                (Job::Scan(scan), Some(by)) => Work::Scan(scan, by),
-                (Job::Scan(scan), None) => {
-                    let why = self.naming.problem();
+            let (work, number) = match (job, by) {
+                (Job::Scan(scan), Ok(by)) => {
+                    let number = scan.number;
+                    (Work::Scan(scan, by), Some(number))
+                }
+                (Job::Scan(scan), Err(why)) => {
                     self.warn(format!("scan {} was not named: {why}", scan.number));
                     continue;
                 }
                 (Job::Progress(progress), by) => {
                     let purpose = self.purpose(progress.number);
-                    Work::Progress(progress, purpose, by)
+                    (Work::Progress(progress, purpose, by.ok()), None)
                 }
             };
             if let Err(back) = self.worker.work.try_send(work) {
                 return self.pending.push_front(back.into_inner().into_job());
             }
+            self.in_hand.push_back(number);
         }
     }
 
     /// What a scan in progress is for.
     fn purpose(&self, number: u32) -> Purpose {
-        let wanted = self.enrolment.as_ref().filter(|progress| progress.wants(number));
-        match wanted {
-            Some(progress) if progress.good_only() => Purpose::Keep(self.by_t_star.clone()),
+        match self.orders.covering(number) {
+            Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
             Some(_) => Purpose::Keep(Vec::new()),
             None => Purpose::Name,
         }
     }
 
-    fn stored(&mut self, stored: Stored) {
-        for event in enrolled(&mut self.enrolment, stored) {
-            self.emit(event);
-        }
+    /// Reports what the worker has done.
+    fn done(&mut self, done: WorkerEvent) {
+        self.in_hand.pop_front();
+        self.emit(match done {
+            WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
+            WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
+            WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
+        });
     }
 
-    /// Names scans with what was read from now on, if it could be read.
-    pub fn loaded(&mut self, loaded: Loaded) {
-        match loaded {
-            Ok(recogniser) => {
-                self.emit(StationEvent::Library(recogniser.library()));
-                self.naming = Naming::Ready(recogniser);
-            }
-            Err(problem) => {
-                // The library that was read before stays in use.
-                let mut state = match &self.naming {
-                    Naming::Ready(recogniser) => recogniser.library(),
-                    _ => {
-                        self.naming = Naming::None(problem.clone());
-                        LibraryState::default()
-                    }
-                };
-                state.problem = Some(problem.clone());
-                self.emit(StationEvent::Library(state));
-                self.warn(problem);
-            }
-        }
-    }
-
-    /// Reads the library; meanwhile the one before stays in use, or scans wait.
-    pub fn reload(&mut self) {
-        let Some(load) = self.load.clone() else {
-            return self.warn("there is no library to read again");
+    /// Reports what became of a scan that was to be kept.
+    fn stored(&mut self, (enrolment, enrolled): Stored) {
+        let enrolled = self.orders.count(&enrolment, enrolled);
+        let why = enrolled.remarks.last().map_or("", String::as_str);
+        let what = match enrolled.outcome {
+            EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
+            EnrolledOutcome::Lost => Some("could not be written, and is lost"),
+            EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
         };
-        // One at a time: each takes a thread and the memory of a library.
-        if self.loading.is_some() {
-            self.load_again = true;
-            return;
-        }
-        if !matches!(self.naming, Naming::Ready(_)) {
-            self.naming = Naming::Loading;
-        }
-        self.emit(StationEvent::Reading);
-        let (send, loaded) = crossbeam_channel::bounded(1);
-        let work = move || {
-            let _ = send.send(load());
-        };
-        match std::thread::Builder::new().name("load-library".into()).spawn(work) {
-            Ok(_) => self.loading = Some(loaded),
-            Err(error) => self.loaded(Err(format!("no thread to read the library: {error}"))),
+        let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
+        self.emit(StationEvent::Enrolled(enrolled));
+        text.into_iter().for_each(|text| self.warn(text));
+        self.report_order();
+    }
+
+    /// Reports what the next scan is to become, if that has changed.
+    fn report_order(&mut self) {
+        let now = self.orders.in_force();
+        if now != self.enrolling {
+            self.enrolling.clone_from(&now);
+            self.emit(StationEvent::Enrolling(now));
         }
     }
 
-    /// Keeps scans from the next one on: a scan in progress belongs to what was before.
-    fn enroll(&mut self, surface: String, user: String, good_only: bool, trials: u32) {
+    /// Keeps the scans that begin from now on.
+    fn enroll(&mut self, keep: Keep) {
         if self.recording.is_none() {
             return self.warn("there is no library to keep scans in");
         }
-        self.enrolments += 1;
-        let enrolment = Enrolment { id: self.enrolments, surface, user, good_only };
-        self.enrolment = Some(EnrolmentProgress::new(enrolment, trials, self.next_scan));
+        self.orders.give(keep, self.session.next_scan());
+        self.report_order();
     }
 
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start => self.session.command(ScanCommand::Begin),
             Command::Stop => self.session.command(ScanCommand::End),
-            Command::Enroll { surface, user, trials } => self.enroll(surface, user, true, trials),
-            Command::Record { surface, user } => self.enroll(surface, user, false, u32::MAX),
-            Command::EndEnroll => self.enrolment = None,
+            Command::Enroll { surface, user, trials } => {
+                self.enroll(Keep { surface, user, trials: Some(trials), good_only: true });
+            }
+            Command::EndEnroll => {
+                self.orders.end(self.session.next_scan());
+                self.report_order();
+            }
             Command::Ping => self.emit(StationEvent::Alive),
             Command::Reload => self.reload(),
-            Command::Quit => self.session.request_stop(),
+            Command::Quit => {
+                self.deadline.get_or_insert_with(|| Instant::now() + PATIENCE);
+                self.session.request_stop();
+            }
         }
     }
-}
-
-/// What the worker has done, as an event.
-fn station_event(done: WorkerEvent) -> StationEvent {
-    match done {
-        WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
-        WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
-        WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
-    }
-}
-
-/// What became of a scan that was to be kept, and a warning if it was not written.
-fn enrolled(progress: &mut Option<EnrolmentProgress>, stored: Stored) -> Vec<StationEvent> {
-    let enrolled = EnrolmentProgress::count(progress, stored);
-    let why = enrolled.remarks.last().map_or("", String::as_str);
-    let what = match enrolled.outcome {
-        EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
-        EnrolledOutcome::Lost => Some("could not be written, and is lost"),
-        EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
-    };
-    let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
-    let warning = text.map(StationEvent::Warning);
-    [Some(StationEvent::Enrolled(enrolled)), warning].into_iter().flatten().collect()
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::event::{Command, Listener, StationEvent};
+use super::orders::Keep;
 use super::recogniser::{Load, Recogniser};
 use super::run::{Parts, Run};
 use super::store::{RecordingThread, ScanStore};
@@ -19,6 +20,7 @@ pub struct Station<'a> {
     recogniser: Option<Arc<Recogniser>>,
     load: Option<Load>,
     store: Option<ScanStore>,
+    keep: Option<Keep>,
     listeners: Vec<Box<dyn Listener + 'a>>,
     commands: (Sender<Command>, Receiver<Command>),
 }
@@ -32,6 +34,7 @@ impl<'a> Station<'a> {
             recogniser: None,
             load: None,
             store: None,
+            keep: None,
             listeners: Vec::new(),
             commands: crossbeam_channel::unbounded(),
         }
@@ -53,6 +56,13 @@ impl<'a> Station<'a> {
     /// Keeps the scans that are enrolled in this library.
     pub fn store(mut self, store: ScanStore) -> Self {
         self.store = Some(store);
+        self
+    }
+
+    /// Keeps scans from the first one on, whenever no [`Command::Enroll`] is in force. Needs a
+    /// [`store`](Self::store).
+    pub fn keep(mut self, keep: Keep) -> Self {
+        self.keep = Some(keep);
         self
     }
 
@@ -96,9 +106,10 @@ impl<'a> Station<'a> {
             None => None,
         };
         let session = Session::start(self.devices, self.options)?;
-        let parts = Parts { session, worker, recording, by_t_star, waits, load: self.load };
+        let (load, keep) = (self.load, self.keep);
+        let parts = Parts { session, worker, recording, by_t_star, waits, load, keep };
         let mut run = Run::new(parts, self.listeners);
-        run.announce_streams();
+        run.announce();
         match self.recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),
             None if run.can_load() => run.reload(),

@@ -10,8 +10,9 @@ use std::time::{Duration, SystemTime};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::enroll::{Enrolment, faults};
+use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
+use super::orders::Enrolment;
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, append_trial, utc};
 use crate::scan::Scan;
@@ -113,6 +114,9 @@ impl Writer {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
+        if !self.waiting.is_empty() {
+            self.read_numbers();
+        }
         while let Some(mut last) = self.waiting.pop_front() {
             if let Err(error) = self.write(&last) {
                 last.remarks.push(error.to_string());
@@ -129,6 +133,8 @@ impl Writer {
         if refused {
             return self.report(&new, EnrolledOutcome::Refused, None);
         }
+        // Each time, since others may write into the same library.
+        self.read_numbers();
         if let Err(error) = self.write(&new) {
             let full = self.waiting.len() >= MAX_WAITING;
             let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
@@ -143,6 +149,7 @@ impl Writer {
 
     /// Tries to write what waits, until the first that fails; another one is first next time.
     fn retry(&mut self) {
+        self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
             if self.write(&first).is_err() {
                 return self.waiting.push_back(first);
@@ -154,10 +161,6 @@ impl Writer {
     fn write(&mut self, waiting: &Waiting) -> Result<(), LibraryError> {
         let Waiting { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
-        // Read each time, since others may write into the same library.
-        if let Ok(numbers) = self.numbers() {
-            self.next = numbers;
-        }
         let number = self.next.get(&of).copied().unwrap_or(1);
         let took = scan.ended_at.elapsed().as_secs_f64() + scan.scan_s;
         let began = SystemTime::now() - Duration::from_secs_f64(took.max(0.0));
@@ -184,6 +187,7 @@ impl Writer {
         let enrolled = Enrolled {
             scan: of.scan.number,
             surface: of.enrolment.surface.clone(),
+            user: of.enrolment.user.clone(),
             outcome,
             trial,
             folder,
@@ -192,6 +196,13 @@ impl Writer {
         };
         // Fails only if the station has panicked.
         let _ = self.send.send((of.enrolment.clone(), enrolled));
+    }
+
+    /// Learns the numbers that are taken, if the library can be read now.
+    fn read_numbers(&mut self) {
+        if let Ok(numbers) = self.numbers() {
+            self.next = numbers;
+        }
     }
 
     /// The numbers after those that the library holds.
@@ -235,7 +246,7 @@ mod tests {
     }
 
     fn enrolment() -> Enrolment {
-        Enrolment { id: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
+        Enrolment { order: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
     }
 
     #[test]

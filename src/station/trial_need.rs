@@ -1,13 +1,23 @@
-//! How long a scan in progress must last to be a good trial, by the T* of its own sources.
+//! Whether a scan in progress may end: for its name, or, by the T* of its own sources, as a trial.
 
 use std::collections::BTreeMap;
 
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
-use crate::scan::Fresh;
+use crate::scan::{Fresh, Progress};
 use crate::scene::SourceId;
+use crate::station::event::Guess;
 
 /// A source that has rested this long, in seconds of drag, will: it asks for nothing.
 const RESTS_S: f64 = 1.0;
+
+/// What a scan in progress is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// To be named.
+    Name,
+    /// To be kept as a trial, which must hold enough independent samples of these sources.
+    Keep(Vec<SourceId>),
+}
 
 /// What the sources by which trials are judged ask for, as far as their T* is known by now.
 #[derive(Default)]
@@ -24,8 +34,28 @@ struct SourceNeed {
 }
 
 impl TrialNeed {
+    /// Says in `news`, which holds how long the drag must last to be named, how long it must last for
+    /// its purpose, and whether it may end. A settled answer counts where its rule is `supported`.
+    pub fn judge(
+        &mut self,
+        news: &mut Guess,
+        progress: &Progress,
+        purpose: &Purpose,
+        supported: bool,
+    ) {
+        let mut settled = news.settled && supported;
+        if let Purpose::Keep(by_t_star) = purpose {
+            let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
+            progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
+            news.needed_s = self.needed_s(progress.scan_s, news.needed_s);
+            // A name is not what such a scan is for.
+            settled = false;
+        }
+        news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
+    }
+
     /// Takes the next frames of a source.
-    pub fn add(&mut self, fresh: &Fresh) {
+    fn add(&mut self, fresh: &Fresh) {
         let begin = || SourceNeed {
             online: OnlineDuration::new(
                 fresh.rate_hz,
@@ -47,7 +77,7 @@ impl TrialNeed {
     }
 
     /// How long the drag must last, in seconds, at least `least_s`; none while that is not known.
-    pub fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
+    fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {
             match source.needed_s {

@@ -2,17 +2,15 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
 use super::event::{Answer, Guess, SurfaceProbability};
 use super::recogniser::{Recogniser, Verdict};
-use super::trial_need::TrialNeed;
-use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
+use super::trial_need::{Purpose, TrialNeed};
+use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
-use crate::scene::SourceId;
 
 /// What is to be recognised.
 pub(super) enum Job {
@@ -40,15 +38,6 @@ impl Work {
     }
 }
 
-/// What a scan in progress is for.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
-    /// To be named.
-    Name,
-    /// To be kept as a trial, which must hold enough independent samples of these sources.
-    Keep(Vec<SourceId>),
-}
-
 /// What the thread has done.
 pub(super) enum WorkerEvent {
     /// A scan's answer, or why there is none.
@@ -60,11 +49,11 @@ pub(super) enum WorkerEvent {
 /// An answer, or why there is none.
 pub(super) type ScanAnswer = Result<Arc<Answer>, String>;
 
-/// The thread, and its two ends; it ends when the first is dropped.
+/// The two ends of the thread, which gives an event for each piece of work, in their order. Once
+/// the first is dropped, it ends with what it has in hand, and nobody waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,
-    thread: JoinHandle<()>,
 }
 
 impl Worker {
@@ -85,10 +74,11 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        WorkerEvent::Named(name(&scan, &by, from, settled_s))
+                        let ranking = followed.finish(&scan, &by);
+                        WorkerEvent::Named(name(&scan, &by, ranking, from, settled_s))
                     }
                     Work::Progress(progress, purpose, by) => {
-                        WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_deref()))
+                        WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
                     }
                 };
                 if send.send(event).is_err() {
@@ -97,15 +87,8 @@ impl Worker {
                 free_since = Instant::now();
             }
         };
-        let thread = std::thread::Builder::new().name("recognise".into()).spawn(run)?;
-        Ok(Self { work, done, thread })
-    }
-
-    /// Gives what is still to come.
-    pub fn finish(self) -> impl Iterator<Item = WorkerEvent> {
-        drop(self.work);
-        let _ = self.thread.join();
-        self.done.into_iter()
+        std::thread::Builder::new().name("recognise".into()).spawn(run)?;
+        Ok(Self { work, done })
     }
 }
 
@@ -113,20 +96,30 @@ impl Worker {
 #[derive(Default)]
 struct Followed {
     scan: u32,
-    follower: Option<Box<dyn Follow>>,
+    /// With what it is followed by.
+    follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
     last: Option<GuessSoFar>,
     trial: TrialNeed,
 }
 
 impl Followed {
     /// Adds what is new, and gives the scan's first answers and whether it may end.
-    fn guess(&mut self, progress: &Progress, purpose: &Purpose, by: Option<&Recogniser>) -> Guess {
+    fn guess(
+        &mut self,
+        progress: &Progress,
+        purpose: &Purpose,
+        by: Option<&Arc<Recogniser>>,
+    ) -> Guess {
         let truth = progress.truth.as_ref();
         if self.scan != progress.number {
-            let follower = by.and_then(|by| caught(|| by.follow(truth)).flatten());
+            let followed_by = |by: &Arc<Recogniser>| {
+                let follower = caught(|| by.follow(truth)).flatten()?;
+                Some((by.clone(), follower))
+            };
+            let follower = by.and_then(followed_by);
             *self = Self { scan: progress.number, follower, ..Self::default() };
         }
-        if let Some(follower) = &mut self.follower {
+        if let Some((_, follower)) = &mut self.follower {
             // A scan that cannot be compared is followed no longer; its answer will say why.
             match caught(|| look(&mut **follower, progress)) {
                 Some(Ok(guess)) => self.last = guess.or(self.last.take()),
@@ -141,21 +134,22 @@ impl Followed {
             news.settled = guess.settled.is_some();
         }
         news.needed_s = by.and_then(|by| by.needed_s(truth));
-        let mut settled = news.settled && self.rule_is_supported();
-        if let Purpose::Keep(by_t_star) = purpose {
-            let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
-            progress.fresh.iter().filter(judged).for_each(|fresh| self.trial.add(fresh));
-            news.needed_s = self.trial.needed_s(progress.scan_s, news.needed_s);
-            // A name is not what such a scan is for.
-            settled = false;
-        }
-        news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
+        let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
+        self.trial.judge(&mut news, progress, purpose, supported);
         news
     }
 
-    /// Whether the library has enough trials to show what the stop rule is said to cost.
-    fn rule_is_supported(&self) -> bool {
-        self.follower.as_ref().is_some_and(|follower| follower.settling().shown)
+    /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
+    /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
+    /// another library was read since it began.
+    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranking> {
+        let (followed_by, follower) =
+            self.follower.as_mut().filter(|_| self.scan == scan.number)?;
+        let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
+        if !whole || !Arc::ptr_eq(followed_by, by) {
+            return None;
+        }
+        caught(|| follower.finish(&scan.trial)).flatten()
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.
@@ -184,8 +178,15 @@ fn look(
     follower.look(progress.scan_s)
 }
 
-fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> ScanAnswer {
-    let verdict = caught(|| by.name(scan))
+fn name(
+    scan: &Scan,
+    by: &Recogniser,
+    ranking: Option<Ranking>,
+    from: Instant,
+    settled_s: Option<f64>,
+) -> ScanAnswer {
+    let ranked = || ranking.map_or_else(|| by.rank(scan), Ok);
+    let verdict = caught(|| ranked().map(|ranking| by.verdict(scan, ranking)))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
         .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
@@ -195,7 +196,7 @@ fn name(scan: &Scan, by: &Recogniser, from: Instant, settled_s: Option<f64>) -> 
     Ok(Arc::new(Answer {
         scan: scan.number,
         surface: (!unknown).then(|| ranking.surface().to_string()),
-        truth: truth.map(|key| key.surface.clone()),
+        truth: truth.and_then(|key| key.label().map(String::from)),
         user: truth.map(|key| key.user.clone()),
         trial: truth.map(|key| key.number),
         synthetic: scan.synthetic,
@@ -222,7 +223,7 @@ mod tests {
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
     use crate::recognise::{FollowOptions, Model, Prepared, RankedSurface, Ranking, Settling};
-    use crate::scene::Scene;
+    use crate::scene::{Scene, SourceId};
     use crate::station::LibraryState;
     use crate::trial::{Image, Trial, TrialKey};
 
@@ -284,6 +285,10 @@ mod tests {
             Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled }))
         }
 
+        fn finish(&mut self, _: &Trial) -> Option<Ranking> {
+            None
+        }
+
         fn settling(&self) -> &Settling {
             &self.settling
         }
@@ -343,7 +348,8 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(worker.finish().count(), 0);
+            drop(worker.work);
+            assert_eq!(worker.done.iter().count(), 0);
         }
     }
 }

@@ -3,6 +3,9 @@
 /// The user of a trial that names none.
 pub const EXPERT: &str = "expert";
 
+/// The surface of a trial whose label nobody knows.
+pub const UNLABELLED: &str = "unlabelled";
+
 /// Names one trial: which surface, whose hand, which repetition.
 ///
 /// Ordered by surface, then user, then number, which is also the order in which ties are broken.
@@ -20,6 +23,13 @@ impl TrialKey {
     /// A key from its three parts.
     pub fn new(surface: impl Into<String>, user: impl Into<String>, number: u32) -> Self {
         Self { surface: surface.into(), user: user.into(), number }
+    }
+}
+
+impl TrialKey {
+    /// The surface, if it is known.
+    pub fn label(&self) -> Option<&str> {
+        (self.surface != UNLABELLED).then_some(self.surface.as_str())
     }
 }
 

@@ -4,7 +4,7 @@ mod label;
 mod quality;
 mod signal;
 
-pub use label::{EXPERT, TrialKey};
+pub use label::{EXPERT, TrialKey, UNLABELLED};
 pub use quality::{Flaw, Rest, flaws, is_plain};
 pub use signal::{Image, Series, Signal, SignalError};
 
@@ -33,5 +33,15 @@ impl Trial {
             }
         }
         self
+    }
+
+    /// Length in seconds of the longest series that follows a drag, if there is one; `is_drag`
+    /// says which do.
+    pub fn drag_s(&self, is_drag: impl Fn(&SourceId) -> bool) -> Option<f64> {
+        let lengths = self.signals.iter().filter_map(|(id, signal)| match signal {
+            Signal::Series(series) if is_drag(id) => Some(series.duration_s()),
+            _ => None,
+        });
+        lengths.max_by(f64::total_cmp)
     }
 }

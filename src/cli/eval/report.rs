@@ -61,9 +61,9 @@ impl Report {
         let percent = show::percent;
         let sources: Vec<_> = o.sources.iter().map(|id| id.as_str()).collect();
         let mark = if self.synthetic { ", on synthetic data" } else { "" };
-        say!();
-        say!("{} · {} · {}{mark}", self.protocol.name(), o.method, sources.join(", "));
-        say!(
+        result!();
+        result!("{} · {} · {}{mark}", self.protocol.name(), o.method, sources.join(", "));
+        result!(
             "accuracy   {} ({} of {} queries; 95 % interval {} to {})",
             percent(o.accuracy),
             o.right(),
@@ -72,7 +72,7 @@ impl Report {
             percent(o.accuracy_high)
         );
         if self.protocol.folds_are_users() {
-            say!(
+            result!(
                 "           mean over {}: {} ± {}",
                 show::counted(o.folds.len(), "user"),
                 percent(o.accuracy_mean),
@@ -80,18 +80,18 @@ impl Report {
             );
         }
         self.enrolled.iter().for_each(print_enrolled);
-        say!("precision  {}", percent(o.precision_mean));
-        say!(
+        result!("precision  {}", percent(o.precision_mean));
+        result!(
             "           {} against {}",
             show::counted(o.classes, "surface"),
             show::counted(o.library_trials, "library trial")
         );
         if !o.never_queried.is_empty() {
-            say!("           never queried: {}", o.never_queried.join(", "));
+            result!("           never queried: {}", o.never_queried.join(", "));
         }
-        say!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
+        result!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
         for (truth, answer, count) in o.confusion.worst(5) {
-            say!("           {count} × {truth} taken for {answer}");
+            result!("           {count} × {truth} taken for {answer}");
         }
         self.settled.iter().for_each(print_settled);
         self.unknown.iter().for_each(print_unknown);
@@ -99,7 +99,7 @@ impl Report {
 }
 
 fn print_enrolled(e: &EnrolledOutcome) {
-    say!(
+    result!(
         "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
          ({} to {})",
         show::counted(e.trials, "trial"),
@@ -112,7 +112,7 @@ fn print_enrolled(e: &EnrolledOutcome) {
 
 fn print_settled(s: &SettledOutcome) {
     let percent = show::percent;
-    say!(
+    result!(
         "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
         percent(s.accuracy),
         percent(s.accuracy_low),
@@ -121,7 +121,7 @@ fn print_settled(s: &SettledOutcome) {
         s.lost,
         s.gained
     );
-    say!(
+    result!(
         "           after {:.2} s on average ({:.2} s in the median) of {:.2} s; {} of {} scans settled \
          before they ended",
         s.scan_s_mean,
@@ -131,24 +131,24 @@ fn print_settled(s: &SettledOutcome) {
         s.queries
     );
     let shown = s.rules.iter().filter(|rule| rule.shown).count();
-    say!(
+    result!(
         "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
         percent(s.stated_loss),
         s.rules.len()
     );
-    say!("           following takes {} of one core", percent(s.core_share));
+    result!("           following takes {} of one core", percent(s.core_share));
 }
 
 fn print_unknown(u: &UnknownOutcome) {
     let percent = show::percent;
-    say!(
+    result!(
         "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
         percent(u.unknown_caught),
         u.unknown_queries,
         percent(u.unknown_caught_low),
         percent(u.unknown_caught_high)
     );
-    say!(
+    result!(
         "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
          left-out trials)",
         percent(u.false_rejections),
@@ -159,5 +159,10 @@ fn print_unknown(u: &UnknownOutcome) {
         percent(u.stated.rate_low),
         percent(u.stated.rate_high),
         u.stated.trials
+    );
+    result!(
+        "           in {} of {} folds the share rejected lies in the interval stated there",
+        u.folds_as_stated,
+        u.folds
     );
 }

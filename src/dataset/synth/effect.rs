@@ -35,6 +35,8 @@ impl Effect {
 pub(super) struct Draws<'a> {
     pub seed: u64,
     pub key: &'a TrialKey,
+    /// A surface that this one is almost like, and how far from it, 0 to 1, it is.
+    pub like: Option<(&'a str, f64)>,
 }
 
 impl Draws<'_> {
@@ -53,8 +55,11 @@ impl Draws<'_> {
             _ => sd * normal(&mut seed::rng(self.seed, key)),
         };
         let hand = if self.key.user == EXPERT { 0.0 } else { effect.user };
+        let of_surface =
+            |surface: &str| draw(effect.surface, &[b"surface", name, index, surface.as_bytes()]);
+        let own = of_surface(&self.key.surface);
         effect.centre
-            + draw(effect.surface, &[b"surface", name, index, surface])
+            + self.like.map_or(own, |(other, far)| (1.0 - far) * of_surface(other) + far * own)
             + draw(hand, &[b"user", name, index, user])
             + draw(effect.trial, &[b"trial", name, index, surface, user, &number])
     }
@@ -62,7 +67,8 @@ impl Draws<'_> {
     /// A uniform number in [0, 1) that belongs to the surface.
     pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
         let index = index.to_le_bytes();
-        let key = [b"uniform", name.as_bytes(), &index, self.key.surface.as_bytes()];
+        let surface = self.like.map_or(self.key.surface.as_str(), |(other, _)| other);
+        let key = [b"uniform", name.as_bytes(), &index, surface.as_bytes()];
         uniform(&mut seed::rng(self.seed, &key))
     }
 
@@ -86,7 +92,7 @@ mod tests {
     const LEVEL: Effect = Effect::new(1.0, 0.5, 0.25, 0.125);
 
     fn value(key: TrialKey, effect: Effect) -> f64 {
-        Draws { seed: 7, key: &key }.value("level", effect)
+        Draws { seed: 7, key: &key, like: None }.value("level", effect)
     }
 
     #[test]
@@ -102,5 +108,16 @@ mod tests {
         let first = value(TrialKey::new("A", EXPERT, 1), surfaces);
         assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
         assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
+    }
+    #[test]
+    fn a_twin_is_almost_like_its_original() {
+        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
+        let value = |surface: &str, like| {
+            let key = &TrialKey::new(surface, EXPERT, 1);
+            Draws { seed: 7, key, like }.value("level", surfaces)
+        };
+        let (a, b) = (value("A", None), value("B", None));
+        assert_eq!(value("B", Some(("A", 0.0))), a);
+        assert!((value("B", Some(("A", 0.25))) - (0.75 * a + 0.25 * b)).abs() < 1e-12);
     }
 }

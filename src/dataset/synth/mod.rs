@@ -31,6 +31,7 @@
 
 mod contact;
 mod effect;
+mod embedded;
 mod hand;
 mod noise;
 mod parameters;
@@ -39,7 +40,8 @@ mod tap;
 mod vibration;
 
 pub use effect::Effect;
-pub use parameters::{Difficulty, Parameters};
+pub use embedded::{Embedded, embedded};
+pub use parameters::{Difficulty, Parameters, Twins};
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -93,12 +95,6 @@ pub fn library(parameters: &Parameters) -> Library {
         synthetic: true,
         remarks: Vec::new(),
     }
-}
-
-/// The scene that is played where no data are given: a dozen surfaces, with four trials by the
-/// expert to compare with, and one trial by each of three users to be named.
-pub fn embedded() -> Library {
-    library(&Parameters { surfaces: 12, trials: 4, users: 3, ..Parameters::default() })
 }
 
 /// Name of a surface, counted from 0.
@@ -157,7 +153,10 @@ fn outline(p: &Parameters, source: &str) -> Option<Outline> {
 /// # Errors
 /// If a number in [`Difficulty`] is so extreme that samples are not finite.
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
-    let (draws, d) = (&Draws { seed: p.seed, key }, &p.difficulty);
+    let original = p.twins.filter(|twins| key.surface == surface_name(twins.twin));
+    let original = original.map(|twins| (surface_name(twins.original), twins.distance));
+    let like = original.as_ref().map(|(name, distance)| (name.as_str(), *distance));
+    let (draws, d) = (&Draws { seed: p.seed, key, like }, &p.difficulty);
     let hand = &Hand::draw(draws, d);
     let Some(Outline { rate_hz, channels, frames }) = outline(p, source) else {
         let rgb = picture::picture(draws, d, source == "ca2");

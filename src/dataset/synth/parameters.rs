@@ -18,8 +18,21 @@ pub struct Parameters {
     pub seed: u64,
     /// length of a drag in seconds
     pub drag_seconds: f64,
+    /// two surfaces that are almost alike
+    pub twins: Option<Twins>,
     /// how well sources tell surfaces apart, and how much hands differ
     pub difficulty: Difficulty,
+}
+
+/// A surface that is almost like another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Twins {
+    /// the one, counted from 0
+    pub original: usize,
+    /// the other, counted from 0
+    pub twin: usize,
+    /// how far the twin is from the original: 0 is the same surface, 1 another one
+    pub distance: f64,
 }
 
 impl Default for Parameters {
@@ -31,6 +44,7 @@ impl Default for Parameters {
             users: 10,
             seed: 1,
             drag_seconds: 4.8,
+            twins: None,
             difficulty: Difficulty::default(),
         }
     }

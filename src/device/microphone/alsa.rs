@@ -71,6 +71,7 @@ impl Sound for Alsa {
         errors: Sender<StreamError>,
     ) -> Result<Box<dyn Any>, OpenError> {
         let said = |error: cpal::Error| explain(&self.id, &error);
+        hush();
         let device = find(&self.id)?;
         let offers: Vec<_> = device.supported_input_configs().map_err(said)?.collect();
         let offer = choose(&offers).ok_or_else(|| unfit(&self.id, &offers))?;
@@ -162,6 +163,13 @@ fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
     ))
 }
 
+/// Keeps ALSA from writing on stderr on this thread: each look for a device that is absent is many
+/// lines, and what matters comes as an error as well.
+fn hush() {
+    // What is written goes to a buffer, which the next call replaces.
+    let _ = alsa::Output::local_error_handler();
+}
+
 fn find(id: &str) -> Result<Device, OpenError> {
     let host = cpal::default_host();
     let absent = || OpenError::Absent(format!("microphone {id}"));
@@ -194,6 +202,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
 /// # Errors
 /// If ALSA refuses the list.
 pub fn microphones() -> Result<Vec<Listed>, OpenError> {
+    hush();
     let host = cpal::default_host();
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;
     let listed = devices.filter(DeviceTrait::supports_input).filter_map(|device| {

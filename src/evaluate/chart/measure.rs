@@ -5,8 +5,7 @@ use super::settings::{Charted, What};
 use crate::evaluate::{EvaluateError, Evaluation, Fold, LeftOut, Loudness, Measured};
 use crate::library::Entry;
 use crate::recognise::{Method, RecogniseError};
-use crate::scene::{Phase, Scene, SourceId};
-use crate::trial::Signal;
+use crate::scene::{Scene, SourceId};
 
 /// What a chart is measured on.
 #[derive(Clone, Copy)]
@@ -53,15 +52,9 @@ pub fn measure(
 /// # Errors
 /// If that trial cannot be read.
 pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
-    let is_drag =
-        |id: &SourceId| scene.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag);
+    let is_drag = |id: &SourceId| scene.is_dragged(id);
     let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {
         return Ok(None);
     };
-    let trial = entry.load()?;
-    let lengths = trial.signals.iter().filter_map(|(id, signal)| match signal {
-        Signal::Series(series) if is_drag(id) => Some(series.duration_s()),
-        _ => None,
-    });
-    Ok(lengths.max_by(f64::total_cmp))
+    Ok(entry.load()?.drag_s(is_drag))
 }

@@ -175,10 +175,9 @@ fn draw(weights: &[f64], rng: &mut impl Rng) -> Vec<usize> {
             sum
         })
         .collect();
-    let uniform = |rng: &mut dyn Rng| (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     (0..weights.len())
         .map(|_| {
-            let at = uniform(rng) * sum;
+            let at = seed::uniform(rng) * sum;
             cumulative.partition_point(|&c| c <= at).min(weights.len() - 1)
         })
         .collect()

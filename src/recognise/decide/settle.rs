@@ -23,7 +23,7 @@
 use super::interval::jeffreys_quantile;
 
 /// Label stability in seconds of new scan time.
-const HOLDS_S: [f64; 2] = [0.3, 0.6];
+const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];
 
 /// ε of the rules, from the earliest to the latest.
 const EPSILONS: [f64; 10] = [0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.003, 0.001];
@@ -243,6 +243,6 @@ mod tests {
             Look { scan_s: 0.1 * f64::from(i), label: 0, probability: 1.0, fits: true }
         });
         Stops::new(sure, 0, 0, 4.0);
-        assert_eq!(taken, 7, "0.6 s after the first look");
+        assert_eq!(taken, 21, "2 s after the first look");
     }
 }

@@ -179,20 +179,12 @@ impl Discriminant {
         projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect()
     }
 
-    /// u·m_c, taken apart by stretches of the vector: how much each speaks for each class, shape
-    /// (stretches, C). A class's distance is |u|² + |m_c|² less twice their sum.
-    pub fn terms(
-        &self,
-        vector: ArrayView1<'_, f32>,
-        stretches: &[std::ops::Range<usize>],
-    ) -> Array2<f64> {
-        let weights = self.means.mapv(|x| x as f32).dot(&self.projection);
-        let offset = self.means.dot(&self.origin);
-        Array2::from_shape_fn((stretches.len(), self.means.nrows()), |(s, class)| {
-            let stretch = s![stretches[s].clone()];
-            let own = weights.row(class).slice(stretch).dot(&vector.slice(stretch));
-            f64::from(own) - offset[class] / stretches.len() as f64
-        })
+    /// m_c in the features' own space, shape (C, D), and what u·m_c has besides.
+    pub fn weights(&self) -> Weights {
+        Weights {
+            of_class: self.means.mapv(|x| x as f32).dot(&self.projection),
+            offset: self.means.dot(&self.origin),
+        }
     }
 
     /// d_c for each class; infinite for those without training vectors.
@@ -206,6 +198,31 @@ impl Discriminant {
             }
         };
         self.means.rows().into_iter().zip(&self.present).map(distance).collect()
+    }
+}
+
+/// What makes inner products with the class means of vectors, stretch by stretch.
+pub struct Weights {
+    of_class: Array2<f32>,
+    offset: Array1<f64>,
+}
+
+impl Weights {
+    /// u·m_c, taken apart by stretches of the vector: how much each speaks for the class. The
+    /// class's distance is |u|² + |m_c|² less twice their sum.
+    pub fn terms(
+        &self,
+        class: usize,
+        vector: ArrayView1<'_, f32>,
+        stretches: &[std::ops::Range<usize>],
+    ) -> Vec<f64> {
+        let offset = self.offset[class] / stretches.len() as f64;
+        let term = |stretch: &std::ops::Range<usize>| {
+            let stretch = s![stretch.clone()];
+            let own = self.of_class.row(class).slice(stretch).dot(&vector.slice(stretch));
+            f64::from(own) - offset
+        };
+        stretches.iter().map(term).collect()
     }
 }
 
@@ -300,12 +317,13 @@ mod tests {
         let (vectors, labels) = data();
         let trained = trained(&vectors, &labels, 3).unwrap();
         let (z, stretches) = (vectors.row(4), [0..3, 3..8]);
-        let terms = trained.terms(z, &stretches).sum_axis(Axis(0));
+        let weights = trained.weights();
         let distances = trained.distances(z);
         let u: f64 = trained.project(z).iter().map(|x| x * x).sum();
         for class in 0..3 {
+            let terms: f64 = weights.terms(class, z, &stretches).iter().sum();
             let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
-            assert!((distances[class] - (u + mean - 2.0 * terms[class])).abs() < 1e-2);
+            assert!((distances[class] - (u + mean - 2.0 * terms)).abs() < 1e-2);
         }
     }
 

@@ -3,15 +3,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use super::EmbeddingModel;
+use super::posterior::Posterior;
 use super::scan::ScanSums;
-use super::{EmbeddingModel, Posterior};
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{Look, Settling, Watch};
 use crate::recognise::error::RecogniseError;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
+use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Image, Rest, is_plain};
+use crate::trial::{Image, Rest, Signal, Trial, is_plain};
+
+/// Scans are passed on in steps up to this length in seconds; the rest at once.
+const LONGEST_S: f64 = 3600.0;
 
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
@@ -51,6 +56,13 @@ struct Waiting {
     broken: bool,
 }
 
+impl Waiting {
+    /// Frames that came, passed on or not.
+    fn frames(&self) -> usize {
+        self.passed_on as usize + self.samples.len() / self.channels
+    }
+}
+
 impl Follower {
     pub fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
         let settling = model.settling(options);
@@ -59,15 +71,35 @@ impl Follower {
         Self { model, rejection, settling, scan }
     }
 
+    /// Takes what of a trial did not come yet; `None` if what came is not of this trial.
+    fn take_rest(&mut self, trial: &Trial) -> Option<()> {
+        let in_trial = |id: &SourceId| trial.signals.contains_key(id);
+        let series = self.scan.waiting.iter().filter(|(_, waiting)| !waiting.broken);
+        if !series.map(|(id, _)| id).chain(&self.scan.pictures).all(in_trial) {
+            return None;
+        }
+        for (id, signal) in &trial.signals {
+            match signal {
+                Signal::Image(picture) if !self.scan.pictures.contains(id) => {
+                    self.add_picture(id, picture).ok()?;
+                }
+                Signal::Image(_) => {}
+                Signal::Series(series) => {
+                    let channels = series.channels();
+                    let known = self.scan.waiting.get(id).map_or(0, Waiting::frames);
+                    let samples = series.samples().get(known * channels..)?;
+                    let rate_hz = series.rate_hz();
+                    self.add(FreshFrames { source: id, rate_hz, channels, samples }).ok()?;
+                }
+            }
+        }
+        Some(())
+    }
+
     fn guess(&mut self, scan_s: f64) -> Option<GuessSoFar> {
-        let scan = &self.scan;
-        // Dead or stuck so far: as for whole scans, see `without_flawed`.
-        let flaw = |id| scan.is_flawed(&self.model, id).then_some(());
-        let came = scan.waiting.iter().filter(|(_, w)| !w.broken && w.passed_on > 0);
-        let known: Vec<&SourceId> = came.map(|(id, _)| id).chain(&scan.pictures).collect();
-        let flawed = left_out(&self.model.scene, known.iter().map(|id| (*id, flaw(*id))));
-        let keep = |id: &SourceId| known.contains(&id) && !flawed.iter().any(|(f, ())| f == id);
-        let (vector, present) = scan.sums.vector(&self.model.joint, keep);
+        let sound = self.scan.sound(&self.model);
+        let keep = |id: &SourceId| sound.contains(id);
+        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
         if !present.contains(&true) {
             return None;
         }
@@ -80,18 +112,18 @@ impl Follower {
         let settled = self.scan.watch.as_mut().and_then(|watch| watch.see(look));
         Some(GuessSoFar {
             scan_s,
-            named: named(&posterior),
+            named: named(&self.model.labels.surfaces, &posterior),
             p_value: posterior.p_value,
-            settled: settled.map(|(label, at)| (posterior.surfaces[label].clone(), at)),
+            settled: settled.map(|(label, at)| (self.model.labels.surfaces[label].clone(), at)),
         })
     }
 }
 
 /// The most probable surfaces, the first of equal ones first.
-fn named(posterior: &Posterior) -> Vec<(String, f64)> {
-    let mut order: Vec<usize> = (0..posterior.surfaces.len()).collect();
+fn named(surfaces: &[String], posterior: &Posterior) -> Vec<(String, f64)> {
+    let mut order: Vec<usize> = (0..surfaces.len()).collect();
     order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
-    let name = |&i: &usize| (posterior.surfaces[i].clone(), posterior.probabilities[i]);
+    let name = |&i: &usize| (surfaces[i].clone(), posterior.probabilities[i]);
     order.iter().take(NAMED).map(name).collect()
 }
 
@@ -114,6 +146,17 @@ impl ScanSoFar {
             channels.any(|(c, rest)| rest.flaw(c).is_some() && model.joint.moves(id, c))
         };
         self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
+    }
+
+    /// The sources that came, without those that are dead or stuck so far: as for whole scans, see
+    /// [`crate::recognise::without_flawed`].
+    fn sound(&self, model: &EmbeddingModel) -> BTreeSet<SourceId> {
+        let flaw = |id| self.is_flawed(model, id).then_some(());
+        let came = self.waiting.iter().filter(|(_, w)| !w.broken && w.passed_on > 0);
+        let known: BTreeSet<&SourceId> = came.map(|(id, _)| id).chain(&self.pictures).collect();
+        let flawed = left_out(&model.scene, known.iter().map(|id| (*id, flaw(*id))));
+        let is_sound = |id: &&&SourceId| !flawed.iter().any(|(f, ())| f == **id);
+        known.iter().filter(is_sound).map(|id| (*id).clone()).collect()
     }
 
     /// Hands on what each source had by `scan_s` seconds of drag; of taps, all there is.
@@ -200,6 +243,28 @@ impl Follow for Follower {
             said = self.guess(at).or(said);
         }
         Ok(said)
+    }
+
+    fn finish(&mut self, trial: &Trial) -> Option<Ranking> {
+        if self.scan.failed {
+            return None;
+        }
+        self.take_rest(trial)?;
+        let is_drag = |id: &SourceId| self.model.scene.is_dragged(id);
+        let scan_s = trial.drag_s(is_drag).unwrap_or(f64::INFINITY);
+        // In the steps of looks, so that a look that was missed changes no rounding.
+        let steps = (scan_s.min(LONGEST_S) / LOOK_S) as u64;
+        for step in self.scan.looks + 1..=steps {
+            self.scan.pass_on(&self.model, step as f64 * LOOK_S).ok()?;
+        }
+        self.scan.pass_on(&self.model, f64::INFINITY).ok()?;
+        let sound = self.scan.sound(&self.model);
+        let keep = |id: &SourceId| sound.contains(id);
+        if !self.scan.sums.says_something(&self.model.joint, keep) {
+            return None;
+        }
+        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
+        Some(self.model.ranking(&vector, &present, scan_s))
     }
 
     fn settling(&self) -> &Settling {

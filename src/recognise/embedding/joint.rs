@@ -106,6 +106,13 @@ pub(super) struct Stretch {
     pub columns: Range<usize>,
 }
 
+impl Stretch {
+    /// Whether a series says something by its level alone, as a switch does.
+    pub fn level_counts(&self) -> bool {
+        !self.spec.align_mean && self.spec.domain == Domain::Time
+    }
+}
+
 /// How trials become vectors.
 #[derive(Clone, Debug)]
 pub(super) struct JointEmbedder {
@@ -207,8 +214,7 @@ impl JointEmbedder {
     pub fn says_something(&self, trial: &FrameFeatures) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
-                let level_counts = !stretch.spec.align_mean && stretch.spec.domain == Domain::Time;
-                series.is_a_frame_long() && (level_counts || !series.blocks.is_constant())
+                series.is_a_frame_long() && (stretch.level_counts() || !series.blocks.is_constant())
             }
             Some(SourceFrames::Picture(_)) => true,
             None => false,

@@ -70,11 +70,13 @@ impl LeftOut {
         let excerpts: Vec<Excerpt> = begun_s.iter().map(|&s| Excerpt::beginning(s)).collect();
         let begun = |i: usize| {
             let trained = trained(i)?;
-            let long_enough = joint.drag_s(&library[i])? >= *begun_s.last()?;
+            if joint.drag_s(&library[i])? < *begun_s.last()? {
+                return None;
+            }
             let (vectors, _) = joint.embed(&library[i], &excerpts);
             let distances =
                 vectors.iter().map(|v| (trained.distances(v[..].into()), labels.class[i]));
-            long_enough.then(|| (i, distances.collect::<Vec<HeldOut>>()))
+            Some((i, distances.collect::<Vec<HeldOut>>()))
         };
         let begun: Vec<(usize, Vec<HeldOut>)> = if begun_s.is_empty() {
             Vec::new()

@@ -39,7 +39,6 @@ use self::follower::Follower;
 use self::joint::{Excerpt, JointEmbedder, Present};
 use self::labels::Labels;
 use self::left_out::{Followed, LeftOut};
-pub use self::posterior::Posterior;
 use self::posterior::QueryVector;
 use self::training::Training;
 use super::checks::{check_surfaces, nothing_in_common};
@@ -150,16 +149,6 @@ impl EmbeddingModel {
         &self.left_out.held_out
     }
 
-    /// How probable each surface is.
-    ///
-    /// # Errors
-    /// If the query has no source in common with the library, a rate that cannot be compared, or
-    /// too little in it to be named.
-    pub fn posterior(&self, query: &FrameFeatures) -> Result<Posterior, RecogniseError> {
-        let (vector, present) = self.embed(query)?;
-        Ok(self.posterior_at(&vector, &present, self.scan_s(query)))
-    }
-
     fn scan_s(&self, query: &FrameFeatures) -> f64 {
         self.joint.drag_s(query).unwrap_or(f64::INFINITY)
     }
@@ -185,15 +174,6 @@ impl EmbeddingModel {
             Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
         lock().insert(present.clone(), trained.clone());
         trained
-    }
-
-    /// Ranks the surfaces for a query.
-    ///
-    /// # Errors
-    /// As [`EmbeddingModel::posterior`].
-    pub fn rank_frames(&self, query: &FrameFeatures) -> Result<Ranking, RecogniseError> {
-        let (vector, present) = self.embed(query)?;
-        Ok(self.ranking(&vector, &present, self.scan_s(query)))
     }
 }
 
@@ -233,7 +213,9 @@ impl Model for EmbeddingModel {
     }
 
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
-        self.rank_frames(query.frames(NAME)?)
+        let query = query.frames(NAME)?;
+        let (vector, present) = self.embed(query)?;
+        Ok(self.ranking(&vector, &present, self.scan_s(query)))
     }
 
     fn moves(&self, source: &SourceId, channel: usize) -> bool {
@@ -241,9 +223,9 @@ impl Model for EmbeddingModel {
     }
 
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
-        let (vector, present) = self.embed(query.frames(NAME)?)?;
-        let scan_s = self.scan_s(query.frames(NAME)?);
-        Ok(Some(self.evidence(&vector, &present, scan_s)))
+        let query = query.frames(NAME)?;
+        let (vector, present) = self.embed(query)?;
+        Ok(Some(self.evidence(&vector, &present, self.scan_s(query))))
     }
 
     fn by_sources(

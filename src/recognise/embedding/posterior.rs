@@ -15,9 +15,7 @@ use crate::trial::TrialKey;
 
 /// How far a query is from each surface, and what that means.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Posterior {
-    /// The surfaces, sorted.
-    pub surfaces: Vec<String>,
+pub(super) struct Posterior {
     /// Distance to each in the space of the discriminant.
     pub distances: Vec<f64>,
     /// ln of softmax(−distance/2τ).
@@ -77,7 +75,6 @@ impl EmbeddingModel {
         let sources = self.joint.stretches.iter().zip(present).filter(|(_, has)| **has);
         let p_value = || self.left_out.conformity.p_value(scan_s, nonconformity(&distances)?);
         Posterior {
-            surfaces: self.labels.surfaces.clone(),
             probabilities: held_back(&log_posterior, self.left_out.held_out.len()),
             sources: sources.map(|(stretch, _)| stretch.spec.id.clone()).collect(),
             p_value: if present.iter().all(|has| *has) { p_value() } else { None },
@@ -100,7 +97,7 @@ impl EmbeddingModel {
             let key = if class == best {
                 self.nearest(vector, present, class)
             } else {
-                TrialKey::new(&posterior.surfaces[class], "", 0)
+                TrialKey::new(&self.labels.surfaces[class], "", 0)
             };
             Candidate { key, log_ds: -p }
         };
@@ -141,13 +138,14 @@ impl EmbeddingModel {
         let columns: Vec<_> = stretches.iter().map(|stretch| stretch.columns.clone()).collect();
         let trained = self.discriminant(present);
         let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));
-        let of_query = trained.terms(ArrayView1::from(vector), &columns);
+        let weights = trained.weights();
         let mut terms = vec![vec![f64::INFINITY; self.labels.classes]; stretches.len()];
         for class in (0..self.labels.classes).filter(|&class| trained.knows(class)) {
             let mean = self.training.class_mean(&self.labels, class);
-            let of_mean = trained.terms(mean.view(), &columns);
-            for (s, of_source) in terms.iter_mut().enumerate() {
-                of_source[class] = scale * (of_mean[[s, class]] - 2.0 * of_query[[s, class]]);
+            let of_mean = weights.terms(class, mean.view(), &columns);
+            let of_query = weights.terms(class, ArrayView1::from(vector), &columns);
+            for (of_source, (m, q)) in terms.iter_mut().zip(of_mean.iter().zip(of_query)) {
+                of_source[class] = scale * (m - 2.0 * q);
             }
         }
         let of_source = |(stretch, terms): (&&super::joint::Stretch, Vec<f64>)| SourceEvidence {

@@ -10,6 +10,7 @@ use crate::recognise::features::block_sums::GrowingBlocks;
 use crate::recognise::features::frame_features::{PackedFrames, SourceViews};
 use crate::recognise::features::frames::ViewFrames;
 use crate::recognise::features::image_features::{Part, PixelGrid};
+use crate::recognise::features::window_sums::WindowSums;
 use crate::recognise::shape::LibraryShape;
 use crate::scene::SourceId;
 use crate::trial::Image;
@@ -29,12 +30,12 @@ enum SourceSums {
 
 struct SeriesScan {
     views: SourceViews,
+    /// Samples so far.
+    samples: usize,
     sums: SeriesSums,
     blocks: GrowingBlocks,
-    /// Samples that are not yet used up, one list a view.
+    /// Samples that are not yet used up, one list a view: all, until its first frame is complete.
     pending: [Vec<f32>; 2],
-    /// All samples, until the first frame of each view is complete.
-    beginning: [Vec<f32>; 2],
 }
 
 impl ScanSums {
@@ -91,6 +92,19 @@ impl ScanSums {
         }
     }
 
+    /// As [`JointEmbedder::says_something`], of those sources that `keep` wants.
+    pub fn says_something(&self, joint: &JointEmbedder, keep: impl Fn(&SourceId) -> bool) -> bool {
+        let mut sources = joint.stretches.iter().zip(&self.sources);
+        sources.any(|(stretch, source)| match source {
+            Some(SourceSums::Series(scan)) if keep(&stretch.spec.id) => {
+                scan.samples >= scan.views.0[1].points
+                    && (stretch.level_counts() || !scan.block_sums().is_constant())
+            }
+            Some(SourceSums::Picture(_)) => keep(&stretch.spec.id),
+            _ => false,
+        })
+    }
+
     /// The vector so far, in the library's deviations, of those sources that came and that `keep`
     /// wants.
     pub fn vector(
@@ -123,12 +137,13 @@ impl SeriesScan {
             sums: embedder.no_sums(),
             blocks: GrowingBlocks::new(views.0[0].channels, views.block()),
             pending: Default::default(),
-            beginning: Default::default(),
+            samples: 0,
             views,
         }
     }
 
     fn push(&mut self, embedder: &SeriesEmbedder, samples: &[f32]) {
+        self.samples += samples.len() / self.views.0[0].channels;
         let sums = &mut self.sums;
         self.blocks.extend(samples, |of_block| sums.blocks.add(of_block));
         for (v, view) in self.views.0.iter().enumerate() {
@@ -137,29 +152,31 @@ impl SeriesScan {
             let mut fresh = ViewFrames { view: view.clone(), values: Vec::new() };
             let used = fresh.extend(pending) * view.channels;
             pending.drain(..used);
-            if fresh.values.is_empty() {
-                if self.sums.frames(v) == 0 {
-                    self.beginning[v].extend_from_slice(samples);
-                }
-                continue;
+            if !fresh.values.is_empty() {
+                embedder.add_frames(&mut self.sums, v, &rounded(&fresh.values, view.width()));
             }
-            self.beginning[v] = Vec::new();
-            embedder.add_frames(&mut self.sums, v, &rounded(&fresh.values, view.width()));
         }
+    }
+
+    /// Block sums, with those of the block that is not complete.
+    fn block_sums(&self) -> WindowSums {
+        let mut sums = self.sums.blocks.clone();
+        let open = self.blocks.open();
+        if !open.is_empty() {
+            sums.add(&open);
+        }
+        sums
     }
 
     fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
         let mut sums = self.sums.clone();
         for (v, view) in self.views.0.iter().enumerate() {
             if sums.frames(v) == 0 {
-                let padded = ViewFrames::new(view.clone(), &self.beginning[v]);
+                let padded = ViewFrames::new(view.clone(), &self.pending[v]);
                 embedder.add_frames(&mut sums, v, &rounded(&padded.values, view.width()));
             }
         }
-        let open = self.blocks.open();
-        if !open.is_empty() {
-            sums.blocks.add(&open);
-        }
+        sums.blocks = self.block_sums();
         embedder.vector(&sums, &self.blocks.reference(), self.views.0[0].rate_hz)
     }
 }

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use super::fourier::{BAND_FEATURES, BandScale};
 use super::linear::log_symmetric;
 use super::view_sums::{ViewSums, on_surface};
-use crate::recognise::features::block_sums::{MOMENTS, WindowStatistics, WindowSums};
 use crate::recognise::features::frame_features::{SeriesFrames, SourceViews};
+use crate::recognise::features::window_sums::{MOMENTS, WindowStatistics, WindowSums};
 
 /// Lags in samples that the covariance stacks.
 const LAGS: [usize; 3] = [0, 1, 3];

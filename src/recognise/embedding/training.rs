@@ -8,7 +8,6 @@
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array1, Array2, ArrayView1, Axis};
-use rand::Rng;
 use rayon::prelude::*;
 
 use super::discriminant::{Discriminant, Scatter};
@@ -63,12 +62,8 @@ impl Training {
         vectors.par_iter_mut().zip(&present).for_each(|(of_trial, present)| {
             of_trial.iter_mut().for_each(|vector| joint.standardise(vector, present));
         });
-        let trials = library.len();
-        let place = |row: usize| match row.checked_sub(trials) {
-            None => (row, 0),
-            Some(excerpt) => (excerpt / EXCERPTS, 1 + excerpt % EXCERPTS),
-        };
-        let mut rows = Array2::zeros((trials * (1 + EXCERPTS), joint.dims()));
+        let place = |row| place(row, library.len());
+        let mut rows = Array2::zeros((library.len() * (1 + EXCERPTS), joint.dims()));
         for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
             let (trial, vector) = place(row);
             values.assign(&ArrayView1::from(&vectors[trial][vector]));
@@ -94,8 +89,7 @@ impl Training {
     /// Sources that a row lacks take the mean of their label's other rows, so that they neither
     /// move means nor add scatter.
     fn fill_absent(&mut self, joint: &JointEmbedder) {
-        let trials = self.present.len();
-        let trial = |row: usize| row.checked_sub(trials).map_or(row, |excerpt| excerpt / EXCERPTS);
+        let trial = |row| place(row, self.present.len()).0;
         for (s, stretch) in joint.stretches.iter().enumerate() {
             if self.present.iter().all(|has| has[s]) {
                 continue;
@@ -204,6 +198,14 @@ impl Training {
     }
 }
 
+/// The trial of a row, and which of its vectors the row is: 0 is the whole.
+fn place(row: usize, trials: usize) -> (usize, usize) {
+    match row.checked_sub(trials) {
+        None => (row, 0),
+        Some(excerpt) => (excerpt / EXCERPTS, 1 + excerpt % EXCERPTS),
+    }
+}
+
 /// The whole, and random excerpts: the same for a trial of that name and that seed, whatever else
 /// is in the library.
 fn excerpts(key: &TrialKey, seed: u64) -> Vec<Excerpt> {
@@ -211,8 +213,8 @@ fn excerpts(key: &TrialKey, seed: u64) -> Vec<Excerpt> {
     let mut rng = seed::rng(seed, &[b"excerpts", name.as_bytes()]);
     let quarters = [(false, false), (false, true), (true, false), (true, true)];
     let excerpt = |i: usize| {
-        let uniform = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        let window = Window::Share { from: uniform * (1.0 - SHARE), length: SHARE };
+        let from = seed::uniform(&mut rng) * (1.0 - SHARE);
+        let window = Window::Share { from, length: SHARE };
         let (lower, right) = quarters[i % quarters.len()];
         Excerpt { window, part: Part::Quarter(lower, right) }
     };

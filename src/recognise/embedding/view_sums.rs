@@ -11,8 +11,10 @@ use super::fourier::{BAND_FEATURES, BandScale};
 /// Classes of loudness in one unit of ln power (4.3 dB).
 const CLASSES: f32 = 4.0;
 
-/// Frames that are so many classes quieter than the median frame, 17 dB, are not of the surface.
-const QUIETER: i32 = 16;
+/// Frames this many classes quieter than the median frame, 26 dB, are not of the surface. Nearer to
+/// the median the quiet parts of a texture itself are lost: at 17 dB a foreign surface is caught
+/// less often, and short scans are named worse.
+const QUIETER: i32 = 24;
 
 /// What some frames of one view add up to, loudness by loudness.
 #[derive(Clone, Debug)]

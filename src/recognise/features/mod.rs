@@ -21,6 +21,7 @@ pub mod picture_statistics;
 pub mod series_statistics;
 mod spectrum;
 mod vector;
+pub(super) mod window_sums;
 
 pub use colour::hsv;
 pub use frame_features::FrameFeatures;

@@ -60,6 +60,7 @@ fn write(recording: &Path, library: &Library, out: &Path, file: File) -> Result<
 fn media_type(name: &str) -> &'static str {
     match name.rsplit('.').next() {
         Some("wav") => "audio/wav",
+        Some("flac") => "audio/flac",
         Some("png") => "image/png",
         Some("jpg" | "jpeg") => "image/jpeg",
         Some("toml") => "application/toml",

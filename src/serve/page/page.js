@@ -11,9 +11,13 @@ let enrolled = [];
 let announced = "";
 let due = false;
 
+// Text without what acts unseen, such as marks that make it read backwards (as printable.rs).
+const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
+const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
+
 function make(tag, text, className) {
   const element = document.createElement(tag);
-  if (text !== undefined) element.textContent = text;
+  if (text !== undefined) element.textContent = printable(text);
   if (className) element.className = className;
   return element;
 }
@@ -32,7 +36,8 @@ function fill(id, elements) {
 }
 
 function say(id, text) {
-  if ($(id).textContent !== text) $(id).textContent = text;
+  const shown = printable(text);
+  if ($(id).textContent !== shown) $(id).textContent = shown;
 }
 
 function hide(id, hidden) {
@@ -63,7 +68,7 @@ function runner(name, share, text) {
   fill.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
   bar.append(fill);
   item.append(make("span", name), bar, make("b", text));
-  item.title = name;
+  item.title = printable(name);
   return item;
 }
 
@@ -122,7 +127,7 @@ function showDevices() {
   fill("devices", state.devices.map(({ device, state: how, detail }) => {
     const item = make("li", `${device} · ${how}`);
     item.dataset.state = how;
-    item.title = detail;
+    item.title = printable(detail);
     return item;
   }));
   const lost = state.streams.reduce((sum, stream) => sum + stream.lost, 0);
@@ -137,7 +142,7 @@ function row(scan) {
   if (unknown && scan.ranked[0]) name.append(make("span", `like ${scan.ranked[0].surface}`, "badge"));
   if (scan.spoiled.length) {
     const badge = make("span", "spoiled", "badge");
-    badge.title = scan.spoiled.join("\n");
+    badge.title = printable(scan.spoiled.join("\n"));
     name.append(badge);
   }
   line.append(make("td", scan.scan), make("td", clock(scan.unix_ms)), name, make("td", sureness(scan)),
@@ -178,7 +183,8 @@ function showLibrary() {
   hide("enrolling", !enrolling);
   if (enrolling) {
     say("enrolling-what", enrolling.surface);
-    say("enrolling-wanted", `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
+    say("enrolling-wanted", enrolling.wanted === null ? "every scan is kept"
+      : `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
   }
   fill("enrolled", enrolled.map((e) => {
     const kept = e.trial === null ? `scan ${e.scan} was not kept as ${e.surface}` : `scan ${e.scan} kept as ${e.surface}, trial ${e.trial}`;

@@ -40,9 +40,10 @@ fn mistake<T, S>(at: &Spanned<S>, problem: impl Into<String>) -> Result<T, Mista
 pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigError> {
     let toml = |error| ConfigError::Toml { path: path.to_path_buf(), error: Box::new(error) };
     let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
-    let described = scene(String::new(), std::mem::take(&mut file.sources), text)
+    let defaults = Scene::lmt108();
+    let described = scene(String::new(), std::mem::take(&mut file.sources), text, Some(&defaults))
         .map_err(|error| ConfigError::Scene { path: path.to_path_buf(), error: Box::new(error) })?;
-    station(file, Scene::lmt108().with(described), path).map_err(|Mistake { at, problem }| {
+    station(file, defaults.with(described), path).map_err(|Mistake { at, problem }| {
         let line = line_of(text, at.start);
         ConfigError::Value { path: path.to_path_buf(), line, problem }
     })

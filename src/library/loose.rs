@@ -1,0 +1,99 @@
+//! Recordings without trial folders, as people have them: `oak/scan 1.wav`, `oak/scan 2.wav`, …
+//!
+//! Each file is a trial of one source. A name that begins with a source's, such as `mi2_03.wav`, is
+//! of that source, and files of one surface and number are one trial. Other names are of the only
+//! source that `library.toml` describes, or else the sound of a drag. The number at the end of the
+//! name is that of the trial, as long as every file has one of its own; else files are counted in
+//! the order of their names.
+
+use std::collections::BTreeSet;
+
+use crate::scene::{Scene, SourceId};
+
+/// What a file without any hint is taken for.
+const USUAL: &str = "mi2";
+
+/// What one file is.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Place {
+    pub source: SourceId,
+    pub number: u32,
+    /// Whether its name says nothing of its source.
+    pub guessed: bool,
+}
+
+/// Places for files by their names without extension, in that order. `only` is the one source that
+/// the library describes itself; numbers in `taken` belong to other trials of the surface.
+pub(super) fn places(
+    names: &[&str],
+    scene: &Scene,
+    only: Option<&SourceId>,
+    taken: &[u32],
+) -> Vec<Place> {
+    let usual = || scene.get(USUAL).map(|spec| spec.id.clone());
+    let Some(usual) = only.cloned().or_else(usual) else { return Vec::new() };
+    let named: Vec<Option<SourceId>> = names.iter().map(|name| source_of(name, scene)).collect();
+    let source = |i: usize| named[i].clone().unwrap_or_else(|| usual.clone());
+    let numbers = numbers(names, &source, taken);
+    let place = |(i, number)| Place { source: source(i), number, guessed: named[i].is_none() };
+    numbers.into_iter().enumerate().map(place).collect()
+}
+
+/// What to say of files that were taken for `source`.
+pub(super) fn remark(source: &SourceId) -> String {
+    format!(
+        "taken as a trial of source `{source}`; to say otherwise, begin its name with a source, as \
+         in {source}_1.wav, or put it into SURFACE/TRIAL/<source>.wav"
+    )
+}
+
+/// The source whose name a file's begins with, before anything that is no letter or digit.
+fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
+    let begins = |id: &str| {
+        let rest = name.strip_prefix(id)?;
+        Some(!rest.starts_with(char::is_alphanumeric))
+    };
+    let longest = scene.sources().filter(|spec| begins(spec.id.as_str()) == Some(true));
+    longest.max_by_key(|spec| spec.id.as_str().len()).map(|spec| spec.id.clone())
+}
+
+fn numbers(names: &[&str], source: &dyn Fn(usize) -> SourceId, taken: &[u32]) -> Vec<u32> {
+    let suffix = |name: &&str| {
+        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+        name[stem.len()..].parse::<u32>().ok()
+    };
+    let all: Option<Vec<u32>> = names.iter().map(suffix).collect();
+    if let Some(numbers) = all {
+        let own: BTreeSet<_> = numbers.iter().enumerate().map(|(i, n)| (source(i), *n)).collect();
+        if own.len() == names.len() && numbers.iter().all(|number| !taken.contains(number)) {
+            return numbers;
+        }
+    }
+    let first = taken.iter().max().map_or(1, |most| most.saturating_add(1));
+    let counted = |i: usize| {
+        let of_source = (0..i).filter(|&before| source(before) == source(i)).count() as u32;
+        first.saturating_add(of_source)
+    };
+    (0..names.len()).map(counted).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(names: &[&str], taken: &[u32]) -> Vec<(String, u32)> {
+        let places = places(names, &Scene::lmt108(), None, taken);
+        places.iter().map(|place| (place.source.to_string(), place.number)).collect()
+    }
+
+    #[test]
+    fn names_say_source_and_number_where_they_can() {
+        let of = |name: &str, number| (name.to_string(), number);
+        assert_eq!(placed(&["scan 3", "scan 12"], &[]), [of("mi2", 3), of("mi2", 12)]);
+        assert_eq!(placed(&["ac_1", "mi2-1"], &[]), [of("ac", 1), of("mi2", 1)]);
+        assert_eq!(placed(&["ac"], &[]), [of("ac", 1)]);
+        assert_eq!(placed(&["acorn1", "first"], &[]), [of("mi2", 1), of("mi2", 2)]);
+        assert_eq!(placed(&["a1", "b1"], &[]), [of("mi2", 1), of("mi2", 2)], "one number twice");
+        assert_eq!(placed(&["scan1", "scan2"], &[1]), [of("mi2", 2), of("mi2", 3)]);
+    }
+}

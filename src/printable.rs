@@ -1,0 +1,42 @@
+//! Text as it is shown to people: labels, serial numbers and messages are other people's, and may
+//! hold what a terminal would obey or what makes text read as something else.
+
+use std::fmt::{self, Write};
+
+/// Text in which characters that act instead of being seen are written as `\u{…}`: control
+/// characters but for new lines and tabs, marks of direction (Unicode Standard Annex 9), and
+/// characters without width that join nothing.
+pub(crate) struct Printable<'a>(pub &'a str);
+
+impl fmt::Display for Printable<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.chars().try_for_each(|c| match c {
+            '\n' | '\t' => f.write_char(c),
+            '\r' => f.write_str("\\r"),
+            c if c.is_control() || acts_unseen(c) => write!(f, "{}", c.escape_unicode()),
+            c => f.write_char(c),
+        })
+    }
+}
+
+/// Whether a character has no shape of its own but changes how others read. Joiners are left: some
+/// scripts need them.
+fn acts_unseen(c: char) -> bool {
+    matches!(c,
+        '\u{61c}' | '\u{200b}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}'
+        | '\u{e0000}'..='\u{e007f}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_obeyed_and_nothing_reads_backwards() {
+        let label = "oak\x1b]0;mine\x07\r\u{9b}2J \u{202e}eno\u{2066}\u{feff} é نمی‌دانم\n";
+        let shown =
+            "oak\\u{1b}]0;mine\\u{7}\\r\\u{9b}2J \\u{202e}eno\\u{2066}\\u{feff} é نمی‌دانم\n";
+        assert_eq!(Printable(label).to_string(), shown);
+    }
+}

@@ -1,0 +1,254 @@
+//! Which scans are kept as trials: orders, the scans that each covers, and how far it has come.
+//!
+//! An order covers the scans that begin after it was given; a scan in progress belongs to the order
+//! before. The station's own order, given before it runs, covers what no other order does.
+
+use super::event::{Enrolled, EnrolledOutcome, Enrolling};
+
+/// An order to keep scans.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Keep {
+    /// The label of the surface.
+    pub surface: String,
+    /// The person who drags.
+    pub user: String,
+    /// How many trials; `None` for every scan until the station ends.
+    pub trials: Option<u32>,
+    /// Whether a scan that is not good is refused.
+    pub good_only: bool,
+}
+
+/// What a scan is to become.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Enrolment {
+    /// Number of its order.
+    pub order: u64,
+    pub surface: String,
+    pub user: String,
+    /// Whether a scan that is not good is refused.
+    pub good_only: bool,
+}
+
+/// An order, and how far it has come.
+#[derive(Debug)]
+struct Order {
+    enrolment: Enrolment,
+    /// Trials still to be kept; `None` for every scan.
+    wanted: Option<u32>,
+    /// Scans on their way to the disk.
+    under_way: u32,
+    /// The first scan that it covers.
+    from: u32,
+    /// The first scan after them; `None` while it is in force.
+    until: Option<u32>,
+}
+
+impl Order {
+    fn new(order: u64, keep: Keep, from: u32) -> Self {
+        let Keep { surface, user, trials, good_only } = keep;
+        let enrolment = Enrolment { order, surface, user, good_only };
+        Self { enrolment, wanted: trials, under_way: 0, from, until: None }
+    }
+
+    /// How many scans are to come; `None` for every scan.
+    fn to_come(&self) -> Option<u32> {
+        self.wanted.map(|wanted| wanted.saturating_sub(self.under_way))
+    }
+
+    fn covers(&self, scan: u32) -> bool {
+        self.from <= scan && self.until.is_none_or(|until| scan < until)
+    }
+
+    /// Whether it can still become anything.
+    fn is_over(&self) -> bool {
+        let covers_none = self.until.is_some_and(|until| until <= self.from);
+        self.wanted == Some(0) || covers_none && self.under_way == 0
+    }
+}
+
+/// All orders of a station that are not done.
+#[derive(Debug, Default)]
+pub(super) struct Orders {
+    /// The station's own.
+    own: Option<Order>,
+    /// The others, the newest last; all but that one have ended.
+    given: Vec<Order>,
+    /// Orders so far.
+    count: u64,
+}
+
+impl Orders {
+    /// Gives the station its own order, which covers what no other does.
+    pub fn set_own(&mut self, keep: Keep) {
+        self.own = Some(Order::new(0, keep, 0));
+    }
+
+    /// Puts an order in force from scan `next` on, in the place of the one before.
+    pub fn give(&mut self, keep: Keep, next: u32) {
+        self.end(next);
+        self.count += 1;
+        self.given.push(Order::new(self.count, keep, next));
+    }
+
+    /// Ends the order in force, but for the station's own, from scan `next` on.
+    pub fn end(&mut self, next: u32) {
+        for order in self.given.iter_mut().filter(|order| order.until.is_none()) {
+            order.until = Some(next);
+        }
+        self.forget();
+    }
+
+    /// What the scan `number`, which is in progress, is to become, if it is to be kept.
+    pub fn covering(&self, number: u32) -> Option<&Enrolment> {
+        let mut all = self.given.iter().rev().chain(&self.own);
+        all.find(|o| o.covers(number) && o.to_come() != Some(0)).map(|order| &order.enrolment)
+    }
+
+    /// What the scan `number`, which has just ended, is to become, if it is to be kept. Scans end
+    /// in the order of their numbers.
+    pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
+        // No earlier scan will come any more.
+        for order in &mut self.given {
+            order.from = order.from.max(number);
+        }
+        let all = self.given.iter_mut().rev().chain(&mut self.own);
+        let claimed = all.into_iter().find(|o| o.covers(number) && o.to_come() != Some(0));
+        let enrolment = claimed.map(|order| {
+            order.under_way += 1;
+            order.enrolment.clone()
+        });
+        self.forget();
+        enrolment
+    }
+
+    /// Counts what became of a scan, and says how many trials its order still wants.
+    pub fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
+        let mut all = self.given.iter_mut().chain(&mut self.own);
+        if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
+            let ended = enrolled.outcome != EnrolledOutcome::Waiting;
+            order.under_way = order.under_way.saturating_sub(u32::from(ended));
+            let kept = u32::from(enrolled.outcome == EnrolledOutcome::Kept);
+            order.wanted = order.wanted.map(|wanted| wanted.saturating_sub(kept));
+            enrolled.wanted = match order.until {
+                None => order.wanted.unwrap_or(u32::MAX),
+                Some(_) => 0,
+            };
+        }
+        self.forget();
+        enrolled
+    }
+
+    /// What the next scan is to become.
+    pub fn in_force(&self) -> Option<Enrolling> {
+        let newest = self.given.last().filter(|order| order.until.is_none());
+        let open = |order: &&Order| order.to_come() != Some(0);
+        let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
+        let Enrolment { surface, user, .. } = order.enrolment.clone();
+        Some(Enrolling { surface, user, wanted: order.to_come() })
+    }
+
+    fn forget(&mut self) {
+        self.given.retain(|order| !order.is_over());
+        self.own.take_if(|order| order.is_over());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keep(surface: &str, trials: Option<u32>) -> Keep {
+        Keep { surface: surface.into(), user: "anna".into(), trials, good_only: true }
+    }
+
+    fn became(of: &Enrolment, outcome: EnrolledOutcome) -> Enrolled {
+        Enrolled {
+            scan: 1,
+            surface: of.surface.clone(),
+            user: of.user.clone(),
+            outcome,
+            trial: None,
+            folder: None,
+            remarks: Vec::new(),
+            wanted: 0,
+        }
+    }
+
+    fn label(claimed: Option<Enrolment>) -> Option<String> {
+        claimed.map(|enrolment| enrolment.surface)
+    }
+
+    fn in_force(orders: &Orders) -> Option<(String, Option<u32>)> {
+        orders.in_force().map(|now| (now.surface, now.wanted))
+    }
+
+    #[test]
+    fn an_order_during_a_scan_counts_from_the_next_one_on() {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(5)), 1);
+        // Scan 1 is in progress.
+        orders.give(keep("ash", Some(5)), 2);
+        assert_eq!(label(orders.claim(1)).as_deref(), Some("oak"));
+        assert_eq!(label(orders.claim(2)).as_deref(), Some("ash"));
+        // Scan 3 is in progress.
+        orders.end(4);
+        assert_eq!(label(orders.claim(3)).as_deref(), Some("ash"));
+        assert_eq!(label(orders.claim(4)), None);
+    }
+
+    #[test]
+    fn what_was_ordered_while_a_scan_is_written_stays_in_force() {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(1)), 1);
+        let oak = orders.claim(1).unwrap();
+        assert_eq!(in_force(&orders), None, "nothing more is to come");
+        orders.give(keep("ash", Some(2)), 2);
+        let counted = orders.count(&oak, became(&oak, EnrolledOutcome::Kept));
+        assert_eq!(counted.wanted, 0);
+        assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
+        // The same label and user again, under an order of its own.
+        let ash = orders.claim(2).unwrap();
+        orders.give(keep("ash", Some(2)), 3);
+        orders.count(&ash, became(&ash, EnrolledOutcome::Kept));
+        assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
+    }
+
+    #[test]
+    fn a_refused_scan_is_to_come_again_and_a_waiting_one_is_not() {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(1)), 1);
+        let oak = orders.claim(1).unwrap();
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Refused)).wanted, 1);
+        assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
+        let oak = orders.claim(2).unwrap();
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Waiting)).wanted, 1);
+        assert_eq!((in_force(&orders), label(orders.claim(3))), (None, None));
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 0);
+    }
+
+    #[test]
+    fn the_stations_own_order_goes_on_after_each_other_one() {
+        let mut orders = Orders::default();
+        orders.set_own(keep("felt", None));
+        assert_eq!(label(orders.claim(1)).as_deref(), Some("felt"));
+        orders.give(keep("oak", Some(1)), 2);
+        assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
+        assert_eq!(label(orders.claim(2)).as_deref(), Some("oak"));
+        // Not lost, though the one before may still be refused.
+        assert_eq!(label(orders.claim(3)).as_deref(), Some("felt"));
+        orders.end(4);
+        assert_eq!(label(orders.claim(4)).as_deref(), Some("felt"));
+        assert_eq!(in_force(&orders), Some(("felt".into(), None)));
+    }
+
+    #[test]
+    fn orders_that_cover_no_scan_are_forgotten() {
+        let mut orders = Orders::default();
+        (0..1000).for_each(|_| orders.give(keep("oak", Some(1)), 1));
+        assert_eq!(orders.given.len(), 1);
+        orders.give(keep("ash", Some(1)), 2);
+        assert_eq!(orders.given.len(), 2, "scan 1 is in progress");
+        assert_eq!(label(orders.claim(3)).as_deref(), Some("ash"), "scan 1 was given up");
+        assert_eq!(orders.given.len(), 1);
+    }
+}

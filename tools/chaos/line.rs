@@ -1,0 +1,123 @@
+//! The stylus and its line, and the account of what it sent.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::Failure;
+use crate::dice::Dice;
+use crate::disk::Disk;
+use crate::scripted::{Noise, Sample, scan};
+use crate::stylus::Fake;
+
+/// What may be lost without a trace when a line breaks: what was under way, in samples.
+const TAIL: u64 = 4000;
+/// Samples of a frame.
+const FRAME: u64 = 32;
+
+/// What the stylus samples, again and again: a scan of each surface.
+pub struct Tape(Arc<Vec<Sample>>);
+
+impl Tape {
+    pub fn new(disk: &Disk) -> Result<Self, Failure> {
+        let mut samples = Vec::new();
+        for entry in disk.data.entries.iter().filter(|entry| entry.key.number == 4) {
+            samples.extend(scan(&entry.load()?, 1.0, &mut Noise(1)));
+        }
+        Ok(Self(Arc::new(samples)))
+    }
+}
+
+/// A stylus that is plugged in, and unplugged, and plugged in again.
+pub struct Line<'a> {
+    link: PathBuf,
+    tape: &'a Tape,
+    fake: Fake,
+    /// Samples before its index last began anew.
+    before: u64,
+    /// What nobody can know whether it was lost.
+    pub unknowable: u64,
+}
+
+impl<'a> Line<'a> {
+    pub fn new(dir: &Path, tape: &'a Tape) -> Self {
+        let link = dir.join("stylus");
+        let fake = plug(&link, tape);
+        Self { link, tape, fake, before: 0, unknowable: 0 }
+    }
+
+    /// Samples taken so far, sent or not.
+    pub fn sent(&self) -> u64 {
+        self.before + self.fake.next.unwrap_or(0)
+    }
+
+    pub fn serve(&mut self, seconds: f64) {
+        self.fake.serve(seconds);
+    }
+
+    pub fn obey(&mut self) {
+        self.fake.obey();
+    }
+
+    /// Waits until it is started; false if it is not.
+    pub fn is_started(&mut self) -> bool {
+        let begin = Instant::now();
+        while self.fake.next.is_none() {
+            self.fake.obey();
+            if begin.elapsed() > Duration::from_secs(15) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// What it sampled last waits in it, and comes late.
+    pub fn stall(&mut self, dice: &mut Dice) {
+        std::thread::sleep(Duration::from_secs_f64(dice.between(0.05, 1.5)));
+    }
+
+    /// Frames do not arrive.
+    pub fn lose(&mut self, dice: &mut Dice) {
+        if let Some(next) = &mut self.fake.next {
+            *next += FRAME * (1 + dice.below(200));
+        }
+    }
+
+    /// Bytes arrive that it did not send; they may hit a frame.
+    pub fn garbage(&mut self, dice: &mut Dice) {
+        let count = 1 + dice.below(4000) as usize;
+        self.fake.put(&dice.bytes(count));
+        self.unknowable += 2 * FRAME;
+    }
+
+    /// It names itself over and over.
+    pub fn hellos(&mut self, dice: &mut Dice) {
+        (0..1 + dice.below(30)).for_each(|_| self.fake.hello());
+    }
+
+    /// It is unplugged, and plugged in again later.
+    pub fn replug(&mut self, dice: &mut Dice) {
+        self.before = self.sent();
+        self.unknowable += TAIL;
+        self.fake.next = None;
+        let _ = std::fs::remove_file(&self.link);
+        std::thread::sleep(Duration::from_secs_f64(dice.between(0.0, 1.0)));
+        // The one before is unplugged by this.
+        self.fake = plug(&self.link, self.tape);
+    }
+
+    /// It loses power for a moment, and does not sample until it is started again.
+    pub fn restart(&mut self) {
+        self.before = self.sent();
+        self.unknowable += TAIL;
+        self.fake.next = None;
+    }
+}
+
+fn plug(link: &Path, tape: &Tape) -> Fake {
+    let tape = tape.0.clone();
+    let values = move |index: u64, channel: usize| tape[index as usize % tape.len()][channel];
+    let mut fake = Fake::with(link, Box::new(values));
+    fake.scales[6] = 1.0 / 32_767.0;
+    fake
+}
