@@ -156,6 +156,10 @@ pub fn run(args: &Args) -> Done {
     }
     result!("\n{}", answer.line());
     result!("{}", found.in_words(answer.scan_s()).trim_end());
+    show::next(&format!(
+        "surfaced plan {} finds the cheapest sources, scan time and method for these surfaces",
+        show::quoted(&args.lib)
+    ));
     Ok(())
 }
 

@@ -49,4 +49,4 @@ pub use reference::{
     score_sets,
 };
 pub use shape::{LibraryShape, SourceShape};
-pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
+pub use spec::{MOST_COUNT, MethodName, MethodSpec, NoOptions, TreeOptions};

@@ -3,6 +3,7 @@
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -13,15 +14,18 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::metrics::{Around, Metrics};
-use super::settings::Settings;
+use super::settings::{Settings, Shelf};
+use super::shelf::{CheckView, Checks};
 use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
+use crate::history::{History, Precision};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
+use crate::trial::Image;
 
 /// How often figures of the streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
@@ -37,6 +41,12 @@ pub struct Hub {
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
+    /// Past scans.
+    pub history: Arc<History>,
+    /// The library that may be edited.
+    pub library: Option<Shelf>,
+    /// Its audit.
+    pub checks: Checks,
 }
 
 /// What is behind the lock.
@@ -46,6 +56,8 @@ pub struct Inner {
     pub metrics: Metrics,
     subscribers: Subscribers,
     tracer: Tracer,
+    /// The latest picture of each camera stream.
+    pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
 }
@@ -96,8 +108,9 @@ impl Inner {
     }
 
     /// All figures.
-    pub fn metrics(&self, missed_notices: u64) -> String {
+    pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
         self.metrics.text(&Around {
+            precision,
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -147,7 +160,8 @@ impl Inner {
             }
             StationEvent::Trace(trace) => {
                 let event = self.tracer.add(trace);
-                if !event.streams.is_empty() {
+                self.pictures.extend(trace.images.iter().cloned());
+                if !(event.streams.is_empty() && event.pictures.is_empty()) {
                     self.publish(EventKind::Trace, &event);
                 }
             }
@@ -162,7 +176,7 @@ impl Inner {
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
             // The state holds it, and its change is published.
-            StationEvent::Enrolling(_) | StationEvent::Alive => {}
+            StationEvent::Enrolling(_) | StationEvent::Alive | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(_) => {
                 let library = self.state.library.clone();
@@ -199,10 +213,22 @@ impl Hub {
             metrics: Metrics::default(),
             subscribers: Subscribers::default(),
             tracer: Tracer::default(),
+            pictures: BTreeMap::new(),
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };
-        Self { inner: Mutex::new(inner), orders, missed, most_subscribers: settings.limits.readers }
+        let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
+        let library = settings.library.clone();
+        let checks = Checks::new(settings.check.clone());
+        Self {
+            inner: Mutex::new(inner),
+            orders,
+            missed,
+            most_subscribers,
+            history,
+            library,
+            checks,
+        }
     }
 
     /// What is behind the lock.
@@ -213,11 +239,18 @@ impl Hub {
 
     /// All figures.
     pub fn metrics(&self) -> String {
-        self.lock().metrics(self.missed.load(Ordering::Relaxed))
+        let precision = self.history.precision();
+        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
     }
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.
     fn take(&self, notice: &StationEvent) {
+        if let StationEvent::Answer(answer) = notice
+            && !self.history.is_on_disk()
+        {
+            // In memory alone, where nothing can fail.
+            let _ = self.history.answered(answer);
+        }
         let inner = &mut *self.lock();
         inner.change(|inner| inner.take(notice));
         if let StationEvent::Enrolled(enrolled) = notice
@@ -227,6 +260,16 @@ impl Hub {
             // A station that is too busy for it leaves it to the operator.
             let _ = self.orders.try_send(Command::Reload);
         }
+    }
+
+    /// Publishes that an audit has begun or ended.
+    pub fn checked(&self, check: &CheckView) {
+        self.lock().publish(EventKind::Check, check);
+    }
+
+    /// Publishes that a scan was corrected, or became a trial.
+    pub fn corrected(&self, scan: &serde_json::Value) {
+        self.lock().publish(EventKind::Correction, scan);
     }
 
     /// One subscriber more, unless there are too many.

@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime};
 
@@ -13,6 +14,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
 use super::orders::Enrolment;
+use super::recogniser::Recogniser;
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, append_trial, utc};
 use crate::scan::Scan;
@@ -47,9 +49,12 @@ impl ScanStore {
 /// What became of a scan, and the enrolment that it belongs to.
 pub(super) type Stored = (Enrolment, Enrolled);
 
+/// A scan, the enrolment that it belongs to, and what it is compared with.
+type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
+
 /// The thread, and its two ends.
 pub(super) struct RecordingThread {
-    scans: Sender<(Box<Scan>, Enrolment)>,
+    scans: Sender<ToStore>,
     pub stored: Receiver<Stored>,
     thread: JoinHandle<()>,
 }
@@ -69,9 +74,10 @@ impl RecordingThread {
         Ok(Self { scans, stored, thread })
     }
 
-    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment) {
+    /// Stores a scan, and says what `by` would have named it.
+    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         // Fails only if the thread has panicked, and then nothing is reported as stored either.
-        let _ = self.scans.send((scan, enrolment));
+        let _ = self.scans.send((scan, enrolment, by));
     }
 
     /// Gives what is still to come, after a last attempt to write what waits.
@@ -90,6 +96,8 @@ struct Waiting {
     scan: Box<Scan>,
     enrolment: Enrolment,
     remarks: Vec<String>,
+    /// As [`Enrolled::nearest`].
+    nearest: Option<String>,
 }
 
 struct Writer {
@@ -102,14 +110,14 @@ struct Writer {
 
 impl Writer {
     /// Stores scans until there will be no more.
-    fn run(&mut self, scans: &Receiver<(Box<Scan>, Enrolment)>) {
+    fn run(&mut self, scans: &Receiver<ToStore>) {
         loop {
             let next = match self.waiting.is_empty() {
                 true => scans.recv().map_err(|_| RecvTimeoutError::Disconnected),
                 false => scans.recv_timeout(RETRY),
             };
             match next {
-                Ok((scan, enrolment)) => self.accept(scan, enrolment),
+                Ok(scan) => self.accept(scan),
                 Err(RecvTimeoutError::Timeout) => self.retry(),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -126,10 +134,11 @@ impl Writer {
     }
 
     /// Stores a new scan, unless it is refused.
-    fn accept(&mut self, scan: Box<Scan>, enrolment: Enrolment) {
+    fn accept(&mut self, (scan, enrolment, by): ToStore) {
         let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
         let refused = enrolment.good_only && !remarks.is_empty();
-        let mut new = Waiting { scan, enrolment, remarks };
+        let nearest = by.filter(|_| !refused).and_then(|by| nearest(&by, &scan));
+        let mut new = Waiting { scan, enrolment, remarks, nearest };
         if refused {
             return self.report(&new, EnrolledOutcome::Refused, None);
         }
@@ -192,6 +201,7 @@ impl Writer {
             trial,
             folder,
             remarks: of.remarks.clone(),
+            nearest: of.nearest.clone(),
             wanted: 0,
         };
         // Fails only if the station has panicked.
@@ -222,6 +232,14 @@ impl Writer {
     }
 }
 
+/// The surface that a library would name a scan.
+fn nearest(by: &Recogniser, scan: &Scan) -> Option<String> {
+    // A method that panics must not take the recording with it.
+    let named = std::panic::AssertUnwindSafe(|| Some(by.verdict(scan, by.rank(scan).ok()?)));
+    let verdict = std::panic::catch_unwind(named).ok()??;
+    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
+}
+
 #[cfg(test)]
 mod tests {
     use std::time::Instant;
@@ -230,8 +248,17 @@ mod tests {
     use crate::trial::{Series, Signal};
 
     fn scan(number: u32) -> Box<Scan> {
-        let series = Series::new(10_000.0, 1, (0..100).map(|x| x as f32 / 128.0).collect());
-        let signals = [(SourceId::new("ir").unwrap(), Signal::Series(series.unwrap()))];
+        scan_at(number, 0.0)
+    }
+
+    /// One whose sources all have this level.
+    fn scan_at(number: u32, level: f32) -> Box<Scan> {
+        let signal = |channels: usize| {
+            let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
+            Signal::Series(Series::new(10_000.0, channels, samples).unwrap())
+        };
+        let signals = [("ir", 1), ("fr", 2), ("ac", 3)]
+            .map(|(id, channels)| (SourceId::new(id).unwrap(), signal(channels)));
         Box::new(Scan {
             number,
             trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
@@ -260,7 +287,7 @@ mod tests {
         let outcomes = |n: usize| -> Vec<_> {
             (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
         };
-        (1..=2).for_each(|number| thread.store(scan(number), enrolment()));
+        (1..=2).for_each(|number| thread.store(scan(number), enrolment(), None));
         use EnrolledOutcome::{Kept, Lost, Waiting};
         assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
         std::fs::remove_file(&folder).unwrap();
@@ -268,28 +295,42 @@ mod tests {
         assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
         std::fs::remove_dir_all(&folder).unwrap();
         std::fs::write(&folder, "").unwrap();
-        thread.store(scan(3), enrolment());
+        thread.store(scan(3), enrolment(), None);
         assert_eq!(outcomes(1), [(3, Waiting)]);
         let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
         assert_eq!(last, [(3, Lost)]);
     }
 
     #[test]
-    fn two_that_record_under_one_label_both_keep_every_scan() {
+    fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
         let dir = tempfile::tempdir().unwrap();
         let start = || {
             let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
             RecordingThread::start(store).unwrap()
         };
         let both = [start(), start()];
+        // Of one process, so with one process number, as in two containers.
         for number in 1..=8 {
-            both.iter().for_each(|thread| thread.store(scan(number), enrolment()));
+            for (thread, level) in both.iter().zip([0.0, 0.5]) {
+                thread.store(scan_at(number, level), enrolment(), None);
+            }
         }
         for thread in both {
             assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
         }
         let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
         assert_eq!(library.entries.len(), 16);
+        let level = |signal: &Signal| match signal {
+            Signal::Series(series) => series.samples()[0],
+            Signal::Image(_) => f32::NAN,
+        };
+        let mut of_each = [0, 0];
+        for entry in library.entries {
+            let levels: Vec<f32> = entry.load().unwrap().signals.values().map(level).collect();
+            assert!(levels.len() == 3 && levels.iter().all(|x| *x == levels[0]), "{levels:?}");
+            of_each[usize::from(levels[0] > 0.25)] += 1;
+        }
+        assert_eq!(of_each, [8, 8]);
     }
 
     #[test]
@@ -298,13 +339,13 @@ mod tests {
         let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
         let thread = RecordingThread::start(store).unwrap();
         let number = || thread.stored.recv().unwrap().1.trial;
-        thread.store(scan(1), enrolment());
+        thread.store(scan(1), enrolment(), None);
         assert_eq!(number(), Some(1));
         let script = dir.path().join("oak/trial2");
         std::fs::create_dir(&script).unwrap();
         std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
         std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
-        thread.store(scan(2), enrolment());
+        thread.store(scan(2), enrolment(), None);
         assert_eq!(number(), Some(3));
     }
 }

@@ -1,6 +1,10 @@
 // Draws the signals: the last seconds of each stream, or its spectrum.
 
 const WINDOW_S = 6;
+// Without data for so long, a stream is shown as stalled.
+const STALLED_MS = 700;
+// Columns of a spectrogram, five a second.
+const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
 let view = "traces";
@@ -13,7 +17,7 @@ const place = document.getElementById("plots");
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   const of = (name) => style.getPropertyValue(name).trim();
-  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft") };
+  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft"), idle: of("--idle"), bad: of("--bad") };
   ask();
 }
 
@@ -36,17 +40,19 @@ function stream(source) {
   canvas.dataset.source = source;
   head.append(name, note, lost);
   box.append(head, canvas);
-  known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, fresh: false, range: null };
+  known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, columns: [], fresh: false, range: null,
+    arrived: performance.now(), stalled: false };
   streams.set(source, known);
   // In order of names, whatever came first.
-  const after = [...place.children].find((other) => other.querySelector("strong").textContent > source);
+  const after = [...place.children].find((other) =>
+    other.classList.contains("camera") || other.querySelector("strong").textContent > source);
   place.insertBefore(box, after ?? null);
   return known;
 }
 
 // Takes in an event of type `trace`.
 export function trace(event) {
-  for (const { source, bin_s, start_s, min, max } of event.streams) {
+  for (const { source, bin_s, start_s, min, max, clipped } of event.streams) {
     const s = stream(source);
     const last = s.bins[s.bins.length - 1];
     const expected = last ? last.at + bin_s : start_s;
@@ -55,21 +61,102 @@ export function trace(event) {
     s.bin_s = bin_s;
     const count = min[0]?.length ?? 0;
     for (let i = 0; i < count; i++) {
-      s.bins.push({ at: start_s + i * bin_s, min: min.map((m) => m[i]), max: max.map((m) => m[i]) });
+      s.bins.push({ at: start_s + i * bin_s, min: min.map((m) => m[i]), max: max.map((m) => m[i]), clipped: clipped?.includes(i) });
     }
     const end = s.bins[s.bins.length - 1].at;
     const first = s.bins.findIndex((bin) => bin.at > end - WINDOW_S);
     s.bins.splice(0, first);
     s.fresh = true;
+    s.arrived = performance.now();
+    if (s.stalled) revive(s);
   }
+  for (const source of event.pictures ?? []) picture(source);
   if (view === "traces") ask();
 }
+
+const cameras = new Map();
+
+// What a camera sees: its latest picture, at most twice a second, and the next one only once the
+// last has come.
+function picture(source) {
+  let camera = cameras.get(source);
+  if (!camera) {
+    place.querySelector(".empty")?.remove();
+    const box = document.createElement("figure");
+    box.className = "plot camera";
+    const image = document.createElement("img");
+    image.alt = `what the camera sees, ${source}`;
+    const head = document.createElement("div");
+    const name = document.createElement("strong");
+    name.textContent = source;
+    const note = document.createElement("span");
+    note.textContent = "the whole picture is compared";
+    head.append(name, note);
+    box.append(head, image);
+    place.append(box);
+    camera = { box, image, note, busy: false, asked: 0, arrived: 0 };
+    image.addEventListener("load", () => (camera.busy = false));
+    image.addEventListener("error", () => (camera.busy = false));
+    cameras.set(source, camera);
+  }
+  camera.arrived = performance.now();
+  delete camera.box.dataset.stalled;
+  if (camera.busy || camera.arrived - camera.asked < 500 || document.hidden) return;
+  [camera.busy, camera.asked] = [true, camera.arrived];
+  camera.note.textContent = "the whole picture is compared";
+  camera.image.src = `/api/v1/pictures/${source}.jpg?at=${Math.round(camera.arrived)}`;
+}
+
+function revive(s) {
+  s.stalled = false;
+  s.fresh = true;
+  delete s.box.dataset.stalled;
+  s.canvas.setAttribute("aria-label", `signal of ${s.source}`);
+}
+
+// A stream that brings nothing is grey, with the time since its last sample: never a frozen trace.
+function findStalled() {
+  const now = performance.now();
+  for (const s of streams.values()) {
+    // A recording's tap comes now and then; a device that is there always brings something.
+    const device = [...streams.values()].filter((other) => other.device === s.device);
+    const silent_ms = now - Math.max(...device.map((other) => other.arrived));
+    if (silent_ms < STALLED_MS) {
+      if (s.stalled) revive(s);
+      continue;
+    }
+    if (!s.stalled) {
+      s.stalled = true;
+      s.box.dataset.stalled = "true";
+      s.fresh = true;
+      s.columns = [];
+      ask();
+    }
+    const text = `no data for ${(silent_ms / 1000).toFixed(silent_ms < 10000 ? 1 : 0)} s`;
+    s.note.textContent = text;
+    s.canvas.setAttribute("aria-label", `signal of ${s.source}: ${text}`);
+  }
+}
+setInterval(findStalled, 250);
+
+// A camera takes its time between pictures.
+setInterval(() => {
+  for (const camera of cameras.values()) {
+    const silent_ms = performance.now() - camera.arrived;
+    if (silent_ms < 5 * STALLED_MS) continue;
+    camera.box.dataset.stalled = "true";
+    camera.note.textContent = `no picture for ${(silent_ms / 1000).toFixed(0)} s`;
+  }
+}, 1000);
 
 // Takes in an event of type `spectrum`.
 export function spectrum(event) {
   for (const bands of event.streams) {
     const s = stream(bands.source);
+    if (s.stalled) continue;
     s.spectrum = bands;
+    s.columns.push(bands.db);
+    s.columns.splice(0, s.columns.length - COLUMNS);
     if (view === "spectra") s.fresh = true;
   }
   if (view === "spectra") ask();
@@ -77,9 +164,10 @@ export function spectrum(event) {
 
 // Shows what was lost.
 export function losses(list) {
-  for (const { source, lost } of list) {
+  for (const { source, device, lost } of list) {
     const s = streams.get(source);
     if (!s) continue;
+    s.device = device;
     s.lost.textContent = lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} lost`;
     s.lost.dataset.any = String(lost > 0);
   }
@@ -125,12 +213,13 @@ function columns(s, w) {
   const wide = Math.max(1, Math.floor(WINDOW_S / s.bin_s / w));
   const all = [];
   let group = null;
-  for (const { at, min, max } of s.bins) {
+  for (const { at, min, max, clipped } of s.bins) {
     const of = min ? Math.floor(Math.round(at / s.bin_s) / wide) : null;
     if (of === null || of !== group) {
-      all.push(min ? { at, min: [...min], max: [...max] } : { at, min: null });
+      all.push(min ? { at, min: [...min], max: [...max], clipped } : { at, min: null });
     } else {
       const last = all[all.length - 1];
+      last.clipped ||= clipped;
       for (let channel = 0; channel < min.length; channel++) {
         last.min[channel] = Math.min(last.min[channel], min[channel]);
         last.max[channel] = Math.max(last.max[channel], max[channel]);
@@ -166,7 +255,7 @@ function drawTrace(s, pen, w, h, ratio) {
   pen.fillStyle = colours.grid;
   for (let second = Math.ceil(end - WINDOW_S); second < end; second++) pen.fillRect(x(second), 0, ratio, h);
   for (let channel = channels - 1; channel >= 0; channel--) {
-    pen.strokeStyle = colours.traces[channel % colours.traces.length];
+    pen.strokeStyle = s.stalled ? colours.idle : colours.traces[channel % colours.traces.length];
     pen.lineWidth = 1.2 * ratio;
     pen.beginPath();
     let drawing = false;
@@ -180,11 +269,41 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
+  // Where a channel runs into its limit: a mark above.
+  const clipped = bins.filter((bin) => bin.clipped);
+  pen.fillStyle = colours.bad;
+  for (const bin of clipped) pen.fillRect(x(bin.at), 0, Math.max(w * s.bin_s / WINDOW_S, 2 * ratio), 4 * ratio);
+  s.box.dataset.clipped = String(clipped.length > 0);
+  s.canvas.title = clipped.length ? "clipped: lower the gain, or press less" : "";
+  if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + (low === high ? short(low) : `${short(low)} to ${short(high)}`);
 }
 
-function drawSpectrum(s, pen, w, h, ratio) {
+// The spectrum of now to the right, those of the last seconds to the left: time runs to the right,
+// frequency upwards.
+function drawSpectrum(s, pen, whole, h, ratio) {
   if (!s.spectrum) return;
+  const left = Math.round(whole * 0.4);
+  drawSpectrogram(s, pen, left - 4 * ratio, h);
+  pen.save();
+  pen.translate(left, 0);
+  drawBands(s, pen, whole - left, h, ratio);
+  pen.restore();
+}
+
+function drawSpectrogram(s, pen, w, h) {
+  const top = s.top ?? -60;
+  pen.fillStyle = s.stalled ? colours.idle : colours.traces[0];
+  s.columns.forEach((db, i) => {
+    const x = w * (COLUMNS - s.columns.length + i) / COLUMNS;
+    db.forEach((value, band) => {
+      pen.globalAlpha = Math.max(0, Math.min(1, (value - (top - 60)) / 60)) ** 1.5;
+      pen.fillRect(x, h * (1 - (band + 1) / db.length), w / COLUMNS + 0.5, h / db.length + 0.5);
+    });
+  });
+  pen.globalAlpha = 1;
+}
+
+function drawBands(s, pen, w, h, ratio) {
   const { from_hz, to_hz, db } = s.spectrum;
   const x = (hz) => w * Math.log(hz / from_hz) / Math.log(to_hz / from_hz);
   pen.fillStyle = colours.grid;
@@ -196,19 +315,22 @@ function drawSpectrum(s, pen, w, h, ratio) {
   const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
   const y = (value) => h - (h - 17 * ratio) * Math.max(0, value - (s.top - 60)) / 60;
-  pen.fillStyle = colours.traces[0];
+  pen.fillStyle = s.stalled ? colours.idle : colours.traces[0];
   db.forEach((value, band) => {
     const left = w * band / db.length;
     pen.fillRect(left, y(value), Math.max(w / db.length - ratio, ratio), h - y(value));
   });
   pen.fillStyle = colours.soft;
+  let free = 0;
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     const text = hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`;
     const room = w - x(hz) > pen.measureText(text).width + 4 * ratio;
-    pen.textAlign = room ? "left" : "right";
-    pen.fillText(text, x(hz) + (room ? 3 : -3) * ratio, 12 * ratio);
+    // No label over the one before.
+    if (!room || x(hz) < free) continue;
+    pen.fillText(text, x(hz) + 3 * ratio, 12 * ratio);
+    free = x(hz) + pen.measureText(text).width + 8 * ratio;
   }
-  s.note.textContent = `top ${Math.round(s.top)} dB`;
+  if (!s.stalled) s.note.textContent = `top ${Math.round(s.top)} dB`;
 }
 
 function short(value) {

@@ -55,7 +55,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     }
     let Ok(serve) = file.serve.get_ref().parse::<SocketAddr>() else {
         let problem = format!(
-            "serve = \"{}\"; expected for example \"127.0.0.1:8108\"",
+            "serve = \"{}\"; expected for example \"127.0.0.1:8080\"",
             file.serve.get_ref()
         );
         return mistake(&file.serve, problem);
@@ -91,7 +91,22 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         detection,
         by_t_star,
         trials,
+        keep_mb: file.history.keep_mb,
+        http: output("http", file.outputs.http.as_ref())?,
+        mqtt: output("mqtt", file.outputs.mqtt.as_ref())?,
     })
+}
+
+/// An address of `[outputs]`.
+fn output<A: std::str::FromStr<Err = String>>(
+    key: &str,
+    value: Option<&Spanned<String>>,
+) -> Result<Option<A>, Mistake> {
+    let Some(value) = value else { return Ok(None) };
+    match value.get_ref().parse() {
+        Ok(address) => Ok(Some(address)),
+        Err(problem) => mistake(value, format!("{key}: {problem}")),
+    }
 }
 
 /// A finite number above 0.
