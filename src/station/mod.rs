@@ -10,6 +10,7 @@ mod certainty;
 pub mod config;
 mod enroll;
 mod event;
+mod followed;
 mod orders;
 mod recogniser;
 mod run;
