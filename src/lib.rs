@@ -56,6 +56,7 @@ pub mod device;
 mod draw;
 pub mod duration;
 pub mod evaluate;
+pub mod history;
 mod jpeg;
 pub mod kernel;
 pub mod library;

@@ -123,6 +123,7 @@ fn store(
             keep: Some(keep),
             listeners: vec![count],
             hint,
+            check: None,
             json: args.json,
             serve: args.serve.clone(),
         },

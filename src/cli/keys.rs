@@ -37,13 +37,17 @@ impl Keys {
         let read = move || {
             // Through a handle of its own, which it may hold for ever.
             for key in std::io::stdin().lock().bytes() {
-                let command = match key {
-                    Ok(b' ') if scanning.load(Ordering::Acquire) => Command::Stop,
-                    Ok(b' ') => Command::Start,
-                    Ok(b'q' | b'Q') => Command::Quit,
+                let (command, does) = match key {
+                    Ok(b' ') if scanning.load(Ordering::Acquire) => {
+                        (Command::Stop, "ends the scan")
+                    }
+                    Ok(b' ') => (Command::Start, "begins a scan"),
+                    Ok(b'q' | b'Q') => (Command::Quit, "quits"),
                     Ok(_) => continue,
                     Err(_) => return,
                 };
+                // At once, whatever the station is busy with.
+                say!("the key {does}");
                 if commands.send(command).is_err() {
                     return;
                 }

@@ -1,6 +1,6 @@
 //! What the commands share that work with live devices: `run`, `enroll` and `record`.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -17,9 +17,12 @@ use super::terminal::Terminal;
 use super::{Done, Failure};
 use crate::dataset;
 use crate::device::serial::Selector;
+use crate::history::{self, History, Keeper};
+use crate::library::lock::LibraryLock;
 use crate::recognise::{LOOK_S, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
+use crate::serve::{Audit, Settings, Shelf};
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
     Assembled, Command, DurationRequirements, Keep, LibraryState, Listener, Load, Recogniser,
@@ -85,6 +88,7 @@ pub fn load(
     let (path, scene) = (path.to_path_buf(), scene.clone());
     let (how, answers) = (how.clone(), answers.clone());
     Arc::new(move || {
+        let _lock = LibraryLock::for_reading(&path);
         let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
         let usable = || {
             let scene = how.narrow(library.scene.clone())?;
@@ -109,11 +113,21 @@ pub fn load(
         let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
         let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
-        let requirements = DurationRequirements::of(&scene, entries, state.synthetic);
-        let mut by = Recogniser::new(model, requirements, state);
+        let requirements = DurationRequirements::of(&scene, entries.clone(), state.synthetic);
+        let mut by = Recogniser::new(model, requirements, state).with_trials(&entries);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
         Ok(Arc::new(by))
     })
+}
+
+/// Audits a library, each time that it is called.
+pub fn check(path: &Path, how: &Comparing) -> Audit {
+    let (path, how) = (path.to_path_buf(), how.clone());
+    Audit(Arc::new(move || {
+        super::check::audit(&path, &how, false).map_err(|failure| match failure {
+            Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text) => text,
+        })
+    }))
 }
 
 /// That no scan of a station can be compared with its library.
@@ -149,6 +163,8 @@ pub struct Work<'a> {
     pub listeners: Vec<Listen<'a>>,
     /// What a person is to do, shown while there is nothing else to show.
     pub hint: String,
+    /// Audits the library, if that can be asked for.
+    pub check: Option<Audit>,
     /// Prints lines of JSON.
     pub json: bool,
     /// Whether it is shown on a page.
@@ -184,7 +200,14 @@ pub fn work(
         devices: assembled.device_of,
         by_t_star: config.by_t_star.clone(),
     };
+    let shelf = Shelf { folder: store.folder.clone(), scene: store.scene.clone() };
+    let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
+    let mut history = Arc::default();
+    if work.load.is_some() {
+        let folder = shelf.folder.join(history::FOLDER);
+        (station, history) = keep_scans(station, &folder, config.keep_mb, (&shelf.scene, devices))?;
+    }
     let commands = station.commands();
     if let Some(load) = work.load {
         station = station.load(load);
@@ -202,7 +225,9 @@ pub fn work(
         station = station.listener(listen(commands.clone()));
     }
     let supervisor = Supervisor::new(commands.clone())?;
-    let (station, _server) = work.serve.start(station.listener(supervisor), config.serve, true)?;
+    let (address, library) = (config.serve, Some(shelf));
+    let settings = Settings { address, library, check: work.check, history, ..Settings::default() };
+    let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;
@@ -211,6 +236,31 @@ pub fn work(
         station.emit(&StationEvent::Warning(what));
     }
     Ok(station.run()?)
+}
+
+/// Keeps the scans of a station in a folder, of at most `keep_mb` million bytes. Where that cannot
+/// be, people learn why, and answers are remembered for as long as the program runs. `sources` are
+/// what they are, and the device of each.
+pub fn keep_scans<'a>(
+    station: Station<'a>,
+    folder: &Path,
+    keep_mb: u32,
+    sources: (&Scene, BTreeMap<String, String>),
+) -> Result<(Station<'a>, Arc<History>), Failure> {
+    if keep_mb == 0 {
+        return Ok((station, Arc::default()));
+    }
+    match History::open(folder, u64::from(keep_mb) * 1_000_000) {
+        Ok(history) => {
+            let history = Arc::new(history);
+            let keeper = Keeper::start(history.clone(), sources.0.clone(), sources.1)?;
+            Ok((station.listener(keeper), history))
+        }
+        Err(error) => {
+            say!("warning: scans are not kept: {error}");
+            Ok((station, Arc::default()))
+        }
+    }
 }
 
 /// How a command with live devices ends.

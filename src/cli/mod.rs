@@ -9,6 +9,7 @@ mod say;
 mod answers;
 mod bad_files;
 mod chart;
+mod check;
 mod choose;
 mod compare;
 mod completion;
@@ -19,7 +20,9 @@ mod enroll;
 mod eval;
 mod export;
 mod figure;
+mod history;
 mod keys;
+mod library;
 mod lines;
 mod live;
 mod log;
@@ -70,6 +73,9 @@ enum CliCommand {
     Enroll(enroll::EnrollArgs),
     Record(enroll::RecordArgs),
     Eval(eval::Args),
+    Check(check::Args),
+    Library(library::Args),
+    History(history::Args),
     Chart(chart::Args),
     Plan(plan::Args),
     Stress(stress::Args),
@@ -112,6 +118,9 @@ pub fn run() -> ExitCode {
         CliCommand::Enroll(args) => enroll::enroll(&args),
         CliCommand::Record(args) => enroll::record(&args),
         CliCommand::Eval(args) => eval::run(&args),
+        CliCommand::Check(args) => check::run(&args),
+        CliCommand::Library(args) => library::run(&args),
+        CliCommand::History(args) => history::run(&args),
         CliCommand::Chart(args) => chart::run(&args),
         CliCommand::Plan(args) => plan::run(&args),
         CliCommand::Stress(args) => stress::run(&args),

@@ -11,7 +11,10 @@ pub struct ProtocolArg(pub Protocol);
 
 impl ValueEnum for ProtocolArg {
     fn value_variants<'a>() -> &'a [Self] {
-        &const { [Self(Protocol::ALL[0]), Self(Protocol::ALL[1]), Self(Protocol::ALL[2])] }
+        &const {
+            let [a, b, c, d] = Protocol::ALL;
+            [Self(a), Self(b), Self(c), Self(d)]
+        }
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
@@ -24,6 +27,9 @@ impl ValueEnum for ProtocolArg {
             }
             Protocol::AllVsOneUser => {
                 "Each user is a fold; the library is everybody else (10 vs 1)"
+            }
+            Protocol::RandomHalves => {
+                "50 folds: a random half of a person's trials of each surface against the other half"
             }
         };
         Some(PossibleValue::new(self.0.name()).help(help))

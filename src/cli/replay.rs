@@ -1,6 +1,6 @@
 //! `surfaced replay`: plays recordings through the rings as if they were live, and names them.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -17,11 +17,13 @@ use super::{Done, Failure, live, say, show};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, first_seconds};
+use crate::history;
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::serve::Settings;
+use crate::serve::{Settings, Shelf};
+use crate::station::config::StationConfig;
 use crate::station::{
     DurationRequirements, LibraryState, Recogniser, ScanStore, Station, StationEvent,
 };
@@ -177,8 +179,21 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
         let load = live::load(folder, &stage.scene, how, &args.answers, None);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
-    let address = Settings::default().address;
-    let (mut station, server) = args.serve.start(station, address, library.is_some())?;
+    let mut settings = Settings { enrolls: library.is_some(), ..Settings::default() };
+    // Without a library, scans are kept until the program ends.
+    let until_end = tempfile::tempdir()?;
+    if args.serve.is_wanted() {
+        let folder = library.map_or(until_end.path(), PathBuf::as_path).join(history::FOLDER);
+        let keep_mb = StationConfig::embedded().keep_mb;
+        let sources = (&stage.scene, BTreeMap::new());
+        (station, settings.history) = live::keep_scans(station, &folder, keep_mb, sources)?;
+        settings.library = library.map(|folder| {
+            let (folder, scene) = (folder.clone(), stage.scene.clone());
+            Shelf { folder, scene }
+        });
+        settings.check = library.map(|folder| live::check(folder, how));
+    }
+    let (mut station, server) = args.serve.start(station, settings)?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
@@ -210,8 +225,9 @@ fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
-    let needs = DurationRequirements::of(&stage.scene, compared, stage.synthetic);
-    let mut recogniser = Recogniser::with_folds(models, fold_of, needs, library);
+    let needs = DurationRequirements::of(&stage.scene, compared.clone(), stage.synthetic);
+    let mut recogniser =
+        Recogniser::with_folds(models, fold_of, needs, library).with_trials(&compared);
     let applied = args.answers.apply(&mut recogniser)?;
     applied.remarks.iter().for_each(|remark| say!("{remark}"));
     Ok((recogniser, applied.follows))

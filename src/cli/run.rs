@@ -1,7 +1,7 @@
 //! `surfaced run`: the station at work, with the devices that are there.
 
 use super::answers::AnswerArgs;
-use super::live::{StationArgs, Work, given, library_of, load, verdict, work};
+use super::live::{StationArgs, Work, check, given, library_of, load, verdict, work};
 use super::plan::ComparingArgs;
 use super::{Done, Failure, shown};
 use crate::station::assemble;
@@ -38,6 +38,7 @@ pub fn run(args: &Args) -> Done {
             shown(&library)
         )));
     }
+    let check = Some(check(&library, &how));
     let assembled = assemble(&config);
     let given = Some(given(&assembled));
     let load = load(&library, &config.scene, &how, &args.answers, given);
@@ -53,6 +54,7 @@ pub fn run(args: &Args) -> Done {
             hint: format!(
                 "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
             ),
+            check,
             json: args.station.json,
             serve: args.station.serve.clone(),
         },

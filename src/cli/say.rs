@@ -1,9 +1,10 @@
 //! Text for people: results on stdout, all else on stderr, whatever has become of either.
 //!
-//! A daemon outlives its log. A line that cannot be written, because stderr is closed or its disk
+//! A daemon outlives its log. A line that cannot be written, because its reader is gone or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
 
 use std::io::{self, Write};
+use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -18,8 +19,8 @@ const ATOMIC: usize = 4096;
 
 /// Whether devices are at work, which must not wait for a reader.
 static LIVE: AtomicBool = AtomicBool::new(false);
-/// Whether the reader did not take the last line.
-static STALLED: AtomicBool = AtomicBool::new(false);
+/// Whether the reader of stdout, and that of stderr, did not take the last line.
+static STALLED: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 /// Whether stdout is for JSON alone.
 static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
 /// Whether the last line of the terminal is redrawn all the time, and gives way to others.
@@ -50,7 +51,7 @@ pub fn keep_status_line(on: bool) {
 /// Writes a line; see [`say!`].
 pub fn line(text: &str) {
     let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
-    write(&format!("{clear}{}\n", lines(text)));
+    write(&mut io::stderr().lock(), &STALLED[1], &format!("{clear}{}\n", lines(text)));
 }
 
 /// From now on, results for people go to stderr: stdout is for JSON.
@@ -63,37 +64,37 @@ pub fn result_line(text: &str) {
     if RESULTS_ASIDE.load(Ordering::Acquire) {
         return line(text);
     }
-    let mut stdout = io::stdout().lock();
-    // A reader that has gone away (`| head`) wants no more.
-    let _ = writeln!(stdout, "{}", lines(text)).and_then(|()| stdout.flush());
+    if STATUS_LINE.load(Ordering::Acquire) {
+        status("");
+    }
+    write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", lines(text)));
 }
 
 /// Replaces the status line.
 pub fn status(text: &str) {
-    write(&format!("\r\x1b[2K{}", Printable(text)));
+    write(&mut io::stderr().lock(), &STALLED[1], &format!("\r\x1b[2K{}", Printable(text)));
 }
 
-fn write(text: &str) {
-    let mut stderr = io::stderr().lock();
+fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
     for part in text.as_bytes().chunks(ATOMIC) {
-        if LIVE.load(Ordering::Acquire) && !ready(&stderr) {
+        if LIVE.load(Ordering::Acquire) && !ready(out, stalled) {
             return;
         }
-        // There is nobody left to hear of an error.
-        if stderr.write_all(part).and_then(|()| stderr.flush()).is_err() {
+        // There is nobody left to read of an error.
+        if out.write_all(part).and_then(|()| out.flush()).is_err() {
             return;
         }
     }
 }
 
-/// Whether stderr takes a part without blocking; waits a moment, but only once in a row.
-fn ready(stderr: &io::StderrLock<'_>) -> bool {
-    let wait = if STALLED.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
+/// Whether a part can be written without blocking; waits a moment, but only once in a row.
+fn ready(out: &impl AsFd, stalled: &AtomicBool) -> bool {
+    let wait = if stalled.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
     let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
-    let mut fds = [PollFd::new(stderr, PollFlags::OUT)];
+    let mut fds = [PollFd::new(out, PollFlags::OUT)];
     // A descriptor that cannot be polled is left to the write.
     let ready = !matches!(poll(&mut fds, Some(&wait)), Ok(0));
-    STALLED.store(!ready, Ordering::Release);
+    stalled.store(!ready, Ordering::Release);
     ready
 }
 

@@ -64,13 +64,12 @@ impl ServeArgs {
         }
     }
 
-    /// Serves `station`, if `--serve` is given, and says where on stderr. `default` is the address
-    /// of `--serve` without one; `enrolls` is whether the station keeps scans.
+    /// Serves `station`, if `--serve` is given, and says where on stderr. Of `settings`, the address
+    /// is that of `--serve` without one.
     pub fn start<'a>(
         &self,
         station: Station<'a>,
-        default: SocketAddr,
-        enrolls: bool,
+        settings: Settings,
     ) -> Result<(Station<'a>, Option<Server>), Failure> {
         let Some(address) = self.serve else { return Ok((station, None)) };
         let usage = |error: ServeError| Failure::Usage(error.to_string());
@@ -78,9 +77,9 @@ impl ServeArgs {
             Ok(text) => Some(Token::new(&text).map_err(usage)?),
             Err(_) => None,
         };
-        let address = address.unwrap_or(default);
+        let address = address.unwrap_or(settings.address);
         let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
-        let settings = Settings { address, token, proxies, enrolls, ..Settings::default() };
+        let settings = Settings { address, token, proxies, ..settings };
         let started: Result<(Server, Reporter), _> = Server::start(&settings, station.commands());
         let (server, reporter) = started.map_err(|error| match error {
             ServeError::Open(_) => usage(error),

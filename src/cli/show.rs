@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::shown;
 use crate::evaluate::LeftOut;
 use crate::library::Library;
-use crate::station::Answer;
+use crate::station::{Answer, AnswerState};
 
 /// Says what a library holds, and what was skipped.
 pub fn library(library: &Library) {
@@ -82,10 +82,21 @@ pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
 }
 
-/// How certain an answer is: its probability where the method states one, else the margin to the
-/// next surface.
+/// An answer in a word or two: the surface, and whether the name stands.
+pub fn named(answer: &Answer) -> String {
+    let surface = answer.surface.as_deref().unwrap_or("unknown");
+    match answer.state {
+        AnswerState::Named | AnswerState::Unknown => surface.into(),
+        AnswerState::Nearest => format!("nearest: {surface}"),
+        AnswerState::Unsure => format!("unsure: {surface}"),
+    }
+}
+
+/// How certain an answer is: `fits none` for an unknown surface, its probability where the method
+/// states one, else the margin to the next surface.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {
+        _ if answer.surface.is_none() => "fits none".into(),
         Some(probability) if probability > 0.999 => "over 99.9 %".into(),
         Some(probability) => percent(probability),
         None => format!("margin {:.2}", answer.margin),

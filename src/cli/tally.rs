@@ -176,8 +176,8 @@ impl Tally {
             "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,
             self.total,
-            answer.surface.as_deref().unwrap_or("unknown"),
-            if answer.surface.is_some() { show::certainty(answer) } else { "fits none".into() },
+            show::named(answer),
+            show::certainty(answer),
             answer.latency_ms,
             longer.unwrap_or_default()
         );

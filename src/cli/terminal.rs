@@ -1,6 +1,6 @@
 //! The terminal of a station: a status line, and above it the lines that stay.
 //!
-//! Without a terminal there is no status line, and the rest goes to the log.
+//! Without a terminal there is no status line, and the rest goes to the log. Answers go to stdout.
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
@@ -18,7 +18,7 @@ use crate::station::{
     Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent,
 };
 
-/// Shows a station to people, on stderr.
+/// Shows a station to people: answers on stdout, all else on stderr.
 pub struct Terminal {
     /// Answers are on stdout, as JSON.
     json: bool,
@@ -94,24 +94,28 @@ impl Terminal {
     }
 
     fn answer(&mut self, answer: &Answer) {
-        let name = answer.surface.as_deref().unwrap_or("unknown");
+        let name = show::named(answer);
         let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
         if !self.json {
-            self.info(&format!(
+            result!(
                 "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
                 answer.scan,
                 show::certainty(answer),
                 answer.scan_s,
                 longer.unwrap_or_default()
-            ));
+            );
         }
         for why in &answer.spoiled {
             self.warn(&format!("scan {}: {why}", answer.scan));
         }
         if !self.json {
-            answer.remarks.iter().for_each(|remark| self.info(&format!("  {}", remark.text)));
+            let doubts = answer.reasons.iter().filter(|why| !answer.spoiled.contains(why));
+            doubts.for_each(|why| self.info(&format!("  {why}")));
+            let texts = answer.remarks.iter().map(|remark| &remark.text);
+            let news = texts.filter(|text| !answer.reasons.contains(text));
+            news.for_each(|text| self.info(&format!("  {text}")));
         }
-        self.last = Some(name.to_string());
+        self.last = Some(name);
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {
@@ -125,6 +129,9 @@ impl Terminal {
             _ => return,
         }
         remarks.iter().for_each(|remark| self.info(&format!("  {remark}")));
+        if let Some(nearest) = enrolled.nearest.as_ref().filter(|nearest| *nearest != surface) {
+            self.warn(&format!("this looks like {nearest}, which the library has"));
+        }
         self.last = Some(match wanted {
             0 => format!("{surface} is complete"),
             // Recording without an end is not counted down.
@@ -168,6 +175,7 @@ impl Listener for Terminal {
             StationEvent::Library(library) => self.library(library),
             StationEvent::Warning(text) => self.warn(text),
             StationEvent::Trace(_)
+            | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Enrolling(_)
             | StationEvent::Reading

@@ -77,7 +77,7 @@ pub(super) fn open(
             }
         }
         if !sources.is_empty() {
-            entries.push(recording::entry(key, sources));
+            entries.push(recording::entry(key, sources, None));
         }
     }
     for (path, what) in headers.remarks() {

@@ -2,7 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use rand::seq::SliceRandom;
+
 use super::EvaluateError;
+use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
 /// How queries and library are split.
@@ -14,11 +17,18 @@ pub enum Protocol {
     LeaveOneTrialOut,
     /// Each user is a fold; the library is everybody else (10 vs 1).
     AllVsOneUser,
+    /// [`HALVES`] folds, person by person in turn: a half of that person's trials of each surface,
+    /// drawn at random, against the other half.
+    RandomHalves,
 }
+
+/// Folds of [`Protocol::RandomHalves`].
+const HALVES: usize = 50;
 
 impl Protocol {
     /// All of them, the one to prefer first.
-    pub const ALL: [Self; 3] = [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser];
+    pub const ALL: [Self; 4] =
+        [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser, Self::RandomHalves];
 
     /// The protocol that fits some trials: users against the expert where there are both, else each
     /// trial against the same person's other trials, else each user against the others.
@@ -32,7 +42,7 @@ impl Protocol {
 
     /// Whether each of its folds is a user.
     pub fn folds_are_users(self) -> bool {
-        self != Self::LeaveOneTrialOut
+        matches!(self, Self::ExpertVsUsers | Self::AllVsOneUser)
     }
 
     /// The name, the same everywhere.
@@ -41,6 +51,7 @@ impl Protocol {
             Self::ExpertVsUsers => "expert-vs-users",
             Self::LeaveOneTrialOut => "leave-one-trial-out",
             Self::AllVsOneUser => "all-vs-one-user",
+            Self::RandomHalves => "random-halves",
         }
     }
 }
@@ -62,6 +73,7 @@ impl Protocol {
             Self::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
             Self::AllVsOneUser => by_user(keys, |key, user| key.user != user),
             Self::LeaveOneTrialOut => by_trial(keys),
+            Self::RandomHalves => by_halves(keys),
         };
         groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
     }
@@ -71,7 +83,7 @@ impl Protocol {
             Self::ExpertVsUsers => {
                 "trials of at least two surfaces by `expert`, and trials of them by other users"
             }
-            Self::LeaveOneTrialOut => {
+            Self::LeaveOneTrialOut | Self::RandomHalves => {
                 "at least two surfaces with at least two trials each by one person"
             }
             Self::AllVsOneUser => {
@@ -162,6 +174,33 @@ fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
     groups.into_iter().map(fold).collect()
 }
 
+fn by_halves(keys: &[TrialKey]) -> Vec<Fold> {
+    let mut people: BTreeMap<(&str, u64), BTreeMap<&str, Vec<usize>>> = BTreeMap::new();
+    for (i, key) in keys.iter().enumerate() {
+        let of_person = people.entry(natural(&key.user)).or_default();
+        of_person.entry(&key.surface).or_default().push(i);
+    }
+    let several = |of_person: &BTreeMap<&str, Vec<usize>>| {
+        of_person.values().filter(|trials| trials.len() > 1).count() > 1
+    };
+    let people: Vec<_> = people.into_values().filter(several).collect();
+    let fold = |(number, of_person): (usize, &BTreeMap<&str, Vec<usize>>)| {
+        let (mut library, mut queries) = (Vec::new(), Vec::new());
+        for (surface, trials) in of_person.iter().filter(|(_, trials)| trials.len() > 1) {
+            let key: [&[u8]; 3] = [b"halves", &number.to_le_bytes(), surface.as_bytes()];
+            let mut trials = trials.clone();
+            trials.shuffle(&mut seed::rng(0, &key));
+            let (compared, named) = trials.split_at(trials.len().div_ceil(2));
+            library.extend_from_slice(compared);
+            queries.extend_from_slice(named);
+        }
+        library.sort_unstable();
+        queries.sort_unstable();
+        Fold { name: format!("halves {}", number + 1), library, queries }
+    };
+    people.iter().cycle().take(HALVES).enumerate().map(fold).collect()
+}
+
 fn known_only(mut fold: Fold, keys: &[TrialKey]) -> Option<Fold> {
     let known: BTreeSet<&str> = fold.library.iter().map(|&i| keys[i].surface.as_str()).collect();
     fold.queries.retain(|&i| known.contains(keys[i].surface.as_str()));
@@ -202,6 +241,20 @@ mod tests {
     fn all_vs_one_user_leaves_out_just_that_user() {
         let folds = folds(Protocol::AllVsOneUser, &keys()).unwrap();
         assert_eq!(folds[0].library, [0, 1, 2, 4, 5, 6, 7, 9]);
+    }
+
+    #[test]
+    fn random_halves_are_of_one_person_and_share_no_trial() {
+        let keys = keys();
+        let folds = folds(Protocol::RandomHalves, &keys).unwrap();
+        assert_eq!(folds.len(), HALVES);
+        for fold in &folds {
+            assert_eq!((fold.library.len(), fold.queries.len()), (4, 2), "of three trials two");
+            let mut all = [&fold.library[..], &fold.queries].concat();
+            all.sort_unstable();
+            assert_eq!(all, [0, 1, 2, 5, 6, 7], "users with a single trial have no halves");
+        }
+        assert!(folds.iter().any(|fold| fold.library != folds[0].library));
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! many runs.
 
 pub mod chart;
+mod check;
 mod enrolled;
 mod evaluation;
 mod fold;
@@ -17,6 +18,7 @@ mod settled;
 pub mod stress;
 mod unknown;
 
+pub use check::{CheckReport, SurfaceCheck, TrialCheck, TrialVerdict, check};
 pub use enrolled::{EnrolledOutcome, enrol};
 pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
 pub use fold::{Fold, Protocol, folds};

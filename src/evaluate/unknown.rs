@@ -31,6 +31,10 @@ pub struct UnknownOutcome {
     pub false_rejections_low: f64,
     /// Its interval.
     pub false_rejections_high: f64,
+    /// Number of folds.
+    pub folds: usize,
+    /// Folds whose own share of false rejections lies in the interval stated there.
+    pub folds_as_stated: usize,
 }
 
 /// How many of how many.
@@ -43,6 +47,10 @@ struct Count {
 impl Count {
     fn add(&mut self, hit: bool) {
         *self = Self { hits: self.hits + usize::from(hit), of: self.of + 1 };
+    }
+
+    fn join(&mut self, other: Self) {
+        *self = Self { hits: self.hits + other.hits, of: self.of + other.of };
     }
 
     fn share(self) -> f64 {
@@ -68,9 +76,11 @@ impl UnknownOutcome {
         // Every surface of a fold's queries is in its library.
         let group = |i: usize| surfaces.binary_search(&surface(i)).unwrap_or(0) % groups.max(1);
         let (mut unknown, mut known) = (Count::default(), Count::default());
+        let mut folds_as_stated = 0;
         let mut stated: Option<Rejection> = None;
         for (index, fold) in folds.iter().enumerate() {
             let mut queries = Vec::new();
+            let (mut of_fold, mut in_fold) = (Count::default(), None);
             for left_out in 0..groups {
                 let model = run.fit(fold.library.iter().filter(|&&i| group(i) != left_out))?;
                 let rejection = model.rejection(rate)?;
@@ -84,22 +94,31 @@ impl UnknownOutcome {
                 }
                 for (i, query) in &queries {
                     let p_value = model.rank(query)?.p_value;
-                    let count = if group(*i) == left_out { &mut unknown } else { &mut known };
+                    let count = if group(*i) == left_out { &mut unknown } else { &mut of_fold };
                     count.add(p_value.is_some_and(|p| rejection.rejects(p)));
                 }
+                in_fold.get_or_insert_with(|| rejection.rate_low..=rejection.rate_high);
                 if stated.as_ref().is_none_or(|stated| rejection.trials < stated.trials) {
                     stated = Some(rejection);
                 }
                 let done = index * groups + left_out + 1;
                 (run.on().progress)("leaving surfaces out", done, folds.len() * groups);
             }
+            known.join(of_fold);
+            folds_as_stated += usize::from(in_fold.is_some_and(|it| it.contains(&of_fold.share())));
         }
         // `folds` gives at least one fold, and a fold at least two surfaces.
         let stated = stated.expect("at least one model");
-        Ok(Self::new(stated, groups, unknown, known))
+        let counts = (unknown, known);
+        Ok(Self::new(stated, groups, counts, (folds.len(), folds_as_stated)))
     }
 
-    fn new(stated: Rejection, groups: usize, unknown: Count, known: Count) -> Self {
+    fn new(
+        stated: Rejection,
+        groups: usize,
+        (unknown, known): (Count, Count),
+        (folds, folds_as_stated): (usize, usize),
+    ) -> Self {
         let of_unknown = wilson_interval(unknown.hits, unknown.of);
         let of_known = wilson_interval(known.hits, known.of);
         Self {
@@ -113,6 +132,8 @@ impl UnknownOutcome {
             false_rejections: known.share(),
             false_rejections_low: of_known.0,
             false_rejections_high: of_known.1,
+            folds,
+            folds_as_stated,
         }
     }
 }

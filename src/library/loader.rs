@@ -24,6 +24,8 @@ pub(crate) enum SourceFiles {
 pub(crate) struct FileTrial {
     pub key: TrialKey,
     pub sources: BTreeMap<SourceId, SourceFiles>,
+    /// The folder of the trial, in the recording format.
+    pub folder: Option<PathBuf>,
 }
 
 impl LoadTrial for FileTrial {
@@ -43,6 +45,10 @@ impl LoadTrial for FileTrial {
             outlines.extend(files.outline()?.map(|outline| (id.clone(), outline)));
         }
         Ok(Some(outlines))
+    }
+
+    fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
     }
 
     fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {

@@ -6,6 +6,7 @@ pub mod cache;
 pub(crate) mod files;
 mod flac;
 pub(crate) mod loader;
+pub mod lock;
 mod loose;
 mod picture;
 pub mod recording;
@@ -19,7 +20,7 @@ pub use about::{About, ScanMarks};
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::scene::{Scene, SceneError, SourceId};
@@ -157,6 +158,11 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }
+
+    /// The folder that holds the trial and nothing else, if there is one.
+    fn folder(&self) -> Option<&Path> {
+        None
+    }
 }
 
 #[derive(Debug)]
@@ -246,6 +252,11 @@ impl Entry {
     /// A number that changes whenever the trial does, if that can be known without reading it.
     pub fn stamp(&self) -> Option<u64> {
         self.loader.stamp(&self.sources)
+    }
+
+    /// The folder that holds the trial and nothing else, in the recording format.
+    pub fn folder(&self) -> Option<&Path> {
+        self.loader.folder()
     }
 
     /// What the trial is called in a cache.

@@ -92,10 +92,14 @@ pub fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryErr
     opening.library()?.whole()
 }
 
-/// An entry whose data lie in files.
-pub(crate) fn entry(key: TrialKey, files: BTreeMap<SourceId, SourceFiles>) -> Entry {
+/// An entry whose data lie in files; `folder` is theirs alone, if there is one.
+pub(crate) fn entry(
+    key: TrialKey,
+    files: BTreeMap<SourceId, SourceFiles>,
+    folder: Option<PathBuf>,
+) -> Entry {
     let sources = files.keys().cloned().collect();
-    Entry::new(key.clone(), sources, Arc::new(FileTrial { key, sources: files }))
+    Entry::new(key.clone(), sources, Arc::new(FileTrial { key, sources: files, folder }))
 }
 
 fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError {
@@ -164,7 +168,12 @@ impl<'a> Opening<'a> {
             let nothing = || nothing_found(root, &scene, &remarks);
             return Err(LibraryError::of_all(bad).unwrap_or_else(nothing));
         }
-        let entries = trials.into_iter().map(|(key, (_, files))| entry(key, files)).collect();
+        let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
+            // A file without a folder of its own lies among others.
+            let folder = path.is_dir().then_some(path);
+            entry(key, files, folder)
+        };
+        let entries = trials.into_iter().map(of).collect();
         if name.is_empty() {
             let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
             name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();

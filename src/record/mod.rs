@@ -4,6 +4,7 @@
 //! crash there are complete trials and perhaps an unfinished folder, never half a trial.
 
 mod date;
+pub mod edit;
 mod folder_name;
 pub mod mcap;
 mod wav;

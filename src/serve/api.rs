@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
-use axum::extract::{DefaultBodyLimit, Path, Query, State};
+use axum::extract::rejection::{BytesRejection, QueryRejection};
+use axum::extract::{DefaultBodyLimit, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Json, Response};
@@ -16,9 +16,8 @@ use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
 use super::problem::Problem;
 use super::settings::{LARGEST_BODY, Settings};
-use super::state::NamedScan;
 use super::subscribers::EventFilter;
-use super::{metrics, order, page};
+use super::{metrics, order, page, scans, shelf};
 use crate::station::Command;
 
 impl From<Undelivered> for Problem {
@@ -36,10 +35,11 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let checks = Arc::new(Guard::new(hub.clone(), settings));
     let api = Router::new()
         .route("/state", get(state))
-        .route("/scans", get(scans))
-        .route("/scans/{number}", get(scan))
+        .merge(scans::router())
+        .merge(shelf::router())
         .route("/library", get(library))
         .route("/events", get(events))
+        .route("/openapi.json", get(open_api))
         .route(
             "/start",
             post(|State(hub): Shared| async move { send(&hub, "start", Command::Start) }),
@@ -69,7 +69,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .with_state(hub)
 }
 
-type Shared = State<Arc<Hub>>;
+pub type Shared = State<Arc<Hub>>;
 
 async fn state(State(hub): Shared) -> Response {
     Json(hub.lock().whole()).into_response()
@@ -77,43 +77,6 @@ async fn state(State(hub): Shared) -> Response {
 
 async fn library(State(hub): Shared) -> Response {
     Json(&hub.lock().state.library).into_response()
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Page {
-    /// How many at most.
-    limit: Option<usize>,
-    /// Only scans before this one.
-    before: Option<u32>,
-}
-
-#[derive(Serialize)]
-struct Scans {
-    scans: Vec<Arc<NamedScan>>,
-}
-
-async fn scans(
-    State(hub): Shared,
-    page: Result<Query<Page>, QueryRejection>,
-) -> Result<Json<Scans>, Problem> {
-    let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
-    let inner = hub.lock();
-    let scans = (inner.state.history.iter())
-        .filter(|named| page.before.is_none_or(|before| named.answer.scan < before))
-        .take(page.limit.unwrap_or(100))
-        .cloned();
-    Ok(Json(Scans { scans: scans.collect() }))
-}
-
-async fn scan(
-    State(hub): Shared,
-    number: Result<Path<u32>, PathRejection>,
-) -> Result<Json<Arc<NamedScan>>, Problem> {
-    let Path(number) = number.map_err(|_| Problem::Bad("a scan is named by its number".into()))?;
-    let inner = hub.lock();
-    let named = inner.state.history.iter().find(|named| named.answer.scan == number);
-    named.cloned().map(Json).ok_or(Problem::NotFound)
 }
 
 #[derive(Deserialize)]
@@ -138,6 +101,11 @@ async fn enroll(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
     send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
+}
+
+/// What is at which path, for programs that read it.
+async fn open_api() -> Response {
+    ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
 
 #[derive(Serialize)]

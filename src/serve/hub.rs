@@ -13,11 +13,13 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::metrics::{Around, Metrics};
-use super::settings::Settings;
+use super::settings::{Settings, Shelf};
+use super::shelf::{CheckView, Checks};
 use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
+use crate::history::History;
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
@@ -37,6 +39,12 @@ pub struct Hub {
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
+    /// Past scans.
+    pub history: Arc<History>,
+    /// The library that may be edited.
+    pub library: Option<Shelf>,
+    /// Its audit.
+    pub checks: Checks,
 }
 
 /// What is behind the lock.
@@ -162,7 +170,7 @@ impl Inner {
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
             // The state holds it, and its change is published.
-            StationEvent::Enrolling(_) | StationEvent::Alive => {}
+            StationEvent::Enrolling(_) | StationEvent::Alive | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(_) => {
                 let library = self.state.library.clone();
@@ -202,7 +210,18 @@ impl Hub {
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };
-        Self { inner: Mutex::new(inner), orders, missed, most_subscribers: settings.limits.readers }
+        let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
+        let library = settings.library.clone();
+        let checks = Checks::new(settings.check.clone());
+        Self {
+            inner: Mutex::new(inner),
+            orders,
+            missed,
+            most_subscribers,
+            history,
+            library,
+            checks,
+        }
     }
 
     /// What is behind the lock.
@@ -218,6 +237,12 @@ impl Hub {
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.
     fn take(&self, notice: &StationEvent) {
+        if let StationEvent::Answer(answer) = notice
+            && !self.history.is_on_disk()
+        {
+            // In memory alone, where nothing can fail.
+            let _ = self.history.answered(answer);
+        }
         let inner = &mut *self.lock();
         inner.change(|inner| inner.take(notice));
         if let StationEvent::Enrolled(enrolled) = notice
@@ -227,6 +252,16 @@ impl Hub {
             // A station that is too busy for it leaves it to the operator.
             let _ = self.orders.try_send(Command::Reload);
         }
+    }
+
+    /// Publishes that an audit has begun or ended.
+    pub fn checked(&self, check: &CheckView) {
+        self.lock().publish(EventKind::Check, check);
+    }
+
+    /// Publishes that a scan was corrected, or became a trial.
+    pub fn corrected(&self, scan: &serde_json::Value) {
+        self.lock().publish(EventKind::Correction, scan);
     }
 
     /// One subscriber more, unless there are too many.

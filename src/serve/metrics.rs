@@ -9,6 +9,7 @@ use super::state::State;
 use crate::device::DeviceState;
 use crate::printable::Printable;
 use crate::scan::StreamMeter;
+use crate::station::AnswerState;
 
 /// The content type of the format.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -83,9 +84,15 @@ impl Metrics {
         page.devices(state);
         let counts = state.counts;
         page.head("surfaced_scans_total", "counter", "Scans that were answered.");
-        let named = counts.scans - counts.unknown;
-        page.line("surfaced_scans_total", &[("answer", "named")], named);
-        page.line("surfaced_scans_total", &[("answer", "unknown")], counts.unknown);
+        let others = counts.nearest + counts.unsure + counts.unknown;
+        for (state, count) in [
+            (AnswerState::Named, counts.scans - others),
+            (AnswerState::Nearest, counts.nearest),
+            (AnswerState::Unsure, counts.unsure),
+            (AnswerState::Unknown, counts.unknown),
+        ] {
+            page.line("surfaced_scans_total", &[("answer", state.as_str())], count);
+        }
         for (name, help, value) in [
             ("surfaced_scans_spoiled_total", "Scans that should not be trusted.", counts.spoiled),
             ("surfaced_scans_enrolled_total", "Scans kept for the library.", counts.enrolled),

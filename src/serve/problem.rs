@@ -12,6 +12,10 @@ use super::settings::LARGEST_BODY;
 pub enum Problem {
     #[error("there is nothing here; see /api/v1/state")]
     NotFound,
+    #[error("{0}")]
+    Gone(String),
+    #[error("{0}")]
+    Failed(String),
     #[error("this path does not take that method")]
     Method,
     #[error("{0}")]
@@ -48,6 +52,8 @@ impl Problem {
     fn kind(&self) -> (StatusCode, &'static str) {
         match self {
             Self::NotFound => (StatusCode::NOT_FOUND, "not_found"),
+            Self::Gone(_) => (StatusCode::NOT_FOUND, "not_found"),
+            Self::Failed(_) => (StatusCode::CONFLICT, "failed"),
             Self::Method => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
             Self::Bad(_) => (StatusCode::BAD_REQUEST, "bad_request"),
             Self::Large => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),

@@ -34,7 +34,8 @@ impl Reporter {
 
 impl Listener for Reporter {
     fn on_event(&mut self, event: &StationEvent) {
-        if matches!(event, StationEvent::Alive) {
+        // Whole scans are the keeper's.
+        if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
             return;
         }
         let room = self.queue.capacity();

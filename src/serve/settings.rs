@@ -1,9 +1,15 @@
 //! Where and how to serve, and what clients may take.
 
+use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::token::Token;
+use crate::evaluate::CheckReport;
+use crate::history::History;
+use crate::scene::Scene;
 
 /// The default port.
 pub const PORT: u16 = 8080;
@@ -22,6 +28,31 @@ pub struct Settings {
     pub limits: Limits,
     /// Whether the station keeps scans for a library.
     pub enrolls: bool,
+    /// That library, where it may be edited: scans become its trials.
+    pub library: Option<Shelf>,
+    /// Audits that library, where it may be edited.
+    pub check: Option<Audit>,
+    /// Past scans.
+    pub history: Arc<History>,
+}
+
+/// Audits a library, as often as it is called; for people, why not.
+#[derive(Clone)]
+pub struct Audit(pub Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>);
+
+impl fmt::Debug for Audit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Audit")
+    }
+}
+
+/// A library on disk.
+#[derive(Clone, Debug)]
+pub struct Shelf {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// What its sources are.
+    pub scene: Scene,
 }
 
 impl Default for Settings {
@@ -32,6 +63,9 @@ impl Default for Settings {
             proxies: Vec::new(),
             limits: Limits::default(),
             enrolls: true,
+            library: None,
+            check: None,
+            history: Arc::default(),
         }
     }
 }

@@ -8,10 +8,8 @@ use serde::Serialize;
 
 use crate::device::DeviceState;
 use crate::scene::{Phase, SourceId};
-use crate::station::{Answer, Enrolling, Guess, LibraryState, StationEvent};
+use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent};
 
-/// Scans that are kept for the history.
-const HISTORY: usize = 1000;
 /// Warnings that are kept.
 const WARNINGS: usize = 50;
 /// Devices that are listed; names come from the hardware, and could be many.
@@ -101,16 +99,6 @@ impl From<&LibraryState> for LibraryView {
     }
 }
 
-/// A scan of the history.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct NamedScan {
-    /// When it was named.
-    pub unix_ms: u64,
-    /// The answer.
-    #[serde(flatten)]
-    pub answer: Arc<Answer>,
-}
-
 /// Something that was wrong.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WarningView {
@@ -127,6 +115,10 @@ pub struct Counts {
     pub scans: u64,
     /// Those that are none of the library's surfaces.
     pub unknown: u64,
+    /// Those that are the nearest surface, with reasons for doubt.
+    pub unsure: u64,
+    /// Those that are the nearest surface, where there is no threshold for unknown ones.
+    pub nearest: u64,
     /// Those that should not be trusted.
     pub spoiled: u64,
     /// Scans that were kept for the library.
@@ -155,7 +147,7 @@ pub struct State {
     /// How the scan that goes on looks so far.
     pub guess: Option<Guess>,
     /// The last scan that was named.
-    pub answer: Option<Arc<NamedScan>>,
+    pub answer: Option<Arc<Answer>>,
     /// All devices, by name.
     pub devices: Vec<DeviceView>,
     /// The library, as soon as there is one.
@@ -170,9 +162,6 @@ pub struct State {
     pub warnings: VecDeque<WarningView>,
     /// Whether the station has ended.
     pub finished: bool,
-    /// The last scans, the newest first; a request of its own gets them.
-    #[serde(skip)]
-    pub history: VecDeque<Arc<NamedScan>>,
     /// How often each device came back.
     #[serde(skip)]
     pub reconnects: BTreeMap<String, u64>,
@@ -198,7 +187,6 @@ impl State {
             counts: Counts::default(),
             warnings: VecDeque::new(),
             finished: false,
-            history: VecDeque::new(),
             reconnects: BTreeMap::new(),
         };
         state.advice = state.advise();
@@ -231,7 +219,10 @@ impl State {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            StationEvent::Trace(_) | StationEvent::Streams(_) | StationEvent::Alive => {}
+            StationEvent::Trace(_)
+            | StationEvent::Scan(_)
+            | StationEvent::Streams(_)
+            | StationEvent::Alive => {}
         }
         self.advice = self.advise();
     }
@@ -252,13 +243,16 @@ impl State {
 
     fn answered(&mut self, answer: &Arc<Answer>) {
         self.counts.scans += 1;
-        self.counts.unknown += u64::from(answer.surface.is_none());
+        let counts = &mut self.counts;
+        match answer.state {
+            AnswerState::Named => {}
+            AnswerState::Nearest => counts.nearest += 1,
+            AnswerState::Unsure => counts.unsure += 1,
+            AnswerState::Unknown => counts.unknown += 1,
+        }
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
         self.counts.lost_samples += answer.lost_samples;
-        let named = Arc::new(NamedScan { unix_ms: unix_ms(), answer: answer.clone() });
-        self.history.push_front(named.clone());
-        self.history.truncate(HISTORY);
-        self.answer = Some(named);
+        self.answer = Some(answer.clone());
         self.guess = None;
     }
 

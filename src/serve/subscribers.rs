@@ -26,6 +26,8 @@ pub enum EventKind {
     Phase,
     Guess,
     Answer,
+    Correction,
+    Check,
     Enrolled,
     Enrolling,
     Reading,
@@ -39,13 +41,15 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    const ALL: [Self; 16] = [
+    const ALL: [Self; 18] = [
         Self::State,
         Self::Advice,
         Self::Device,
         Self::Phase,
         Self::Guess,
         Self::Answer,
+        Self::Correction,
+        Self::Check,
         Self::Enrolled,
         Self::Enrolling,
         Self::Reading,
@@ -66,6 +70,8 @@ impl EventKind {
             Self::Phase => "phase",
             Self::Guess => "guess",
             Self::Answer => "answer",
+            Self::Correction => "correction",
+            Self::Check => "check",
             Self::Enrolled => "enrolled",
             Self::Enrolling => "enrolling",
             Self::Reading => "reading",

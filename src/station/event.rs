@@ -1,22 +1,34 @@
 //! What a station reports, and the commands that it takes.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::recogniser::Recogniser;
 use crate::device::DeviceState;
 use crate::library::Entry;
 use crate::recognise::RankedSurface;
-use crate::scan::{StreamMeter, Totals, Trace};
+use crate::scan::{Scan, StreamMeter, Totals, Trace};
 use crate::scene::{Phase, SourceId};
 
 /// A scan that has ended, and its name: one line of JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Answer {
+    /// Names the answer for good: when it was given (UTC), and the number of its scan.
+    pub id: String,
+    /// Where the page shows it, on whatever address it is served.
+    pub link: String,
+    /// When it was given, in milliseconds since 1970.
+    pub unix_ms: u64,
     /// Number of the scan in its session, counted from 1.
     pub scan: u32,
+    /// Whether the name stands.
+    pub state: AnswerState,
+    /// For people: why it does not, a line each; empty for [`AnswerState::Named`].
+    pub reasons: Vec<String>,
     /// The surface; `None` when it is none of the library's.
     pub surface: Option<String>,
     /// What it truly was, where a recording says so; likewise the next two.
@@ -53,6 +65,51 @@ pub struct Answer {
     pub needed_s: Option<f64>,
     /// What is not perfect about the scan.
     pub remarks: Vec<Remark>,
+}
+
+/// Whether the name of an answer stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AnswerState {
+    /// It does.
+    Named,
+    /// It is the nearest surface of the library; there is no threshold that tells unknown ones.
+    Nearest,
+    /// It is the nearest surface, and there are reasons for doubt.
+    Unsure,
+    /// The scan fits no surface of the library.
+    Unknown,
+}
+
+impl AnswerState {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Named, Self::Nearest, Self::Unsure, Self::Unknown];
+
+    /// The name as text, the same everywhere.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Named => "named",
+            Self::Nearest => "nearest",
+            Self::Unsure => "unsure",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// A scan that was named, whole, and what named it.
+pub struct AnsweredScan {
+    /// The scan.
+    pub scan: Box<Scan>,
+    /// Its answer.
+    pub answer: Arc<Answer>,
+    /// The library that it was compared with.
+    pub by: Arc<Recogniser>,
+}
+
+impl fmt::Debug for AnsweredScan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("AnsweredScan").field(&self.answer.id).finish()
+    }
 }
 
 /// Something that is not perfect about a scan; in JSON, its text.
@@ -166,6 +223,8 @@ pub struct Enrolled {
     pub folder: Option<PathBuf>,
     /// For people: why it was not kept, or what is not perfect about it, a line each.
     pub remarks: Vec<String>,
+    /// The surface that the library before it would have named it, if any.
+    pub nearest: Option<String>,
     /// How many trials its order still wants; 0 once that order has ended.
     pub wanted: u32,
 }
@@ -223,6 +282,8 @@ pub enum StationEvent {
     Guess(Guess),
     /// A scan was named.
     Answer(Arc<Answer>),
+    /// The scan itself; follows its answer.
+    Scan(Arc<AnsweredScan>),
     /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
     /// What the next scan is to become has changed; `None` if it is only named.

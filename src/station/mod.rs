@@ -6,6 +6,7 @@
 //! can hold up a device.
 
 mod assemble;
+mod certainty;
 pub mod config;
 mod enroll;
 mod event;
@@ -15,15 +16,17 @@ mod requirements;
 mod run;
 mod start;
 mod store;
+mod why;
 mod worker;
 
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Answer, Command, Enrolled, EnrolledOutcome, Enrolling, Guess, LibraryState, Listener, Remark,
-    RemarkKind, StationEvent, SurfaceProbability,
+    Answer, AnswerState, AnsweredScan, Command, Enrolled, EnrolledOutcome, Enrolling, Guess,
+    LibraryState, Listener, Remark, RemarkKind, StationEvent, SurfaceProbability,
 };
 pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};
 pub use requirements::DurationRequirements;
 pub use start::Station;
 pub use store::ScanStore;
+pub use why::{SourceSays, Why};

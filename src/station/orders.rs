@@ -165,6 +165,7 @@ mod tests {
             folder: None,
             remarks: Vec::new(),
             wanted: 0,
+            nearest: None,
         }
     }
 

@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use super::event::{LibraryState, Remark, RemarkKind};
 use super::requirements::DurationRequirements;
+use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, Model, Ranking, RecogniseError, Rejection, RejectionError, Settling,
-    without_flawed,
+    Follow, FollowOptions, Model, Prepared, Ranking, RecogniseError, Rejection, RejectionError,
+    Settling, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::SourceId;
@@ -19,12 +20,22 @@ use crate::trial::{Signal, TrialKey, flaws};
 pub struct Verdict {
     /// The library's surfaces, the most alike first.
     pub ranking: Ranking,
-    /// It is none of them.
-    pub unknown: bool,
+    /// The p-value at or below which it would be none of them, where there is such a threshold.
+    pub rejection: Option<Rejection>,
+    /// For people: sources that were not compared, and why, a line each.
+    pub left_out: Vec<String>,
     /// Scan duration that 400 samples T* apart need on the first one, in seconds.
     pub needed_s: Option<f64>,
     /// What is not perfect about the scan.
     pub remarks: Vec<Remark>,
+}
+
+impl Verdict {
+    /// Whether the scan fits no surface of the library.
+    pub fn is_unknown(&self) -> bool {
+        let test = self.ranking.p_value.zip(self.rejection.as_ref());
+        test.is_some_and(|(p, rejection)| rejection.rejects(p))
+    }
 }
 
 /// Reads a library, as often as it is called.
@@ -38,6 +49,7 @@ pub struct Recogniser {
     following: Vec<FollowOptions>,
     requirements: DurationRequirements,
     library: LibraryState,
+    trials: BTreeMap<TrialKey, Entry>,
 }
 
 impl Recogniser {
@@ -62,7 +74,14 @@ impl Recogniser {
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        Self { models, model_of, following, requirements, library }
+        let trials = BTreeMap::new();
+        Self { models, model_of, following, requirements, library, trials }
+    }
+
+    /// Remembers where the trials are that scans are compared with, to show the nearest one.
+    pub fn with_trials(mut self, entries: &[Entry]) -> Self {
+        self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
+        self
     }
 
     /// Calls scans unknown that fit no surface, at a rate of false rejections or the usual one. Gives what that
@@ -125,20 +144,61 @@ impl Recogniser {
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
     pub fn rank(&self, scan: &Scan) -> Result<Ranking, RecogniseError> {
+        self.models[self.model(scan.truth.as_ref())].rank(&self.query(scan)?.0)
+    }
+
+    /// A scan as a query to its model: what came out of the rings and nothing else, but for
+    /// sources with flaws; and, for people, which those are.
+    fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
-        // What came out of the rings and nothing else, but for channels with flaws.
         let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
-        let (trial, _) = without_flawed(scan.trial.clone(), self.requirements.scene(), moves);
+        let (trial, left_out) =
+            without_flawed(scan.trial.clone(), self.requirements.scene(), moves);
         let trial = Arc::new(trial);
-        model.rank(&model.prepare(&Entry::in_memory(trial.clone()), &trial)?)
+        Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
+    }
+
+    /// Why a scan was named as it was: what each source says, and the nearest trial. Takes about as
+    /// long as naming it.
+    ///
+    /// # Errors
+    /// As [`Recogniser::rank`].
+    pub fn explain(&self, scan: &Scan) -> Result<Why, RecogniseError> {
+        let at = self.model(scan.truth.as_ref());
+        let (query, left_out) = self.query(scan)?;
+        let ranking = self.models[at].rank(&query)?;
+        let evidence = self.models[at].explain(&query)?;
+        let held = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
+        let missing = self.library.sources.iter().filter(held);
+        let missing = missing.map(|id| format!("{id} is not in this scan"));
+        let left_out = left_out.into_iter().chain(missing).collect();
+        Ok(Why::new(&ranking, evidence.as_ref(), self.following[at].rejection.as_ref(), left_out))
+    }
+
+    /// A trial that scans are compared with.
+    pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
+        self.trials.get(key)
     }
 
     /// What a scan's ranking says.
     pub fn verdict(&self, scan: &Scan, ranking: Ranking) -> Verdict {
-        let rejection = self.following[self.model(scan.truth.as_ref())].rejection.as_ref();
-        let unknown = ranking.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
+        let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
         let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
-        Verdict { needed_s, unknown, remarks: self.remarks(scan, &ranking), ranking }
+        let remarks = self.remarks(scan, &ranking);
+        let left_out = self.left_out(scan, &ranking, &remarks);
+        Verdict { needed_s, rejection, left_out, remarks, ranking }
+    }
+
+    /// For people: sources of a scan that the library has and that were not compared.
+    fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
+        let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
+        let not_compared = held.filter(|id| !ranking.sources.contains(id));
+        let why = |id: &SourceId| {
+            let mut flaws = remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+            let flaw = flaws.find(|remark| remark.source == *id).map(|remark| remark.text.clone());
+            flaw.unwrap_or_else(|| format!("{id} was not compared"))
+        };
+        not_compared.map(why).collect()
     }
 
     /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].

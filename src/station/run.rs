@@ -195,7 +195,11 @@ impl<'a> Run<'a> {
         if let Some(recording) = &self.recording
             && let Some(enrolment) = self.orders.claim(scan.number)
         {
-            recording.store(scan, enrolment);
+            let by = match &self.naming {
+                Naming::Ready(by) => Some(by.clone()),
+                Naming::Loading | Naming::None(_) => None,
+            };
+            recording.store(scan, enrolment, by);
             return self.report_order();
         }
         self.pending.push_back(Job::Scan(scan));
@@ -253,11 +257,14 @@ impl<'a> Run<'a> {
     /// Reports what the worker has done.
     fn done(&mut self, done: WorkerEvent) {
         self.in_hand.pop_front();
-        self.emit(match done {
-            WorkerEvent::Named(Ok(answer)) => StationEvent::Answer(answer),
-            WorkerEvent::Named(Err(problem)) => StationEvent::Warning(problem),
-            WorkerEvent::Guess(guess) => StationEvent::Guess(guess),
-        });
+        match done {
+            WorkerEvent::Named(Ok(scan)) => {
+                self.emit(StationEvent::Answer(scan.answer.clone()));
+                self.emit(StationEvent::Scan(scan));
+            }
+            WorkerEvent::Named(Err(problem)) => self.warn(problem),
+            WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
+        }
     }
 
     /// Reports what became of a scan that was to be kept.

@@ -2,13 +2,15 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::event::{Answer, Guess};
+use super::certainty::{Case, judge};
+use super::event::{Answer, AnswerState, AnsweredScan, Guess};
 use super::recogniser::{Recogniser, Verdict};
 use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
+use crate::record::utc;
 use crate::scan::{Fresh, Progress, Scan};
 
 /// What is to be recognised.
@@ -33,8 +35,8 @@ pub(super) enum WorkerEvent {
     Guess(Guess),
 }
 
-/// An answer, or why there is none.
-pub(super) type ScanAnswer = Result<Arc<Answer>, String>;
+/// A scan with its answer, or why it has none.
+pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, String>;
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
 /// the first is dropped, it ends with what it has in hand, and nobody waits for it.
@@ -62,7 +64,7 @@ impl Worker {
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
                         let ranking = followed.finish(&scan, &by);
-                        WorkerEvent::Named(name(&scan, &by, ranking, from, settled_s))
+                        WorkerEvent::Named(name(scan, by, ranking, from, settled_s))
                     }
                     Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &by)),
                 };
@@ -156,23 +158,30 @@ fn look(
 }
 
 fn name(
-    scan: &Scan,
-    by: &Recogniser,
+    scan: Box<Scan>,
+    by: Arc<Recogniser>,
     ranking: Option<Ranking>,
     from: Instant,
     settled_s: Option<f64>,
 ) -> ScanAnswer {
-    let ranked = || ranking.map_or_else(|| by.rank(scan), Ok);
-    let verdict = caught(|| ranked().map(|ranking| by.verdict(scan, ranking)))
+    let ranked = || ranking.map_or_else(|| by.rank(&scan), Ok);
+    let verdict = caught(|| ranked().map(|ranking| by.verdict(&scan, ranking)))
         .ok_or_else(|| "the method panicked; please report this".to_string())
         .and_then(|verdict| verdict.map_err(|error| error.to_string()))
         .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
-    let Verdict { ranking, unknown, needed_s, remarks } = verdict;
+    let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
+    let Verdict { ranking, needed_s, remarks, .. } = verdict;
     let truth = scan.truth.as_ref();
-    Ok(Arc::new(Answer {
+    let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
+    let answer = Answer {
+        link: format!("/#scan={id}"),
+        id,
+        unix_ms,
         scan: scan.number,
-        surface: (!unknown).then(|| ranking.surface().to_string()),
+        surface: (state != AnswerState::Unknown).then(|| ranking.surface().to_string()),
+        state,
+        reasons,
         truth: truth.and_then(|key| key.label().map(String::from)),
         user: truth.map(|key| key.user.clone()),
         trial: truth.map(|key| key.number),
@@ -189,7 +198,16 @@ fn name(
         needed_s,
         remarks,
         ranked: ranking.ranked,
-    }))
+    };
+    Ok(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by }))
+}
+
+/// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
+/// since 1970.
+fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
+    let unix_ms = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
+    let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
+    (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
 }
 
 #[cfg(test)]
@@ -285,6 +303,13 @@ mod tests {
     }
 
     #[test]
+    fn an_answer_is_named_by_its_moment_and_scan() {
+        let moment = UNIX_EPOCH + std::time::Duration::from_millis(1_790_001_000_123);
+        let stamped = ("20260921-131000.123-07".to_string(), 1_790_001_000_123);
+        assert_eq!(stamp(moment, 7), stamped);
+    }
+
+    #[test]
     fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
         for (part, guesses, names) in [
             ("nothing", true, true),
@@ -317,7 +342,7 @@ mod tests {
                     panic!("{part}: no name")
                 };
                 match named {
-                    Ok(answer) => assert!(names && answer.scan == number, "{part}"),
+                    Ok(named) => assert!(names && named.answer.scan == number, "{part}"),
                     Err(problem) => {
                         assert!(!names && problem.contains("panicked"), "{part}: {problem}");
                     }

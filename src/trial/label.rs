@@ -9,7 +9,9 @@ pub const UNLABELLED: &str = "unlabelled";
 /// Names one trial: which surface, whose hand, which repetition.
 ///
 /// Ordered by surface, then user, then number, which is also the order in which ties are broken.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
+#[derive(
+    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+)]
 pub struct TrialKey {
     /// The label: what a recogniser answers with.
     pub surface: String,

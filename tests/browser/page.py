@@ -50,9 +50,9 @@ def scene(surfaced, folder):
 class Station:
     """`surfaced replay … --serve` until it is told to end."""
 
-    def __init__(self, surfaced, library, data):
+    def __init__(self, surfaced, library, data, *options):
         command = [surfaced, "replay", data, "--library", library, "--speed", "1.0", "--serve=127.0.0.1:0", "--json",
-                   "--sources", "ac,ir,fr,me,mi2", "--n", "100"]
+                   *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         said = []
         for line in self.process.stderr:
@@ -139,7 +139,7 @@ def check(browser, station, shots):
     print(f"traces: sent every {span_s * 1e3:.0f} ms, {drawn(browser):.1f} frames a second drawn")
     assert span_s <= 0.05, f"an event of traces brings {span_s} s"
 
-    browser.wait("a name", lambda: browser.text("#name") == "slate", 60)
+    browser.wait("a name", lambda: browser.text("#name") == "nearest: slate", 60)
     assert "scan" in browser.text("#answer-label")
     assert browser.run("return document.querySelectorAll('#runners li').length") >= 2
     assert "slate" in browser.text("#announce"), "a screen reader is told"
@@ -191,7 +191,7 @@ def main():
     surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
     with tempfile.TemporaryDirectory() as folder:
         library, data = scene(surfaced, Path(folder))
-        station = Station(surfaced, library, data)
+        station = Station(surfaced, library, data, "--sources", "ac,ir,fr,me,mi2", "--n", "100")
         try:
             with Browser() as browser:
                 check(browser, station, shots)

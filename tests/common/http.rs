@@ -14,7 +14,7 @@ use surfaced::scan::{Event, Options, Session};
 use surfaced::scene::Phase;
 use surfaced::serve::{Reporter, Server, Settings};
 use surfaced::station::{
-    Answer, Command, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
+    Answer, AnswerState, Command, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
 };
 
 use super::id;
@@ -208,9 +208,15 @@ pub fn session() -> Vec<StationEvent> {
 pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
     let known = surface.is_some();
     let score = |surface: &str, score| RankedSurface { surface: surface.into(), score };
+    let name = format!("20260921-143000.{scan:03}-{scan:02}");
     Answer {
+        link: format!("/#scan={name}"),
+        id: name,
+        unix_ms: 1_790_000_000_000 + 6000 * u64::from(scan),
         scan,
         surface: surface.map(Into::into),
+        state: if known { AnswerState::Named } else { AnswerState::Unknown },
+        reasons: if known { vec![] } else { vec!["looks like none of 2 surfaces".into()] },
         truth: None,
         user: None,
         trial: None,

@@ -159,4 +159,9 @@ fn print_unknown(u: &UnknownOutcome) {
         percent(u.stated.rate_high),
         u.stated.trials
     );
+    result!(
+        "           in {} of {} folds the share rejected lies in the interval stated there",
+        u.folds_as_stated,
+        u.folds
+    );
 }

@@ -19,6 +19,7 @@ mod fourier;
 mod joint;
 mod labels;
 mod left_out;
+mod library_scale;
 pub mod linear;
 mod picture;
 mod pixel_pairs;

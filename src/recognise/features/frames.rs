@@ -10,7 +10,6 @@
 
 use std::cell::RefCell;
 use std::collections::HashMap;
-use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -82,15 +81,6 @@ impl FrameView {
     /// Number of whole frames in a recording of `samples` a channel.
     pub fn frames_in(&self, samples: usize) -> usize {
         if samples < self.points { 0 } else { (samples - self.points) / self.hop() + 1 }
-    }
-
-    /// The frames that lie within `[from_s, to_s)`, of `frames` there are; at least one.
-    pub fn frames_within(&self, from_s: f64, to_s: f64, frames: usize) -> Range<usize> {
-        let hop = self.hop() as f64;
-        let first = (from_s * self.rate_hz / hop).ceil() as usize;
-        let last = ((to_s * self.rate_hz - self.points as f64) / hop).floor() + 1.0;
-        let first = first.min(frames.saturating_sub(1));
-        first..(last.max(0.0) as usize).clamp(first + 1, frames.max(first + 1))
     }
 
     /// Whether values of the two views stand for the same frequencies, at whatever rate.
@@ -337,16 +327,6 @@ mod tests {
             let b = ViewFrames::new(view(index), &shifted);
             assert!(a.values.iter().zip(&b.values).all(|(a, b)| (b - a).abs() < 1e-3));
         }
-    }
-
-    #[test]
-    fn windows_hold_the_frames_that_lie_in_them() {
-        let view = view(0);
-        assert_eq!(view.frames_in(211_611), 205);
-        assert_eq!(view.frames_within(0.0, 1.0, 205), 0..42);
-        assert_eq!(view.frames_within(0.5, 1.5, 205), 22..63);
-        assert_eq!(view.frames_within(0.0, 0.01, 205), 0..1);
-        assert_eq!(view.frames_within(9.0, 10.0, 205), 204..205);
     }
 
     #[test]

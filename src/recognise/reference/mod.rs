@@ -11,6 +11,7 @@ mod halving;
 mod model;
 mod options;
 pub(super) mod prepared_trial;
+mod rounding;
 mod sample_set;
 mod sampler;
 mod sampling;

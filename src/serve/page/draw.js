@@ -1,6 +1,10 @@
 // Draws the signals: the last seconds of each stream, or its spectrum.
 
 const WINDOW_S = 6;
+// Without data for so long, a stream is shown as stalled.
+const STALLED_MS = 700;
+// Columns of a spectrogram, five a second.
+const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
 let view = "traces";
@@ -13,7 +17,7 @@ const place = document.getElementById("plots");
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   const of = (name) => style.getPropertyValue(name).trim();
-  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft") };
+  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft"), idle: of("--idle") };
   ask();
 }
 
@@ -36,7 +40,8 @@ function stream(source) {
   canvas.dataset.source = source;
   head.append(name, note, lost);
   box.append(head, canvas);
-  known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, fresh: false, range: null };
+  known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, columns: [], fresh: false, range: null,
+    arrived: performance.now(), stalled: false };
   streams.set(source, known);
   // In order of names, whatever came first.
   const after = [...place.children].find((other) => other.querySelector("strong").textContent > source);
@@ -61,15 +66,46 @@ export function trace(event) {
     const first = s.bins.findIndex((bin) => bin.at > end - WINDOW_S);
     s.bins.splice(0, first);
     s.fresh = true;
+    s.arrived = performance.now();
+    if (s.stalled) revive(s);
   }
   if (view === "traces") ask();
 }
+
+function revive(s) {
+  s.stalled = false;
+  delete s.box.dataset.stalled;
+  s.canvas.setAttribute("aria-label", `signal of ${s.source}`);
+}
+
+// A stream that brings nothing is grey, with the time since its last sample: never a frozen trace.
+function findStalled() {
+  const now = performance.now();
+  for (const s of streams.values()) {
+    const silent_ms = now - s.arrived;
+    if (silent_ms < STALLED_MS) continue;
+    if (!s.stalled) {
+      s.stalled = true;
+      s.box.dataset.stalled = "true";
+      s.fresh = true;
+      s.columns = [];
+      ask();
+    }
+    const text = `no data for ${(silent_ms / 1000).toFixed(silent_ms < 10000 ? 1 : 0)} s`;
+    s.note.textContent = text;
+    s.canvas.setAttribute("aria-label", `signal of ${s.source}: ${text}`);
+  }
+}
+setInterval(findStalled, 250);
 
 // Takes in an event of type `spectrum`.
 export function spectrum(event) {
   for (const bands of event.streams) {
     const s = stream(bands.source);
+    if (s.stalled) continue;
     s.spectrum = bands;
+    s.columns.push(bands.db);
+    s.columns.splice(0, s.columns.length - COLUMNS);
     if (view === "spectra") s.fresh = true;
   }
   if (view === "spectra") ask();
@@ -166,7 +202,7 @@ function drawTrace(s, pen, w, h, ratio) {
   pen.fillStyle = colours.grid;
   for (let second = Math.ceil(end - WINDOW_S); second < end; second++) pen.fillRect(x(second), 0, ratio, h);
   for (let channel = channels - 1; channel >= 0; channel--) {
-    pen.strokeStyle = colours.traces[channel % colours.traces.length];
+    pen.strokeStyle = s.stalled ? colours.idle : colours.traces[channel % colours.traces.length];
     pen.lineWidth = 1.2 * ratio;
     pen.beginPath();
     let drawing = false;
@@ -180,11 +216,35 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
+  if (!s.stalled) s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
 }
 
-function drawSpectrum(s, pen, w, h, ratio) {
+// The spectrum of now to the right, those of the last seconds to the left: time runs to the right,
+// frequency upwards.
+function drawSpectrum(s, pen, whole, h, ratio) {
   if (!s.spectrum) return;
+  const left = Math.round(whole * 0.4);
+  drawSpectrogram(s, pen, left - 4 * ratio, h);
+  pen.save();
+  pen.translate(left, 0);
+  drawBands(s, pen, whole - left, h, ratio);
+  pen.restore();
+}
+
+function drawSpectrogram(s, pen, w, h) {
+  const top = s.top ?? -60;
+  pen.fillStyle = s.stalled ? colours.idle : colours.traces[0];
+  s.columns.forEach((db, i) => {
+    const x = w * (COLUMNS - s.columns.length + i) / COLUMNS;
+    db.forEach((value, band) => {
+      pen.globalAlpha = Math.max(0, Math.min(1, (value - (top - 60)) / 60)) ** 1.5;
+      pen.fillRect(x, h * (1 - (band + 1) / db.length), w / COLUMNS + 0.5, h / db.length + 0.5);
+    });
+  });
+  pen.globalAlpha = 1;
+}
+
+function drawBands(s, pen, w, h, ratio) {
   const { from_hz, to_hz, db } = s.spectrum;
   const x = (hz) => w * Math.log(hz / from_hz) / Math.log(to_hz / from_hz);
   pen.fillStyle = colours.grid;
@@ -196,19 +256,22 @@ function drawSpectrum(s, pen, w, h, ratio) {
   const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
   const y = (value) => h - (h - 17 * ratio) * Math.max(0, value - (s.top - 60)) / 60;
-  pen.fillStyle = colours.traces[0];
+  pen.fillStyle = s.stalled ? colours.idle : colours.traces[0];
   db.forEach((value, band) => {
     const left = w * band / db.length;
     pen.fillRect(left, y(value), Math.max(w / db.length - ratio, ratio), h - y(value));
   });
   pen.fillStyle = colours.soft;
+  let free = 0;
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     const text = hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`;
     const room = w - x(hz) > pen.measureText(text).width + 4 * ratio;
-    pen.textAlign = room ? "left" : "right";
-    pen.fillText(text, x(hz) + (room ? 3 : -3) * ratio, 12 * ratio);
+    // No label over the one before.
+    if (!room || x(hz) < free) continue;
+    pen.fillText(text, x(hz) + 3 * ratio, 12 * ratio);
+    free = x(hz) + pen.measureText(text).width + 8 * ratio;
   }
-  s.note.textContent = `top ${Math.round(s.top)} dB`;
+  if (!s.stalled) s.note.textContent = `top ${Math.round(s.top)} dB`;
 }
 
 function short(value) {

@@ -1,65 +1,17 @@
 // Follows the station's events and shows how it is. All text from outside goes in as text, never
 // as markup.
 
+import { certainty, nameOf } from "./answer.js";
+import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { losses, show, spectrum, trace } from "./draw.js";
+import * as history from "./history.js";
+import "./scan.js";
+import * as shelf from "./shelf.js";
 
-const $ = (id) => document.getElementById(id);
-const HISTORY = 300;
 let state = null;
-let scans = [];
 let enrolled = [];
 let announced = "";
 let due = false;
-
-// Text without what acts unseen, such as marks that make it read backwards (as printable.rs).
-const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
-const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
-
-function make(tag, text, className) {
-  const element = document.createElement(tag);
-  if (text !== undefined) element.textContent = printable(text);
-  if (className) element.className = className;
-  return element;
-}
-
-const percent = (share) => `${(share * 100).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
-const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
-const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
-
-// What is shown in one place: a list of elements, replaced only if it reads otherwise.
-function fill(id, elements) {
-  const place = $(id);
-  const text = elements.map((element) => element.outerHTML).join("");
-  if (place.dataset.text === text) return;
-  place.dataset.text = text;
-  place.replaceChildren(...elements);
-}
-
-function say(id, text) {
-  const shown = printable(text);
-  if ($(id).textContent !== shown) $(id).textContent = shown;
-}
-
-function hide(id, hidden) {
-  $(id).hidden = hidden;
-}
-
-const times = (ratio) => (ratio >= 1000 ? "> 1000 ×" : `${ratio.toFixed(ratio < 10 ? 1 : 0)} ×`);
-
-// How sure an answer is, in words: by its probability where the method gives one.
-function sureness(answer) {
-  return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
-}
-
-function sureText(answer) {
-  const parts = [];
-  if (answer.surface === null) parts.push(`most alike: ${answer.ranked[0]?.surface ?? "nothing"}`);
-  else if (answer.confidence !== null) parts.push(`${percent(answer.confidence)} sure`);
-  else parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
-  parts.push(`answered in ${answer.latency_ms.toFixed(0)} ms`);
-  if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
-  return parts.join(" · ");
-}
 
 function runner(name, share, text) {
   const item = make("li");
@@ -106,10 +58,9 @@ function showNow() {
     label(`scan ${guess.scan}, so far`, first.surface, "guess", `${percent(first.probability)}${guess.settled ? " · settled" : ""}`);
     fill("runners", guess.named.slice(0, 4).map((n) => runner(n.surface, n.probability, percent(n.probability))));
   } else if (answer) {
-    const kind = answer.surface === null ? "unknown" : "answer";
     const made = answer.synthetic ? " · synthetic" : "";
     const next = phase === null ? "" : ` · scan ${state.scan} goes on`;
-    label(`scan ${answer.scan}${made}${next}`, answer.surface ?? "unknown", kind, sureText(answer));
+    label(`scan ${answer.scan}${made}${next}`, nameOf(answer), answer.state, certainty(answer));
     fill("runners", answerRunners(answer));
   } else {
     label(phase === null ? "no scan yet" : `scan ${state.scan} goes on`, "—", "none", "");
@@ -135,31 +86,6 @@ function showDevices() {
   losses(state.streams);
 }
 
-function row(scan) {
-  const unknown = scan.surface === null;
-  const line = make("tr", undefined, unknown ? "unknown" : "");
-  const name = make("td", unknown ? "unknown" : scan.surface);
-  if (unknown && scan.ranked[0]) name.append(make("span", `like ${scan.ranked[0].surface}`, "badge"));
-  if (scan.spoiled.length) {
-    const badge = make("span", "spoiled", "badge");
-    badge.title = printable(scan.spoiled.join("\n"));
-    name.append(badge);
-  }
-  line.append(make("td", scan.scan), make("td", clock(scan.unix_ms)), name, make("td", sureness(scan)),
-    make("td", `${scan.scan_s.toFixed(1)} s`, "wide"), make("td", `${scan.latency_ms.toFixed(0)} ms`, "wide"),
-    make("td", scan.lost_samples));
-  return line;
-}
-
-function showHistory() {
-  const only = $("unknown-only").checked;
-  const shown = scans.filter((scan) => !only || scan.surface === null);
-  fill("scans", shown.map(row));
-  hide("no-scans", shown.length > 0);
-  const { scans: count, unknown } = state.counts;
-  say("counts", count ? `${many(count, "scan")} · ${unknown} unknown` : "");
-}
-
 function showLibrary() {
   const { library, enrolling } = state;
   const surfaces = library?.surfaces ?? [];
@@ -178,6 +104,7 @@ function showLibrary() {
     option.value = surface;
     return option;
   }));
+  hide("shelf-open", !state.enrolls);
   hide("enroll-form", !state.enrolls);
   hide("no-enroll", state.enrolls);
   hide("enrolling", !enrolling);
@@ -186,9 +113,37 @@ function showLibrary() {
     say("enrolling-wanted", enrolling.wanted === null ? "every scan is kept"
       : `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
   }
-  fill("enrolled", enrolled.map((e) => {
+  showEnrolled();
+}
+
+// Each trial as it is kept, with a way back.
+function showEnrolled() {
+  const text = JSON.stringify(enrolled);
+  if ($("enrolled").dataset.text === text) return;
+  $("enrolled").dataset.text = text;
+  $("enrolled").replaceChildren(...enrolled.map((e) => {
     const kept = e.trial === null ? `scan ${e.scan} was not kept as ${e.surface}` : `scan ${e.scan} kept as ${e.surface}, trial ${e.trial}`;
-    return make("li", [kept, ...e.remarks].join(" · "));
+    const item = make("li", [kept, ...e.remarks].join(" · "));
+    const looksLike = e.nearest && e.nearest !== e.surface && !e.undone && !e.confirmed;
+    if (looksLike) {
+      item.append(make("p", `This looks like ${e.nearest}, which you have. Is it ${e.surface}?`, "warn"));
+      item.append(button(`Yes, ${e.surface}`, () => {
+        e.confirmed = true;
+        render();
+      }, "small"));
+    }
+    if (e.undone) item.append(make("span", "taken back", "badge"));
+    else if (e.folder) {
+      const name = e.folder.split("/").slice(-2).join("/");
+      const back = button(looksLike ? "No, take it back" : "Undo", async () => {
+        if (!(await ask("library/remove", { trials: [name] }))) return;
+        e.undone = true;
+        render();
+      }, "small");
+      back.setAttribute("aria-label", printable(`take back ${name}`));
+      item.append(back);
+    }
+    return item;
   }));
 }
 
@@ -208,7 +163,7 @@ function render() {
     due = false;
     showNow();
     showDevices();
-    showHistory();
+    history.render(state.counts);
     showLibrary();
     showWarnings();
     say("version", `surfaced ${state.version}`);
@@ -219,7 +174,7 @@ function render() {
 const changes = {
   state: (whole) => {
     state = whole;
-    fetchScans();
+    history.load();
   },
   advice: (advice) => (state.advice = advice),
   device: (device) => {
@@ -235,14 +190,19 @@ const changes = {
     state.answer = answer;
     state.guess = null;
     state.counts.scans += 1;
-    state.counts.unknown += answer.surface === null ? 1 : 0;
-    scans = [answer, ...scans].slice(0, HISTORY);
-    announce(`scan ${answer.scan}: ${answer.surface ?? "unknown"}, ${sureText(answer)}`);
+    if (answer.state !== "named") state.counts[answer.state] += 1;
+    history.add(answer);
+    announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
   },
+  correction: history.change,
+  check: shelf.checked,
   enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
   reading: (reading) => (state.reading = reading),
-  library: (library) => ([state.library, state.reading] = [library, false]),
+  library: (library) => {
+    [state.library, state.reading] = [library, false];
+    shelf.changed();
+  },
   warning: (warning) => (state.warnings = [warning, ...state.warnings].slice(0, 50)),
   streams: ({ streams }) => (state.streams = streams),
   finished: (counts) => {
@@ -250,13 +210,6 @@ const changes = {
     [state.finished, state.phase, state.scan, state.guess] = [true, null, null, null];
   },
 };
-
-async function fetchScans() {
-  const answer = await fetch(`/api/v1/scans?limit=${HISTORY}`);
-  if (!answer.ok) return;
-  scans = (await answer.json()).scans;
-  render();
-}
 
 function follow() {
   const events = new EventSource("/api/v1/events");
@@ -277,23 +230,6 @@ function follow() {
   events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
 }
 
-async function order(path, body) {
-  let problem = "";
-  try {
-    const answer = await fetch(`/api/v1/${path}`, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: body && JSON.stringify(body),
-    });
-    if (!answer.ok) problem = (await answer.json()).message;
-  } catch {
-    problem = "The station does not answer; is it still running?";
-  }
-  hide("problem", problem === "");
-  say("problem", problem);
-  return problem === "";
-}
-
 function toggleView() {
   const spectra = $("view-traces").getAttribute("aria-pressed") === "true";
   choose(spectra ? "spectra" : "traces");
@@ -305,17 +241,18 @@ function choose(view) {
   show(view);
 }
 
-$("start").addEventListener("click", () => order("start"));
-$("stop").addEventListener("click", () => order("stop"));
-$("reload").addEventListener("click", () => order("reload"));
-$("enroll-end").addEventListener("click", () => order("enroll/end"));
+$("start").addEventListener("click", () => ask("start", {}));
+$("stop").addEventListener("click", () => ask("stop", {}));
+$("reload").addEventListener("click", () => ask("reload", {}));
+$("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
 $("view-traces").addEventListener("click", () => choose("traces"));
 $("view-spectra").addEventListener("click", () => choose("spectra"));
 $("unknown-only").addEventListener("change", render);
+history.onChange(render);
 $("enroll-form").addEventListener("submit", async (event) => {
   event.preventDefault();
   const body = { surface: $("surface").value, user: $("user").value, trials: Number($("trials").value) };
-  if (await order("enroll", body)) $("surface").value = "";
+  if (await ask("enroll", body)) $("surface").value = "";
 });
 
 const keys = {
@@ -326,9 +263,9 @@ const keys = {
   u: () => $("unknown-only").click(),
 };
 document.addEventListener("keydown", (event) => {
-  const writing = event.target.closest("input:not([type=checkbox])");
+  const writing = event.target.closest("input:not([type=checkbox]), select");
   if (event.key === "Escape" && writing) writing.blur();
-  if (writing || event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
+  if (writing || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
   event.preventDefault();
   keys[event.key]();
 });

@@ -20,6 +20,7 @@ pub(super) struct StationFile {
     pub camera: CameraBlock,
     pub detection: DetectionBlock,
     pub enroll: EnrollBlock,
+    pub history: HistoryBlock,
     #[serde(default)]
     pub sources: BTreeMap<String, Spanned<SourceBlock>>,
 }
@@ -92,4 +93,10 @@ pub(super) struct DetectionBlock {
 pub(super) struct EnrollBlock {
     pub t_star: Vec<Spanned<String>>,
     pub trials: Spanned<u32>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct HistoryBlock {
+    pub keep_mb: u32,
 }

@@ -79,6 +79,8 @@ pub struct StationConfig {
     pub by_t_star: Vec<SourceId>,
     /// Trials that `enroll` takes of a surface.
     pub trials: u32,
+    /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
+    pub keep_mb: u32,
 }
 
 /// The stylus.

@@ -55,7 +55,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     }
     let Ok(serve) = file.serve.get_ref().parse::<SocketAddr>() else {
         let problem = format!(
-            "serve = \"{}\"; expected for example \"127.0.0.1:8108\"",
+            "serve = \"{}\"; expected for example \"127.0.0.1:8080\"",
             file.serve.get_ref()
         );
         return mistake(&file.serve, problem);
@@ -91,6 +91,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         detection,
         by_t_star,
         trials,
+        keep_mb: file.history.keep_mb,
     })
 }
 

@@ -1,0 +1,102 @@
+//! `surfaced check`: audits a library.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::plan::{Comparing, ComparingArgs};
+use super::{Done, Failure, show};
+use crate::dataset;
+use crate::evaluate::{CheckReport, check};
+use crate::library::lock::LibraryLock;
+use crate::scene::Scene;
+
+/// Audit a library: left-out accuracy, confusions, likely mislabels, damage, what to record next
+///
+/// Each trial is left out and named by the others. One bad file does not stop it. The exit code is 3
+/// where something should be mended.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced check my-library\n  \
+                        surfaced check my-library --json > check.json")]
+pub struct Args {
+    /// The library: a folder of labelled trials
+    library: PathBuf,
+    #[command(flatten)]
+    comparing: ComparingArgs,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let how = args.comparing.resolve(None)?;
+    let report = audit(&args.library, &how, true)?;
+    if args.json {
+        show::json(&report);
+    } else {
+        print(&report)?;
+    }
+    match report.mend.len() {
+        0 => Ok(()),
+        n => Err(Failure::Damaged(format!("{} to mend", show::counted(n, "thing")))),
+    }
+}
+
+/// Audits a library. `shows` progress on a terminal.
+///
+/// # Errors
+/// If nothing of it can be read.
+pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport, Failure> {
+    let _lock = LibraryLock::for_reading(library);
+    let opened = dataset::open_usable(library, &Scene::lmt108())?;
+    let scene = how.narrow(opened.library.scene.clone())?;
+    let method = how.method.build(&scene);
+    let steps = show::Steps::new();
+    let progress = |step, done, of| {
+        if shows {
+            steps.show(step, done, of);
+        }
+    };
+    let cache = how.cache.then_some(library);
+    Ok(check(opened, &scene, &*method, cache, &progress))
+}
+
+fn print(report: &CheckReport) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    let counted = |number, thing| show::counted(number, thing);
+    let (trials, surfaces) =
+        (counted(report.trials, "trial"), counted(report.surfaces.len(), "surface"));
+    writeln!(out, "{trials} of {surfaces}")?;
+    if let (Some(accuracy), Some(low), Some(high)) =
+        (report.accuracy, report.accuracy_low, report.accuracy_high)
+    {
+        let [accuracy, low, high] = [accuracy, low, high].map(show::percent);
+        writeln!(out, "left out and named right: {accuracy} (95 % interval {low} to {high})")?;
+    }
+    writeln!(
+        out,
+        "\n{:<28} {:>6}  {:>9}  {:<18}  taken for",
+        "surface", "trials", "right", "95 %"
+    )?;
+    for surface in &report.surfaces {
+        let right = format!("{}/{}", surface.right, surface.queries);
+        let interval = match surface.queries {
+            0 => "-".into(),
+            _ => {
+                let [low, high] = [surface.accuracy_low, surface.accuracy_high].map(show::percent);
+                format!("{low} to {high}")
+            }
+        };
+        let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
+        let taken = taken.collect::<Vec<_>>().join(", ");
+        let (name, trials) = (&surface.surface, surface.trials);
+        writeln!(out, "{name:<28} {trials:>6}  {right:>9}  {interval:<18}  {taken}")?;
+    }
+    for (title, lines) in [("to mend", &report.mend), ("next", &report.advice)] {
+        if !lines.is_empty() {
+            writeln!(out, "\n{title}:")?;
+        }
+        lines.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
+    }
+    Ok(())
+}

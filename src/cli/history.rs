@@ -1,0 +1,111 @@
+//! `surfaced history`: the scans of the past, and what people said of them.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use serde_json::Value;
+
+use super::{Done, Failure, show};
+use crate::history::{CsvWriter, FOLDER, History, Precision};
+
+/// Show past scans: answers, their states and reasons, and what people said of them
+///
+/// `surfaced run` keeps them in LIBRARY/.history, the newest as far as `[history] keep_mb` goes.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced history my-library\n  \
+                        surfaced history my-library --csv > scans.csv\n  \
+                        surfaced history my-library --precision")]
+pub struct Args {
+    /// The library that named them
+    library: PathBuf,
+    /// The newest scans alone, at most so many
+    #[arg(long, value_name = "N")]
+    last: Option<usize>,
+    /// How often answers were right, surface by surface, of the scans that somebody corrected
+    #[arg(long)]
+    precision: bool,
+    /// Print CSV
+    #[arg(long, conflicts_with_all = ["json", "precision"])]
+    csv: bool,
+    /// Print one line of JSON a scan
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let folder = args.library.join(FOLDER);
+    if !folder.is_dir() {
+        return Err(Failure::Failed(format!(
+            "{}: no scans are kept here; `surfaced run --library {}` keeps those that it names",
+            folder.display(),
+            args.library.display()
+        )));
+    }
+    let history = History::read(&folder)?;
+    if args.precision {
+        return precision(&history.precision(), args.json);
+    }
+    let mut csv = if args.csv { Some(CsvWriter::new(std::io::stdout())?) } else { None };
+    let mut passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
+    history.each(|scan| {
+        if passed > 0 {
+            passed -= 1;
+            return Ok(());
+        }
+        match &mut csv {
+            Some(csv) => csv.scan(&scan)?,
+            None if args.json => writeln!(std::io::stdout(), "{scan}")?,
+            None => line(&scan)?,
+        }
+        Ok::<(), Failure>(())
+    })?;
+    if let Some(csv) = csv {
+        csv.finish()?;
+    }
+    Ok(())
+}
+
+fn line(scan: &Value) -> std::io::Result<()> {
+    let text = |key: &str| scan[key].as_str().unwrap_or_default();
+    let list = |key: &str| {
+        let all = scan[key].as_array().into_iter().flatten().filter_map(Value::as_str);
+        all.collect::<Vec<_>>().join("; ")
+    };
+    let was = match text_of(&scan["correction"]["was"]) {
+        "" => String::new(),
+        "surface" => format!("  it was {}", text_of(&scan["correction"]["surface"])),
+        other => format!("  {other}, as somebody said"),
+    };
+    let surface = scan["surface"].as_str().unwrap_or("-");
+    writeln!(
+        std::io::stdout(),
+        "{:<26} {:<8} {surface:<28} {:>5.1} s  {}{was}",
+        text("id"),
+        text("state"),
+        scan["scan_s"].as_f64().unwrap_or(0.0),
+        list("reasons")
+    )
+}
+
+fn text_of(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}
+
+fn precision(all: &[Precision], json: bool) -> Done {
+    if json {
+        show::json(&all);
+        return Ok(());
+    }
+    for one in all {
+        let name = one.surface.as_deref().unwrap_or("(unknown)");
+        let [share, low, high] =
+            [one.precision, one.precision_low, one.precision_high].map(show::percent);
+        let Precision { right, corrected, .. } = one;
+        writeln!(
+            std::io::stdout(),
+            "{name:<28} {right}/{corrected} right: {share} (95 % interval {low} to {high})"
+        )?;
+    }
+    Ok(())
+}

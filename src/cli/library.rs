@@ -1,0 +1,195 @@
+//! `surfaced library`: lists the trials of a library, and edits them so that it can be undone.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+use serde::Serialize;
+
+use super::plan::ComparingArgs;
+use super::{Done, Failure, check, show};
+use crate::evaluate::{TrialCheck, TrialVerdict};
+use crate::library::lock::LibraryLock;
+use crate::record::edit::{self, Editor, Listed, Step};
+use crate::scene::Scene;
+use crate::trial::TrialKey;
+
+/// List the trials of a library, rename, move, remove and restore them
+///
+/// A trial is called by its folder, SURFACE/TRIAL, as `list` shows it; a SURFACE alone means all
+/// its trials. What is removed lies in LIBRARY/.removed, and every step can be undone.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced library list my-library\n  \
+                        surfaced library rename my-library oak oak-sanded\n  \
+                        surfaced library remove my-library oak/anna-03\n  \
+                        surfaced library undo my-library")]
+pub struct Args {
+    #[command(subcommand)]
+    edit: Edit,
+}
+
+#[derive(Subcommand)]
+enum Edit {
+    /// List the trials: date, user, flaws, and what each is named when it is left out
+    List(ListArgs),
+    /// Give all trials of a surface another label
+    Rename {
+        /// The library
+        library: PathBuf,
+        /// The label now
+        surface: String,
+        /// The label from now on
+        label: String,
+    },
+    /// Give some trials another label
+    Move {
+        /// The library
+        library: PathBuf,
+        /// Trials, SURFACE/TRIAL each, or surfaces
+        #[arg(required = true)]
+        trials: Vec<String>,
+        /// The label from now on
+        #[arg(long, value_name = "LABEL")]
+        to: String,
+    },
+    /// Remove trials, so that they can come back
+    Remove {
+        /// The library
+        library: PathBuf,
+        /// Trials, SURFACE/TRIAL each, or surfaces
+        #[arg(required = true)]
+        trials: Vec<String>,
+    },
+    /// Bring removed trials back
+    Restore {
+        /// The library
+        library: PathBuf,
+        /// Trials, SURFACE/TRIAL each, or surfaces; `list --removed` shows them
+        #[arg(required = true)]
+        trials: Vec<String>,
+    },
+    /// Take the last step back
+    Undo {
+        /// The library
+        library: PathBuf,
+    },
+}
+
+#[derive(clap::Args)]
+struct ListArgs {
+    /// The library
+    library: PathBuf,
+    /// List those that were removed
+    #[arg(long)]
+    removed: bool,
+    /// Do not leave each trial out and name it, which takes a while
+    #[arg(long)]
+    quick: bool,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    comparing: ComparingArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let (library, step) = match &args.edit {
+        Edit::List(args) => return list(args),
+        Edit::Rename { library, surface, label } => {
+            (library, editor(library)?.rename(surface, named(label)?)?)
+        }
+        Edit::Move { library, trials, to } => {
+            (library, editor(library)?.move_to(trials, named(to)?)?)
+        }
+        Edit::Remove { library, trials } => (library, editor(library)?.remove(trials)?),
+        Edit::Restore { library, trials } => (library, editor(library)?.restore(trials)?),
+        Edit::Undo { library } => {
+            let step = editor(library)?.undo()?;
+            say!("undone: {}", step.what);
+            return Ok(());
+        }
+    };
+    done(library, &step);
+    Ok(())
+}
+
+fn named(label: &str) -> Result<&str, Failure> {
+    match label.trim() {
+        "" => Err(Failure::Usage("an empty label; give it a name, such as oak".into())),
+        label => Ok(label),
+    }
+}
+
+fn editor(library: &Path) -> Result<Editor, Failure> {
+    Ok(Editor::open(library, &Scene::lmt108())?)
+}
+
+fn done(library: &Path, step: &Step) {
+    for one in &step.moves {
+        say!("{} → {}", one.from, one.to);
+    }
+    let trials = show::counted(step.moves.len(), "trial");
+    say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
+}
+
+/// A line of the list.
+#[derive(Serialize)]
+struct Row {
+    #[serde(flatten)]
+    listed: Listed,
+    /// What it is named when it is left out; absent with `--quick`.
+    verdict: Option<TrialVerdict>,
+    named: Option<String>,
+    margin: Option<f64>,
+    flaws: Vec<String>,
+}
+
+fn list(args: &ListArgs) -> Done {
+    let scene = Scene::lmt108();
+    let lock = LibraryLock::for_reading(&args.library);
+    let listed = match args.removed {
+        true => edit::list_removed(&args.library, &scene)?,
+        false => edit::list(&args.library, &scene)?,
+    };
+    let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
+    if !args.quick && !args.removed {
+        let report = check::audit(&args.library, &args.comparing.resolve(None)?, true)?;
+        checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
+    }
+    drop(lock);
+    let row = |listed: Listed| {
+        let of = checked.remove(&listed.key);
+        let (verdict, flaws) =
+            (of.as_ref().map(|of| of.verdict), of.as_ref().map(|of| of.flaws.clone()));
+        let (named, margin) = of.map_or((None, None), |of| (of.named, of.margin));
+        Row { listed, verdict, named, margin, flaws: flaws.unwrap_or_default() }
+    };
+    let rows: Vec<Row> = listed.into_iter().map(row).collect();
+    if args.json {
+        show::json(&rows);
+    } else {
+        rows.iter().try_for_each(print)?;
+    }
+    Ok(())
+}
+
+fn print(row: &Row) -> std::io::Result<()> {
+    use std::io::Write;
+    let Listed { trial, key, started_at, seconds, .. } = &row.listed;
+    let verdict = match (row.verdict, &row.named) {
+        (Some(TrialVerdict::Right), _) => "right".into(),
+        (Some(TrialVerdict::Wrong), Some(named)) => format!("wrong: {named}"),
+        (Some(TrialVerdict::Wrong), None) => "wrong: not named".into(),
+        (Some(TrialVerdict::Untested), _) => "not tested".into(),
+        (None, _) => String::new(),
+    };
+    let margin = row.margin.map(|margin| format!(" by {margin:.1}")).unwrap_or_default();
+    let flaws: String = row.flaws.iter().map(|flaw| format!("  {flaw}")).collect();
+    let (surface, user) = (&key.surface, &key.user);
+    writeln!(
+        std::io::stdout(),
+        "{trial:<32} {surface:<24} {user:<12} {:<20} {seconds:>5.1} s  {verdict}{margin}{flaws}",
+        started_at.as_deref().unwrap_or("-")
+    )
+}

@@ -1,0 +1,99 @@
+//! Past scans as CSV: one line each, the columns named in the first.
+
+use std::io::Write;
+
+use serde_json::Value;
+
+/// The columns: fields of an answer, and what was said of it. Lists are joined by semicolons.
+const COLUMNS: [&str; 19] = [
+    "id",
+    "unix_ms",
+    "scan",
+    "state",
+    "surface",
+    "nearest",
+    "reasons",
+    "confidence",
+    "fit",
+    "margin",
+    "scan_s",
+    "settled_s",
+    "latency_ms",
+    "lost_samples",
+    "truth",
+    "sources",
+    "spoiled",
+    "correction",
+    "became",
+];
+
+/// Writes scans as CSV (RFC 4180).
+pub struct CsvWriter<W: Write>(::csv::Writer<W>);
+
+impl<W: Write> CsvWriter<W> {
+    /// Begins with the names of the columns.
+    ///
+    /// # Errors
+    /// If it cannot be written, as for what follows.
+    pub fn new(out: W) -> std::io::Result<Self> {
+        let mut writer = ::csv::Writer::from_writer(out);
+        writer.write_record(COLUMNS)?;
+        Ok(Self(writer))
+    }
+
+    /// Adds a scan, as [`super::History`] gives it.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn scan(&mut self, scan: &Value) -> std::io::Result<()> {
+        self.0.write_record(COLUMNS.map(|column| cell(scan, column)))?;
+        Ok(())
+    }
+
+    /// Gives what it wrote into.
+    ///
+    /// # Errors
+    /// If the last of it cannot be written.
+    pub fn finish(self) -> std::io::Result<W> {
+        self.0.into_inner().map_err(::csv::IntoInnerError::into_error)
+    }
+}
+
+fn cell(scan: &Value, column: &str) -> String {
+    match column {
+        "nearest" => text(&scan["ranked"][0]["surface"]),
+        "correction" => match text(&scan["correction"]["was"]).as_str() {
+            "surface" => text(&scan["correction"]["surface"]),
+            "" => String::new(),
+            other => format!("({other})"),
+        },
+        column => text(&scan[column]),
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        Value::Array(list) => list.iter().map(text).collect::<Vec<_>>().join("; "),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scan_is_a_line_whatever_its_texts_hold() {
+        let scan = serde_json::json!({
+            "id": "x", "surface": "oak, \"sanded\"", "reasons": ["a", "b"], "scan_s": 1.5,
+            "ranked": [{"surface": "oak"}], "correction": {"was": "unknown"},
+        });
+        let mut writer = CsvWriter::new(Vec::new()).unwrap();
+        writer.scan(&scan).unwrap();
+        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        let line = text.lines().nth(1).unwrap();
+        assert_eq!(line, "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),");
+    }
+}

@@ -1,0 +1,99 @@
+//! The folder of a history: its lock, its log, and a folder for each scan.
+
+use std::collections::HashSet;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, flock};
+
+use super::log::Log;
+use super::{HistoryError, SCANS};
+use crate::library::{ABOUT_FILE, About};
+
+/// Name of the log.
+const LOG: &str = "answers.jsonl";
+
+/// The folder.
+#[derive(Debug)]
+pub(super) struct Disk {
+    root: PathBuf,
+    pub log: Log,
+    pub most_bytes: u64,
+    /// Held for as long as the folder is in use.
+    _lock: Option<File>,
+}
+
+impl Disk {
+    /// Opens a folder for one program alone.
+    pub fn open(root: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
+        let scans = root.join(SCANS);
+        fs::create_dir_all(&scans).map_err(HistoryError::io(&scans))?;
+        let lock = File::open(root).map_err(HistoryError::io(root))?;
+        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return Err(HistoryError::InUse(root.to_path_buf()));
+        }
+        let log = Log::open(&root.join(LOG), false)?;
+        Ok(Self { root: root.to_path_buf(), log, most_bytes, _lock: Some(lock) })
+    }
+
+    /// Opens a folder to be read, whoever writes there.
+    pub fn read_only(root: &Path) -> Result<Self, HistoryError> {
+        let log = Log::open(&root.join(LOG), true)?;
+        Ok(Self { root: root.to_path_buf(), log, most_bytes: u64::MAX, _lock: None })
+    }
+
+    /// The folder itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The folder of a scan.
+    pub fn folder(&self, id: &str) -> PathBuf {
+        self.root.join(SCANS).join(id)
+    }
+
+    /// The scans that have a folder.
+    pub fn scans(&self) -> Result<HashSet<String>, HistoryError> {
+        let folder = self.root.join(SCANS);
+        let listed = fs::read_dir(&folder).map_err(HistoryError::io(&folder))?;
+        Ok(listed.flatten().filter_map(|item| item.file_name().into_string().ok()).collect())
+    }
+
+    /// Removes what is no scan that is known: left behind by a crash.
+    pub fn remove_strays(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
+        self.scans()?.iter().filter(|id| !is_known(id)).try_for_each(|id| self.remove(id))
+    }
+
+    /// Removes the signals of a scan.
+    pub fn remove(&self, id: &str) -> Result<(), HistoryError> {
+        let folder = self.folder(id);
+        match fs::remove_dir_all(&folder) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(HistoryError::Io { path: folder, error })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Bytes of the signals of a scan.
+    pub fn size(&self, id: &str) -> Result<u64, HistoryError> {
+        let folder = self.folder(id);
+        let size =
+            || fs::read_dir(&folder)?.try_fold(0, |sum, item| Ok(sum + item?.metadata()?.len()));
+        size().map_err(HistoryError::io(&folder))
+    }
+
+    /// Writes a label into the `trial.toml` of a scan, where its signals are kept.
+    pub fn label(&self, id: &str, surface: &str) -> Result<(), HistoryError> {
+        let folder = self.folder(id);
+        if !folder.is_dir() {
+            return Ok(());
+        }
+        let about = About { surface: Some(surface.into()), ..About::read(&folder)? };
+        let path = folder.join(ABOUT_FILE);
+        let unfinished = folder.join(format!(".{ABOUT_FILE}.unfinished"));
+        fs::write(&unfinished, about.to_toml())
+            .and_then(|()| fs::rename(&unfinished, &path))
+            .map_err(HistoryError::io(&path))
+    }
+}

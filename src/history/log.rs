@@ -1,0 +1,173 @@
+//! The log of answers: one line of JSON for each, and for each change to it. Lines are only ever
+//! added; the file is replaced as a whole where it has grown too long.
+//!
+//! ```text
+//! {"answer": {…}}                                        an answer, as programs get it
+//! {"signals": {"id": "…", "bytes": 1500000}}             its signals are on disk; null: no longer
+//! {"correction": {"id": "…", "correction": {"was": "surface", "surface": "oak"}}}
+//! {"trial": {"id": "…", "trial": "oak/anna-03"}}         it became a trial of the library
+//! ```
+
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use super::{AnswerState, Correction, HistoryError};
+use crate::station::Answer;
+
+/// Longest line that is read: an answer of some ten thousand surfaces.
+const LONGEST: usize = 1 << 20;
+
+/// What is known of an answer without reading it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Head {
+    pub id: String,
+    pub scan: u32,
+    pub surface: Option<String>,
+    pub state: AnswerState,
+}
+
+impl Head {
+    pub fn of(answer: &Answer) -> Self {
+        let Answer { id, scan, surface, state, .. } = answer;
+        Self { id: id.clone(), scan: *scan, surface: surface.clone(), state: *state }
+    }
+}
+
+/// What one line says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Line {
+    Answer(Head),
+    Signals { id: String, bytes: Option<u64> },
+    Correction { id: String, correction: Option<Correction> },
+    Trial { id: String, trial: Option<String> },
+}
+
+impl Line {
+    pub fn to_json(&self) -> String {
+        // Plain structs, numbers and text: nothing here that JSON cannot express.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+/// Where a line stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Span {
+    pub offset: u64,
+    pub length: u32,
+}
+
+/// The file.
+#[derive(Debug)]
+pub(super) struct Log {
+    path: PathBuf,
+    file: File,
+    bytes: u64,
+}
+
+impl Log {
+    /// Opens the log, to be read, and to be written unless `read_only`.
+    pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
+        let fail = HistoryError::io(path);
+        let mut options = OpenOptions::new();
+        options.read(true);
+        if !read_only {
+            options.append(true).create(true);
+        }
+        let opened = options.open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+        let (bytes, file) = opened.map_err(fail)?;
+        Ok(Self { path: path.to_path_buf(), file, bytes })
+    }
+
+    /// Bytes so far.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// All lines; what a crash cut short, or is none of ours, is passed over.
+    pub fn read(&mut self) -> Result<Vec<(Line, Span)>, HistoryError> {
+        let mut lines = Vec::new();
+        let file = File::open(&self.path).map_err(HistoryError::io(&self.path))?;
+        let (mut reader, mut text, mut offset) = (BufReader::new(file), Vec::new(), 0);
+        loop {
+            text.clear();
+            let read = reader.read_until(b'\n', &mut text).map_err(HistoryError::io(&self.path))?;
+            if read == 0 {
+                return Ok(lines);
+            }
+            let line = text.trim_ascii_end();
+            if line.len() <= LONGEST
+                && let Ok(said) = serde_json::from_slice(line)
+            {
+                lines.push((said, Span { offset, length: line.len() as u32 }));
+            }
+            offset += read as u64;
+        }
+    }
+
+    /// Adds a line.
+    pub fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
+        let mut text = Vec::with_capacity(line.len() + 2);
+        // After a crash the last line may have no end.
+        if self.bytes > 0 && !self.ends_well() {
+            text.push(b'\n');
+        }
+        let span = Span { offset: self.bytes + text.len() as u64, length: line.len() as u32 };
+        text.extend_from_slice(line.as_bytes());
+        text.push(b'\n');
+        let written = self.file.write_all(&text);
+        // What did come to the disk counts, if not all did.
+        self.bytes = match (&written, self.file.metadata()) {
+            (Err(_), Ok(about)) => about.len(),
+            _ => self.bytes + text.len() as u64,
+        };
+        written.map_err(HistoryError::io(&self.path))?;
+        Ok(span)
+    }
+
+    fn ends_well(&self) -> bool {
+        let mut last = [0];
+        self.file.read_exact_at(&mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
+    }
+
+    /// A line as it stands.
+    pub fn line(&self, span: Span) -> Result<String, HistoryError> {
+        let mut text = vec![0; span.length as usize];
+        self.file.read_exact_at(&mut text, span.offset).map_err(HistoryError::io(&self.path))?;
+        Ok(String::from_utf8_lossy(&text).into_owned())
+    }
+
+    /// The answer in a line.
+    pub fn answer(&self, span: Span) -> Result<Map<String, Value>, HistoryError> {
+        #[derive(Deserialize)]
+        struct Whole {
+            answer: Map<String, Value>,
+        }
+        let whole: Option<Whole> = serde_json::from_str(&self.line(span)?).ok();
+        Ok(whole.map(|whole| whole.answer).unwrap_or_default())
+    }
+
+    /// An empty log that may take the place of this one.
+    pub fn begin_anew(&self) -> Result<Self, HistoryError> {
+        let path = self.path.with_extension("jsonl.unfinished");
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(HistoryError::Io { path, error });
+            }
+            _ => Self::open(&path, false),
+        }
+    }
+
+    /// Puts another log in the place of this one.
+    pub fn replace(&mut self, other: Self) -> Result<(), HistoryError> {
+        let moved = other.file.sync_all().and_then(|()| std::fs::rename(&other.path, &self.path));
+        moved.map_err(HistoryError::io(&self.path))?;
+        (self.file, self.bytes) = (other.file, other.bytes);
+        Ok(())
+    }
+}

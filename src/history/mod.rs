@@ -1,0 +1,477 @@
+//! Past scans: every answer, and the signals of as many scans as fit a bounded space on disk.
+//!
+//! ```text
+//! HISTORY/
+//!   answers.jsonl                every answer, and what people said of it; see `log`
+//!   scans/ID/                    one scan in the recording format, the newest ones
+//!     trial.toml  ac.wav  ca1.png  …
+//!     .why.json                  why it was named as it was, and its outline beside the nearest trial's
+//!     .nearest-ca1.jpg           pictures of the nearest trial
+//! ```
+//! [`Keeper`] listens to a station and writes; [`History`] is read by whoever shows it. Nothing here
+//! knows of the network.
+
+mod bands;
+mod csv;
+mod file;
+mod keeper;
+mod log;
+mod review;
+mod view;
+
+pub use self::csv::CsvWriter;
+pub use bands::{Bands, bands};
+pub use keeper::Keeper;
+pub use review::{Correction, Precision, precision};
+pub use view::{View, four_digits};
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use serde_json::{Map, Value};
+
+use self::file::Disk;
+use self::log::{Head, Line, Span};
+use crate::scene::SourceId;
+use crate::station::{Answer, AnswerState};
+
+/// Answers that are remembered where none is written to disk.
+const IN_MEMORY: usize = 1000;
+/// The part of the space that answers may take; the rest is for signals.
+const FOR_ANSWERS: u64 = 8;
+/// Name of the folder of scans.
+const SCANS: &str = "scans";
+/// Name of the history's folder, in that of the library that names its scans.
+pub const FOLDER: &str = ".history";
+/// Name of the file that says why a scan was named as it was, in the scan's folder.
+pub const NOTES: &str = ".why.json";
+
+/// Name of the nearest trial's picture of a source, in the scan's folder.
+pub fn nearest_picture(source: &SourceId) -> String {
+    format!(".nearest-{source}.jpg")
+}
+
+/// Why scans cannot be kept, read or corrected.
+#[derive(Debug, thiserror::Error)]
+pub enum HistoryError {
+    /// the file system said no
+    #[error("{}: {error}", path.display())]
+    Io {
+        /// the file or folder
+        path: PathBuf,
+        /// what the file system said
+        error: std::io::Error,
+    },
+    /// another program keeps its scans there
+    #[error("{}: another surfaced keeps its scans here", .0.display())]
+    InUse(PathBuf),
+    /// no such scan
+    #[error("there is no scan {0}")]
+    NoScan(String),
+    /// a scan whose signals have made room for newer ones
+    #[error("the signals of scan {0} are no longer kept")]
+    NoSignals(String),
+    /// the trial of a scan cannot be read or written
+    #[error(transparent)]
+    Library(#[from] crate::library::LibraryError),
+}
+
+impl HistoryError {
+    fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        |error| Self::Io { path, error }
+    }
+}
+
+/// One answer of the past.
+#[derive(Debug)]
+struct Entry {
+    head: Head,
+    text: Text,
+    correction: Option<Correction>,
+    /// The library's trial that it became, as `SURFACE/TRIAL`.
+    trial: Option<String>,
+    /// Bytes of its signals on disk, where they are there.
+    signals: Option<u64>,
+}
+
+/// The answer in full, as JSON.
+#[derive(Debug)]
+enum Text {
+    Here(Box<str>),
+    InLog(Span),
+}
+
+/// All answers and scans that are kept.
+#[derive(Debug)]
+pub struct History {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    /// The oldest first.
+    entries: VecDeque<Entry>,
+    disk: Option<Disk>,
+    /// Bytes of all signals.
+    signals: u64,
+    /// For people: what went wrong last, until it goes right again.
+    problem: Option<String>,
+}
+
+/// How much is kept.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Extent {
+    /// Answers.
+    pub scans: usize,
+    /// Those whose signals are kept.
+    pub with_signals: usize,
+    /// Bytes on disk.
+    pub bytes: u64,
+    /// At most so many; `None` where nothing is written to disk.
+    pub most_bytes: Option<u64>,
+    /// For people: why scans are not kept, if so.
+    pub problem: Option<String>,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self::in_memory()
+    }
+}
+
+impl History {
+    /// A history of the last thousand answers, without their signals, that ends with the program.
+    pub fn in_memory() -> Self {
+        Self { inner: Mutex::default() }
+    }
+
+    /// The history in a folder, which is made if need be, of at most `most_bytes`.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or written, or another program uses it.
+    pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
+        let mut disk = Disk::open(folder, most_bytes)?;
+        let mut inner = Inner::default();
+        for (line, span) in disk.log.read()? {
+            inner.take(line, span);
+        }
+        disk.remove_strays(|id| {
+            inner.entries.iter().any(|e| e.head.id == id && e.signals.is_some())
+        })?;
+        let there = disk.scans()?;
+        for entry in &mut inner.entries {
+            entry.signals = entry.signals.filter(|_| there.contains(&entry.head.id));
+        }
+        inner.signals = inner.entries.iter().filter_map(|entry| entry.signals).sum();
+        inner.disk = Some(disk);
+        inner.make_room()?;
+        Ok(Self { inner: Mutex::new(inner) })
+    }
+
+    /// The history in a folder, to be read alone.
+    ///
+    /// # Errors
+    /// If the folder cannot be read.
+    pub fn read(folder: &Path) -> Result<Self, HistoryError> {
+        let mut disk = Disk::read_only(folder)?;
+        let mut inner = Inner::default();
+        for (line, span) in disk.log.read()? {
+            inner.take(line, span);
+        }
+        inner.disk = Some(disk);
+        Ok(Self { inner: Mutex::new(inner) })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        // Each change leaves it whole.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether answers are written to disk, by a [`Keeper`].
+    pub fn is_on_disk(&self) -> bool {
+        self.lock().disk.is_some()
+    }
+
+    /// Adds an answer.
+    ///
+    /// # Errors
+    /// If it cannot be written; it is remembered all the same.
+    pub fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
+        let inner = &mut *self.lock();
+        let head = Head::of(answer);
+        // Plain structs, numbers and text: nothing here that JSON cannot express.
+        let text = serde_json::to_string(answer).unwrap_or_default();
+        let written = inner.write(&format!("{{\"answer\":{text}}}"));
+        let text = match &written {
+            Ok(Some(span)) => Text::InLog(*span),
+            Ok(None) | Err(_) => Text::Here(text.into()),
+        };
+        inner.entries.push_back(Entry { head, text, correction: None, trial: None, signals: None });
+        if inner.disk.is_none() && inner.entries.len() > IN_MEMORY {
+            inner.entries.pop_front();
+        }
+        written?;
+        inner.make_room()
+    }
+
+    /// Notes that the signals of a scan are on disk, in its [`History::folder_for`]; older ones make
+    /// room for them.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn kept(&self, id: &str) -> Result<(), HistoryError> {
+        let inner = &mut *self.lock();
+        let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
+            return Ok(());
+        };
+        inner.change(Line::Signals { id: id.into(), bytes: Some(bytes) })?;
+        inner.make_room()
+    }
+
+    /// Says what a scan truly was, or takes that back.
+    ///
+    /// # Errors
+    /// If there is no such scan, or it cannot be written.
+    pub fn correct(&self, id: &str, correction: Option<Correction>) -> Result<(), HistoryError> {
+        let inner = &mut *self.lock();
+        inner.find(id)?;
+        if let Some(disk) = &inner.disk {
+            let label = correction.as_ref().and_then(Correction::surface);
+            disk.label(id, label.unwrap_or(SCANS))?;
+        }
+        inner.change(Line::Correction { id: id.into(), correction })
+    }
+
+    /// Notes which trial of the library a scan became.
+    ///
+    /// # Errors
+    /// If there is no such scan, or it cannot be written.
+    pub fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
+        let inner = &mut *self.lock();
+        inner.find(id)?;
+        inner.change(Line::Trial { id: id.into(), trial })
+    }
+
+    /// The newest answers first, at most `most`, those before the scan of a name or number alone.
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn newest(&self, before: Option<&str>, most: usize) -> Result<Vec<Value>, HistoryError> {
+        let inner = &*self.lock();
+        let end = match before {
+            Some(name) => inner.position(name).unwrap_or(0),
+            None => inner.entries.len(),
+        };
+        let of = |entry| inner.json(entry);
+        inner.entries.range(..end).rev().take(most).map(of).collect()
+    }
+
+    /// Every answer, the oldest first, handed over one by one.
+    ///
+    /// # Errors
+    /// If one cannot be read, or what `each` gives.
+    pub fn each<E: From<HistoryError>>(
+        &self,
+        mut each: impl FnMut(Value) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let count = self.lock().entries.len();
+        (0..count).try_for_each(|at| {
+            let inner = self.lock();
+            let json = inner.entries.get(at).map(|entry| inner.json(entry)).transpose()?;
+            drop(inner);
+            json.map_or(Ok(()), &mut each)
+        })
+    }
+
+    /// The answer of a name, or the newest one of a number.
+    ///
+    /// # Errors
+    /// If there is no such scan, or it cannot be read.
+    pub fn answer(&self, name: &str) -> Result<Value, HistoryError> {
+        let inner = &*self.lock();
+        let at = inner.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
+        inner.json(&inner.entries[at])
+    }
+
+    /// The folder of a scan's signals.
+    ///
+    /// # Errors
+    /// If there is no such scan, or its signals are not kept.
+    pub fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
+        let inner = &*self.lock();
+        let at = inner.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
+        let Entry { head: Head { id, .. }, signals, .. } = &inner.entries[at];
+        let folder = inner.disk.as_ref().filter(|_| signals.is_some()).map(|disk| disk.folder(id));
+        folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
+    }
+
+    /// The folder that scans are to be written into, as trials of a library there.
+    pub fn root(&self) -> Option<PathBuf> {
+        self.lock().disk.as_ref().map(|disk| disk.root().to_path_buf())
+    }
+
+    /// How right the answers are that somebody corrected, surface by surface.
+    pub fn precision(&self) -> Vec<Precision> {
+        let inner = &*self.lock();
+        let corrected = inner
+            .entries
+            .iter()
+            .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
+        precision(corrected)
+    }
+
+    /// How much is kept.
+    pub fn extent(&self) -> Extent {
+        let inner = &*self.lock();
+        let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes());
+        Extent {
+            scans: inner.entries.len(),
+            with_signals: inner.entries.iter().filter(|entry| entry.signals.is_some()).count(),
+            bytes: inner.signals + log,
+            most_bytes: inner.disk.as_ref().map(|disk| disk.most_bytes),
+            problem: inner.problem.clone(),
+        }
+    }
+
+    /// For people: why scans are not kept now, if so.
+    fn set_problem(&self, problem: Option<String>) -> bool {
+        let inner = &mut *self.lock();
+        let news = inner.problem.is_none() && problem.is_some();
+        inner.problem = problem;
+        news
+    }
+}
+
+impl Inner {
+    fn write(&mut self, line: &str) -> Result<Option<Span>, HistoryError> {
+        self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
+    }
+
+    /// Takes a change in, once it is written.
+    fn change(&mut self, line: Line) -> Result<(), HistoryError> {
+        let span = self.write(&line.to_json())?;
+        self.take(line, span.unwrap_or_default());
+        Ok(())
+    }
+
+    /// Takes in what a line says.
+    fn take(&mut self, line: Line, span: Span) {
+        let (id, change): (_, Box<dyn FnOnce(&mut Entry)>) = match line {
+            Line::Answer(head) => {
+                let text = Text::InLog(span);
+                let (correction, trial, signals) = (None, None, None);
+                self.entries.push_back(Entry { head, text, correction, trial, signals });
+                return;
+            }
+            Line::Signals { id, bytes } => (id, Box::new(move |entry| entry.signals = bytes)),
+            Line::Correction { id, correction } => {
+                (id, Box::new(move |entry| entry.correction = correction))
+            }
+            Line::Trial { id, trial } => (id, Box::new(move |entry| entry.trial = trial)),
+        };
+        // Most changes are to one of the newest.
+        if let Some(entry) = self.entries.iter_mut().rev().find(|entry| entry.head.id == id) {
+            let before = entry.signals.unwrap_or(0);
+            change(entry);
+            self.signals = self.signals + entry.signals.unwrap_or(0) - before;
+        }
+    }
+
+    /// Where the scan of a name stands, or the newest one of a number.
+    fn position(&self, name: &str) -> Option<usize> {
+        let number: Option<u32> = name.parse().ok();
+        let is = |entry: &Entry| match number {
+            Some(number) => entry.head.scan == number,
+            None => entry.head.id == name,
+        };
+        self.entries.iter().rposition(is)
+    }
+
+    fn find(&self, id: &str) -> Result<&Entry, HistoryError> {
+        let at = self.position(id).ok_or_else(|| HistoryError::NoScan(id.into()))?;
+        Ok(&self.entries[at])
+    }
+
+    /// An answer, with what people said of it.
+    fn json(&self, entry: &Entry) -> Result<Value, HistoryError> {
+        let mut answer: Map<String, Value> = match (&entry.text, &self.disk) {
+            (Text::Here(text), _) => serde_json::from_str(text).unwrap_or_default(),
+            (Text::InLog(span), Some(disk)) => disk.log.answer(*span)?,
+            (Text::InLog(_), None) => Map::new(),
+        };
+        let correction = serde_json::to_value(&entry.correction).unwrap_or_default();
+        answer.insert("correction".into(), correction);
+        answer.insert("became".into(), entry.trial.clone().into());
+        answer.insert("kept".into(), entry.signals.is_some().into());
+        Ok(Value::Object(answer))
+    }
+
+    /// Lets the oldest signals go, and then the oldest answers, until all fits.
+    fn make_room(&mut self) -> Result<(), HistoryError> {
+        let Some(disk) = &mut self.disk else { return Ok(()) };
+        let for_answers = disk.most_bytes / FOR_ANSWERS;
+        while self.signals > disk.most_bytes - for_answers {
+            let Some(entry) = self.entries.iter_mut().find(|entry| entry.signals.is_some()) else {
+                break;
+            };
+            disk.remove(&entry.head.id)?;
+            let id = entry.head.id.clone();
+            disk.log.append(&Line::Signals { id, bytes: None }.to_json())?;
+            self.signals -= entry.signals.take().unwrap_or(0);
+        }
+        if disk.log.bytes() > for_answers {
+            self.shorten(for_answers / 2)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the log anew with the newest answers that fit.
+    fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
+        let Some(disk) = &mut self.disk else { return Ok(()) };
+        let length = |entry: &Entry| match &entry.text {
+            Text::InLog(span) => u64::from(span.length),
+            Text::Here(text) => text.len() as u64,
+        };
+        let mut left = self.entries.len();
+        let mut bytes = 0;
+        for entry in self.entries.iter().rev() {
+            bytes += length(entry);
+            if bytes > most_bytes {
+                break;
+            }
+            left -= 1;
+        }
+        for entry in self.entries.drain(..left) {
+            if let Some(bytes) = entry.signals {
+                disk.remove(&entry.head.id)?;
+                self.signals -= bytes;
+            }
+        }
+        let mut fresh = disk.log.begin_anew()?;
+        for entry in &mut self.entries {
+            let answer = match &entry.text {
+                Text::InLog(span) => disk.log.line(*span)?,
+                Text::Here(text) => format!("{{\"answer\":{text}}}"),
+            };
+            let span = fresh.append(&answer)?;
+            let id = || entry.head.id.clone();
+            if entry.signals.is_some() {
+                fresh.append(&Line::Signals { id: id(), bytes: entry.signals }.to_json())?;
+            }
+            if let Some(correction) = entry.correction.clone() {
+                let correction = Some(correction);
+                fresh.append(&Line::Correction { id: id(), correction }.to_json())?;
+            }
+            if let Some(trial) = entry.trial.clone() {
+                fresh.append(&Line::Trial { id: id(), trial: Some(trial) }.to_json())?;
+            }
+            entry.text = Text::InLog(span);
+        }
+        disk.log.replace(fresh)
+    }
+}
+
+#[cfg(test)]
+mod tests;

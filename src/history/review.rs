@@ -1,0 +1,95 @@
+//! What people say of answers, and how right answers are by that.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::evaluate::wilson_interval;
+
+/// What a scan truly was, as somebody says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "was", rename_all = "lowercase")]
+pub enum Correction {
+    /// This surface.
+    Surface {
+        /// the label
+        surface: String,
+    },
+    /// None of the library's.
+    Unknown,
+    /// No scan that could be named.
+    Bad,
+}
+
+impl Correction {
+    /// The surface, if it was one.
+    pub fn surface(&self) -> Option<&str> {
+        match self {
+            Self::Surface { surface } => Some(surface),
+            Self::Unknown | Self::Bad => None,
+        }
+    }
+}
+
+/// How right the answers of one kind are, of those that somebody corrected. Bad scans do not count.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Precision {
+    /// What was answered; `None` for unknown.
+    pub surface: Option<String>,
+    /// Corrected answers.
+    pub corrected: usize,
+    /// Those that were right.
+    pub right: usize,
+    /// Their share.
+    pub precision: f64,
+    /// Lower end of its 95 % Wilson interval.
+    pub precision_low: f64,
+    /// Upper end.
+    pub precision_high: f64,
+}
+
+/// The precision of answers with their corrections, by the surface that was answered.
+pub fn precision<'a>(
+    corrected: impl Iterator<Item = (Option<&'a str>, &'a Correction)>,
+) -> Vec<Precision> {
+    let mut counts: BTreeMap<Option<&str>, (usize, usize)> = BTreeMap::new();
+    for (answered, correction) in corrected {
+        let right = match correction {
+            Correction::Bad => continue,
+            Correction::Unknown => answered.is_none(),
+            Correction::Surface { surface } => answered == Some(surface),
+        };
+        let (all, rights) = counts.entry(answered).or_default();
+        *all += 1;
+        *rights += usize::from(right);
+    }
+    let of = |(surface, (corrected, right)): (Option<&str>, (usize, usize))| {
+        let (precision_low, precision_high) = wilson_interval(right, corrected);
+        let precision = right as f64 / corrected as f64;
+        let surface = surface.map(String::from);
+        Precision { surface, corrected, right, precision, precision_low, precision_high }
+    };
+    counts.into_iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn precision_counts_by_what_was_answered_and_not_bad_scans() {
+        let was = |surface: &str| Correction::Surface { surface: surface.into() };
+        let said = [
+            (Some("oak"), was("oak")),
+            (Some("oak"), was("ash")),
+            (Some("oak"), Correction::Unknown),
+            (Some("oak"), Correction::Bad),
+            (None, Correction::Unknown),
+            (None, was("elm")),
+        ];
+        let found = precision(said.iter().map(|(answered, was)| (*answered, was)));
+        let counts: Vec<_> =
+            found.iter().map(|p| (p.surface.as_deref(), p.right, p.corrected)).collect();
+        assert_eq!(counts, [(None, 1, 2), (Some("oak"), 1, 3)]);
+    }
+}

@@ -1,0 +1,123 @@
+use std::fs;
+
+use super::*;
+use crate::recognise::RankedSurface;
+
+fn answer(scan: u32, surface: Option<&str>) -> Answer {
+    let id = format!("20260921-143000.{scan:03}-{scan:02}");
+    Answer {
+        link: format!("/#scan={id}"),
+        id,
+        unix_ms: 1_790_001_000_000 + u64::from(scan),
+        scan,
+        surface: surface.map(Into::into),
+        state: if surface.is_some() { AnswerState::Named } else { AnswerState::Unknown },
+        reasons: Vec::new(),
+        truth: None,
+        user: None,
+        trial: None,
+        synthetic: false,
+        ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
+        margin: 1.0,
+        confidence: None,
+        fit: None,
+        latency_ms: 1.0,
+        scan_s: 1.0,
+        settled_s: None,
+        lost_samples: 0,
+        sources: Vec::new(),
+        spoiled: Vec::new(),
+        needed_s: None,
+        remarks: Vec::new(),
+    }
+}
+
+/// Answers a scan, and writes signals of so many bytes for it.
+fn keep(history: &History, scan: u32, bytes: usize) -> String {
+    let answer = answer(scan, Some("oak"));
+    history.answered(&answer).unwrap();
+    let folder = history.root().unwrap().join(SCANS).join(&answer.id);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("ir.wav"), vec![0; bytes]).unwrap();
+    history.kept(&answer.id).unwrap();
+    answer.id
+}
+
+fn scans(history: &History) -> Vec<u64> {
+    let newest = history.newest(None, 1000).unwrap();
+    newest.iter().map(|scan| scan["scan"].as_u64().unwrap()).collect()
+}
+
+#[test]
+fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
+    let dir = tempfile::tempdir().unwrap();
+    let was = Correction::Surface { surface: "ash".into() };
+    let id = {
+        let history = History::open(dir.path(), 1 << 20).unwrap();
+        let id = keep(&history, 1, 100);
+        history.answered(&answer(2, None)).unwrap();
+        history.correct(&id, Some(was.clone())).unwrap();
+        history.became(&id, Some("ash/anna-01".into())).unwrap();
+        assert!(matches!(History::open(dir.path(), 1), Err(HistoryError::InUse(_))));
+        id
+    };
+    // A crash cut the last line short, and left a folder that nobody knows.
+    let log = dir.path().join("answers.jsonl");
+    fs::write(&log, fs::read_to_string(&log).unwrap() + "{\"answer\":{\"id\":\"x").unwrap();
+    fs::create_dir(dir.path().join("scans/stray")).unwrap();
+    let history = History::open(dir.path(), 1 << 20).unwrap();
+    assert_eq!(scans(&history), [2, 1]);
+    let first = history.answer("1").unwrap();
+    assert_eq!(first["id"], id.as_str());
+    assert_eq!(first["correction"], serde_json::to_value(&was).unwrap());
+    assert_eq!((&first["became"], &first["kept"]), (&"ash/anna-01".into(), &true.into()));
+    assert!(history.folder(&id).unwrap().join("ir.wav").exists());
+    assert!(matches!(history.folder("2"), Err(HistoryError::NoSignals(_))));
+    assert!(matches!(history.answer("3"), Err(HistoryError::NoScan(_))));
+    assert!(!dir.path().join("scans/stray").exists());
+    history.answered(&answer(3, None)).unwrap();
+    assert_eq!(scans(&history), [3, 2, 1], "the line that was cut short spoils no other");
+    assert_eq!(history.precision()[0].corrected, 1);
+}
+
+#[test]
+fn the_oldest_signals_make_room_and_their_answers_stay() {
+    let dir = tempfile::tempdir().unwrap();
+    let history = History::open(dir.path(), 80_000).unwrap();
+    let ids: Vec<String> = (1..=10).map(|scan| keep(&history, scan, 20_000)).collect();
+    let kept: Vec<bool> = ids.iter().map(|id| history.folder(id).is_ok()).collect();
+    assert_eq!(kept.iter().filter(|kept| **kept).count(), 3);
+    assert!(kept[7..].iter().all(|kept| *kept));
+    let on_disk = fs::read_dir(dir.path().join(SCANS)).unwrap().count();
+    assert_eq!((on_disk, scans(&history).len()), (3, 10));
+    assert!(history.extent().bytes <= 80_000);
+}
+
+#[test]
+fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let most = 400_000;
+    let history = History::open(dir.path(), most).unwrap();
+    for scan in 1..=1000 {
+        let answer = answer(scan, Some("oak"));
+        history.answered(&answer).unwrap();
+        history.correct(&answer.id, Some(Correction::Unknown)).unwrap();
+    }
+    let log = fs::metadata(dir.path().join("answers.jsonl")).unwrap().len();
+    assert!(log <= most / 8 + 2000, "{log}");
+    let newest = history.newest(None, 1000).unwrap();
+    assert!(newest.len() > 20 && newest.len() < 1000);
+    assert_eq!(newest[0]["scan"], 1000);
+    assert!(newest.iter().all(|scan| scan["correction"]["was"] == "unknown"));
+    let before = newest[5]["id"].as_str().unwrap();
+    assert_eq!(history.newest(Some(before), 1).unwrap()[0]["scan"], 994);
+}
+
+#[test]
+fn a_history_in_memory_remembers_a_thousand_answers() {
+    let history = History::in_memory();
+    (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
+    assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
+    history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();
+    assert_eq!(history.answer("1200").unwrap()["correction"]["was"], "bad");
+}

@@ -1,0 +1,525 @@
+//! Edits of a library on disk, each of which can be undone: trials get another label, are removed,
+//! and come back.
+//!
+//! A removed trial lies in `LIBRARY/.removed/SURFACE/TRIAL`, whole, where no reader looks.
+//! `LIBRARY/.removed/steps.jsonl` lists the steps, so that the last can be taken back. Nothing is
+//! moved while somebody reads the library ([`LibraryLock`]), and a step that a crash cut short can
+//! be undone like any other.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+
+use super::{failed, trial_folder, utc};
+use crate::library::lock::LibraryLock;
+use crate::library::{ABOUT_FILE, About, Entry, LibraryError, recording};
+use crate::scene::{Scene, SourceId};
+use crate::trial::TrialKey;
+
+/// The folder of what was removed.
+const REMOVED: &str = ".removed";
+/// The list of steps in it.
+const STEPS: &str = "steps.jsonl";
+/// Steps that are remembered.
+const MOST_STEPS: usize = 1000;
+
+/// One edit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Step {
+    /// For people: what was done.
+    pub what: String,
+    /// When, in UTC.
+    pub at: String,
+    /// Which trials went where.
+    pub moves: Vec<Move>,
+}
+
+/// A trial that went from one folder of a library to another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Move {
+    /// The folder before, `SURFACE/TRIAL`, within the library.
+    pub from: String,
+    /// The folder after.
+    pub to: String,
+    /// What it was called; `None` for a trial that cannot be read.
+    pub was: Option<TrialKey>,
+    /// What it is called now.
+    pub is: Option<TrialKey>,
+}
+
+/// A library that is being edited; nobody reads it meanwhile.
+pub struct Editor {
+    root: PathBuf,
+    scene: Scene,
+    _lock: LibraryLock,
+}
+
+/// What a trial is called in edits: its folder within the library, `SURFACE/TRIAL`.
+pub fn trial_name(library: &Path, folder: &Path) -> String {
+    let within = folder.strip_prefix(library).unwrap_or(folder);
+    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    parts.collect::<Vec<_>>().join("/")
+}
+
+/// The number after those that the trials of a surface by a user have.
+///
+/// # Errors
+/// If the library is there and cannot be read.
+pub fn next_number(
+    library: &Path,
+    scene: &Scene,
+    surface: &str,
+    user: &str,
+) -> Result<u32, LibraryError> {
+    Ok(number_after(&keys(&trials(library, scene)?), surface, user))
+}
+
+fn number_after(taken: &[TrialKey], surface: &str, user: &str) -> u32 {
+    let of = taken.iter().filter(|key| key.surface == surface && key.user == user);
+    of.map(|key| key.number.saturating_add(1)).max().unwrap_or(1)
+}
+
+fn keys(entries: &[Entry]) -> Vec<TrialKey> {
+    entries.iter().map(|entry| entry.key.clone()).collect()
+}
+
+/// The trials that can be read; none, where there is no such folder or it holds none.
+fn trials(folder: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
+    if !folder.exists() {
+        return Ok(Vec::new());
+    }
+    match recording::open_usable(folder, scene) {
+        Ok(opened) => Ok(opened.library.entries),
+        Err(LibraryError::NothingFound { .. }) => Ok(Vec::new()),
+        Err(error) => Err(error),
+    }
+}
+
+/// A trial as it is listed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Listed {
+    /// What edits call it: `SURFACE/TRIAL`.
+    pub trial: String,
+    /// Its label, user and number.
+    #[serde(flatten)]
+    pub key: TrialKey,
+    /// When it was recorded, as its `trial.toml` says.
+    pub started_at: Option<String>,
+    /// Its sources.
+    pub sources: Vec<SourceId>,
+    /// Duration of the longest, in seconds.
+    pub seconds: f64,
+}
+
+/// The trials of a library that can be edited, sorted.
+///
+/// # Errors
+/// If they cannot be read.
+pub fn list(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
+    Ok(listed(library, &trials(library, scene)?))
+}
+
+/// The trials that were removed from a library and can come back, likewise.
+///
+/// # Errors
+/// If they cannot be read.
+pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
+    let bin = library.join(REMOVED);
+    Ok(listed(&bin, &trials(&bin, scene)?))
+}
+
+fn listed(root: &Path, entries: &[Entry]) -> Vec<Listed> {
+    let one = |entry: &Entry| {
+        let folder = entry.folder()?;
+        // What cannot be read of it is left out here, and found by `surfaced check`.
+        let seconds = entry.outlines().unwrap_or_default();
+        let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
+        Some(Listed {
+            trial: trial_name(root, folder),
+            key: entry.key.clone(),
+            started_at: About::read(folder).ok().and_then(|about| about.started_at),
+            sources: entry.sources.clone(),
+            seconds: seconds.fold(0.0, f64::max),
+        })
+    };
+    entries.iter().filter_map(one).collect()
+}
+
+/// The last step that can be undone.
+///
+/// # Errors
+/// If the list of steps cannot be read.
+pub fn last_step(library: &Path) -> Result<Option<Step>, LibraryError> {
+    Ok(steps(library)?.pop())
+}
+
+fn steps(library: &Path) -> Result<Vec<Step>, LibraryError> {
+    let path = library.join(REMOVED).join(STEPS);
+    let text = match fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(LibraryError::io(&path, error)),
+    };
+    // A line that a crash cut short is no step: it is written before anything moves.
+    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+impl Editor {
+    /// Waits until nobody reads a library, and takes it for editing.
+    ///
+    /// # Errors
+    /// If there is no such library, or somebody reads it all the time.
+    pub fn open(library: &Path, scene: &Scene) -> Result<Self, LibraryError> {
+        let lock = LibraryLock::for_editing(library)?;
+        Ok(Self { root: library.to_path_buf(), scene: scene.clone(), _lock: lock })
+    }
+
+    /// Gives all trials of a surface another label.
+    ///
+    /// # Errors
+    /// If there is no such surface, or the file system refuses; then nothing has changed, as for all
+    /// that follow.
+    pub fn rename(&self, surface: &str, label: &str) -> Result<Step, LibraryError> {
+        let entries = trials(&self.root, &self.scene)?;
+        let of_surface: Vec<&Entry> =
+            entries.iter().filter(|entry| entry.key.surface == surface).collect();
+        if of_surface.is_empty() {
+            return Err(self.nothing_called(surface, &entries));
+        }
+        let what = format!("rename {surface} to {label}");
+        self.relabel(&entries, &of_surface, label, what)
+    }
+
+    /// Gives some trials another label: those of these names, or all of these surfaces.
+    ///
+    /// # Errors
+    /// As [`Editor::rename`].
+    pub fn move_to(&self, names: &[String], label: &str) -> Result<Step, LibraryError> {
+        let entries = trials(&self.root, &self.scene)?;
+        let chosen = self.choose(&self.root, &entries, names)?;
+        let what = format!("move {} to {label}", names.join(", "));
+        self.relabel(&entries, &chosen, label, what)
+    }
+
+    fn relabel(
+        &self,
+        entries: &[Entry],
+        chosen: &[&Entry],
+        label: &str,
+        what: String,
+    ) -> Result<Step, LibraryError> {
+        let mut taken = keys(entries);
+        let mut moves = Vec::new();
+        for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
+            let Some(from) = entry.folder() else { continue };
+            let is = free_key(&mut taken, label, &entry.key);
+            let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
+            moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
+        }
+        self.take(what, moves)
+    }
+
+    /// Removes trials: those of these names, or all of these surfaces.
+    ///
+    /// # Errors
+    /// As [`Editor::rename`].
+    pub fn remove(&self, names: &[String]) -> Result<Step, LibraryError> {
+        let entries = trials(&self.root, &self.scene)?;
+        let mut moves = Vec::new();
+        for name in names {
+            let one = std::slice::from_ref(name);
+            match self.choose(&self.root, &entries, one) {
+                Ok(chosen) => {
+                    for entry in chosen {
+                        let Some(from) = entry.folder() else { continue };
+                        let key = Some((entry.key.clone(), entry.key.clone()));
+                        self.remove_folder(from, key, &mut moves);
+                    }
+                }
+                // One that cannot be read is the more worth removing.
+                Err(error) => match self.unreadable(name) {
+                    Some(folder) => self.remove_folder(&folder, None, &mut moves),
+                    None => return Err(error),
+                },
+            }
+        }
+        self.take(format!("remove {}", names.join(", ")), moves)
+    }
+
+    fn remove_folder(&self, from: &Path, key: Option<(TrialKey, TrialKey)>, moves: &mut Vec<Move>) {
+        let name = trial_name(&self.root, from);
+        if moves.iter().all(|other| other.from != name) {
+            let to = self.free_folder(&self.root.join(REMOVED).join(&name), moves);
+            moves.push(self.step_of(from, &to, key));
+        }
+    }
+
+    /// Brings removed trials back: those of these names, or all of these surfaces.
+    ///
+    /// # Errors
+    /// As [`Editor::rename`].
+    pub fn restore(&self, names: &[String]) -> Result<Step, LibraryError> {
+        let mut taken = keys(&trials(&self.root, &self.scene)?);
+        let bin = self.root.join(REMOVED);
+        let entries = trials(&bin, &self.scene)?;
+        let mut moves = Vec::new();
+        for entry in self.choose(&bin, &entries, names)? {
+            let Some(from) = entry.folder() else { continue };
+            let is = free_key(&mut taken, &entry.key.surface, &entry.key);
+            let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
+            moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
+        }
+        self.take(format!("restore {}", names.join(", ")), moves)
+    }
+
+    /// Takes the last step back; gives it.
+    ///
+    /// # Errors
+    /// If there is none, or the file system refuses.
+    pub fn undo(&self) -> Result<Step, LibraryError> {
+        let mut steps = steps(&self.root)?;
+        let Some(step) = steps.pop() else {
+            return Err(LibraryError::file(&self.root, "there is no step to undo"));
+        };
+        for one in step.moves.iter().rev() {
+            let (from, to) = (self.root.join(&one.to), self.root.join(&one.from));
+            // A step that was cut short has not moved all.
+            if from.exists() && !to.exists() {
+                relocate(&from, &to, one.was.as_ref())?;
+            }
+        }
+        self.write_steps(&steps)?;
+        Ok(step)
+    }
+
+    /// The trials of some names: `SURFACE/TRIAL`, or `SURFACE` for all of one.
+    fn choose<'e>(
+        &self,
+        folder: &Path,
+        entries: &'e [Entry],
+        names: &[String],
+    ) -> Result<Vec<&'e Entry>, LibraryError> {
+        let mut chosen: Vec<&Entry> = Vec::new();
+        for name in names {
+            let is = |entry: &&Entry| {
+                let is_folder = entry.folder().is_some_and(|own| trial_name(folder, own) == *name);
+                is_folder || entry.key.surface == *name
+            };
+            let before = chosen.len();
+            let new = entries.iter().filter(is);
+            chosen.extend(
+                new.filter(|new| chosen.iter().all(|old| old.key != new.key)).collect::<Vec<_>>(),
+            );
+            if chosen.len() == before && !entries.iter().any(|entry| is(&entry)) {
+                return Err(self.nothing_called(name, entries));
+            }
+        }
+        Ok(chosen)
+    }
+
+    fn nothing_called(&self, name: &str, entries: &[Entry]) -> LibraryError {
+        let mut surfaces: Vec<&str> = entries.iter().map(|e| e.key.surface.as_str()).collect();
+        surfaces.dedup();
+        let there = match surfaces.len() {
+            0 => "there is none".to_string(),
+            1..=12 => format!("surfaces: {}", surfaces.join(", ")),
+            many => format!("there are {many} surfaces; `surfaced library list` names them"),
+        };
+        let problem = format!("no surface or trial (SURFACE/TRIAL) is called {name:?}; {there}");
+        LibraryError::file(&self.root, problem)
+    }
+
+    /// The folder of a trial that no reader takes.
+    fn unreadable(&self, name: &str) -> Option<PathBuf> {
+        let (surface, trial) = name.split_once('/')?;
+        let plain = |part: &str| {
+            !part.is_empty() && !part.starts_with('.') && !part.contains(['/', '\\', '\0'])
+        };
+        let folder = self.root.join(surface).join(trial);
+        (plain(surface) && plain(trial) && folder.is_dir()).then_some(folder)
+    }
+
+    /// A folder like this one that nothing has yet.
+    fn free_folder(&self, folder: &Path, moves: &[Move]) -> PathBuf {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let names = (1..).map(|n| if n == 1 { name.clone() } else { format!("{name}-{n}") });
+        let mut folders = names.map(|name| folder.with_file_name(name));
+        let free = |path: &PathBuf| {
+            !path.exists() && moves.iter().all(|other| self.root.join(&other.to) != *path)
+        };
+        // There is always another number.
+        folders.find(free).unwrap_or_else(|| folder.to_path_buf())
+    }
+
+    fn step_of(&self, from: &Path, to: &Path, key: Option<(TrialKey, TrialKey)>) -> Move {
+        let (was, is) = key.unzip();
+        Move { from: trial_name(&self.root, from), to: trial_name(&self.root, to), was, is }
+    }
+
+    /// Writes a step down, and does it; a step that fails is taken back.
+    fn take(&self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
+        let step = Step { what, at: utc(SystemTime::now()), moves };
+        let before = steps(&self.root)?;
+        let mut all = before.clone();
+        all.push(step.clone());
+        self.write_steps(&all)?;
+        for (at, one) in step.moves.iter().enumerate() {
+            let (from, to) = (self.root.join(&one.from), self.root.join(&one.to));
+            if let Err(error) = relocate(&from, &to, one.is.as_ref()) {
+                for done in step.moves[..at].iter().rev() {
+                    let (from, to) = (self.root.join(&done.to), self.root.join(&done.from));
+                    // What cannot be taken back stays in the list of steps.
+                    relocate(&from, &to, done.was.as_ref())?;
+                }
+                self.write_steps(&before)?;
+                return Err(error);
+            }
+        }
+        Ok(step)
+    }
+
+    fn write_steps(&self, steps: &[Step]) -> Result<(), LibraryError> {
+        let bin = self.root.join(REMOVED);
+        fs::create_dir_all(&bin).map_err(|error| failed(&bin, error))?;
+        let newest = &steps[steps.len().saturating_sub(MOST_STEPS)..];
+        // Plain structs, numbers and text: nothing here that JSON cannot express.
+        let line = |step| serde_json::to_string(step).unwrap_or_default() + "\n";
+        let text: String = newest.iter().map(line).collect();
+        replace(&bin.join(STEPS), &text)
+    }
+}
+
+/// A name under a label that no trial has, with the same number if that is free; it is taken now.
+fn free_key(taken: &mut Vec<TrialKey>, label: &str, key: &TrialKey) -> TrialKey {
+    let mut is = TrialKey::new(label, &key.user, key.number);
+    if taken.contains(&is) {
+        is.number = number_after(taken, label, &key.user);
+    }
+    taken.push(is.clone());
+    is
+}
+
+/// Moves a trial to another folder, under another name. The name is written first: it is what
+/// readers go by, wherever the folder is.
+fn relocate(from: &Path, to: &Path, key: Option<&TrialKey>) -> Result<(), LibraryError> {
+    if let Some(TrialKey { surface, user, number }) = key {
+        let about = About {
+            surface: Some(surface.clone()),
+            user: Some(user.clone()),
+            trial: Some(*number),
+            ..About::read(from)?
+        };
+        replace(&from.join(ABOUT_FILE), &about.to_toml())?;
+    }
+    let (old, new) = (from.parent().unwrap_or(from), to.parent().unwrap_or(to));
+    fs::create_dir_all(new).map_err(|error| failed(new, error))?;
+    fs::rename(from, to).map_err(|error| failed(to, error))?;
+    for folder in [old, new] {
+        super::sync_folder(folder)?;
+    }
+    // A surface without trials needs no folder; one that holds anything stays.
+    let _ = fs::remove_dir(old);
+    Ok(())
+}
+
+/// Replaces a file as a whole.
+fn replace(path: &Path, text: &str) -> Result<(), LibraryError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let unfinished = path.with_file_name(format!(".{name}.unfinished"));
+    super::write_file(&unfinished, text.as_bytes(), true)?;
+    fs::rename(&unfinished, path).map_err(|error| failed(path, error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::{TrialOptions, write_trial};
+    use crate::scene::SourceId;
+    use crate::trial::{Series, Signal, Trial};
+
+    fn library() -> (tempfile::TempDir, Scene) {
+        let (dir, scene) = (tempfile::tempdir().unwrap(), Scene::lmt108());
+        for (surface, number) in [("oak", 1), ("oak", 2), ("ash", 1)] {
+            let samples = (0..200).map(|i| (i * number) as f32 / 128.0).collect();
+            let series = Signal::Series(Series::new(10_000.0, 1, samples).unwrap());
+            let signals = [(SourceId::new("ir").unwrap(), series)].into();
+            let trial = Trial { key: TrialKey::new(surface, "anna", number), signals };
+            write_trial(dir.path(), &trial, &scene, &TrialOptions::default()).unwrap();
+        }
+        (dir, scene)
+    }
+
+    fn held(root: &Path, scene: &Scene) -> Vec<String> {
+        let name = |e: &Entry| format!("{}/{}", e.key.surface, e.key.number);
+        trials(root, scene).unwrap().iter().map(name).collect()
+    }
+
+    #[test]
+    fn every_step_can_be_undone_and_leaves_the_bytes_as_they_were() {
+        let (dir, scene) = library();
+        let root = dir.path();
+        let wav = || fs::read(root.join("oak/anna-02/ir.wav")).unwrap();
+        let before = (held(root, &scene), wav());
+        let edit = || Editor::open(root, &scene).unwrap();
+        edit().rename("oak", "ash").unwrap();
+        assert_eq!(held(root, &scene), ["ash/1", "ash/2", "ash/3"]);
+        assert!(!root.join("oak").exists());
+        edit().undo().unwrap();
+        assert_eq!((held(root, &scene), wav()), before);
+        edit().move_to(&["oak/anna-02".into()], "elm").unwrap();
+        assert_eq!(held(root, &scene), ["ash/1", "elm/2", "oak/1"]);
+        edit().remove(&["elm".into(), "oak/anna-01".into()]).unwrap();
+        assert_eq!(held(root, &scene), ["ash/1"]);
+        let gone = list_removed(root, &scene).unwrap();
+        let names: Vec<_> = gone.iter().map(|gone| gone.trial.as_str()).collect();
+        assert_eq!(names, ["elm/anna-02", "oak/anna-01"]);
+        assert!(last_step(root).unwrap().unwrap().what.starts_with("remove elm"));
+        (0..2).for_each(|_| drop(edit().undo().unwrap()));
+        assert_eq!((held(root, &scene), wav()), before);
+        assert!(edit().undo().unwrap_err().to_string().contains("no step to undo"));
+    }
+
+    #[test]
+    fn what_was_removed_comes_back_beside_what_came_in_its_place() {
+        let (dir, scene) = library();
+        let root = dir.path();
+        let edit = || Editor::open(root, &scene).unwrap();
+        edit().remove(&["oak/anna-02".into()]).unwrap();
+        edit().move_to(&["ash/anna-01".into()], "oak").unwrap();
+        edit().remove(&["oak/anna-01".into()]).unwrap();
+        edit().restore(&["oak".into()]).unwrap();
+        assert_eq!(held(root, &scene), ["oak/1", "oak/2", "oak/3"]);
+        assert!(list_removed(root, &scene).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_trial_that_cannot_be_read_can_be_removed_and_nothing_outside_can() {
+        let (dir, scene) = library();
+        let root = dir.path();
+        fs::write(root.join("oak/anna-01/trial.toml"), "what is this").unwrap();
+        let edit = || Editor::open(root, &scene).unwrap();
+        edit().remove(&["oak/anna-01".into()]).unwrap();
+        assert!(root.join(".removed/oak/anna-01/ir.wav").exists());
+        for name in ["../oak", "oak/../ash", ".removed/oak", "oak/", "/etc"] {
+            let error = edit().remove(&[name.into()]).unwrap_err().to_string();
+            assert!(error.contains("no surface or trial"), "{error}");
+        }
+    }
+
+    #[test]
+    fn nothing_moves_while_somebody_reads() {
+        let (dir, scene) = library();
+        let root = dir.path().to_path_buf();
+        let reading = LibraryLock::for_reading(&root);
+        let editing = std::thread::spawn(move || {
+            Editor::open(&root, &scene).unwrap().remove(&["oak".into()]).unwrap();
+        });
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        assert!(dir.path().join("oak/anna-01").exists());
+        drop(reading);
+        editing.join().unwrap();
+        assert!(!dir.path().join("oak").exists());
+    }
+}

@@ -1,0 +1,69 @@
+// Small helpers of all parts of the page. All text from outside goes in as text, never as markup.
+
+export const $ = (id) => document.getElementById(id);
+
+// Text without what acts unseen, such as marks that make it read backwards (as printable.rs).
+const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
+export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
+
+export function make(tag, text, className) {
+  const element = document.createElement(tag);
+  if (text !== undefined) element.textContent = printable(text);
+  if (className) element.className = className;
+  return element;
+}
+
+export const percent = (share) => `${(share * 100).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
+export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
+export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
+
+// What is shown in one place: a list of elements, replaced only if it reads otherwise.
+export function fill(id, elements) {
+  const place = $(id);
+  const text = elements.map((element) => element.outerHTML).join("");
+  if (place.dataset.text === text) return;
+  place.dataset.text = text;
+  place.replaceChildren(...elements);
+}
+
+export function say(id, text) {
+  const shown = printable(text);
+  if ($(id).textContent !== shown) $(id).textContent = shown;
+}
+
+export function hide(id, hidden) {
+  $(id).hidden = hidden;
+}
+
+export const times = (ratio) => (ratio >= 1000 ? "> 1000 ×" : `${ratio.toFixed(ratio < 10 ? 1 : 0)} ×`);
+
+// A button that does one thing.
+export function button(text, act, className) {
+  const element = make("button", text, className);
+  element.type = "button";
+  element.addEventListener("click", act);
+  return element;
+}
+
+// Asks the station, and gives its answer; null, with the reason shown, if it refuses.
+export async function ask(path, body) {
+  let problem = "";
+  let said = null;
+  try {
+    const request = body === undefined ? {} : {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify(body),
+    };
+    const answer = await fetch(`/api/v1/${path}`, request);
+    said = await answer.json();
+    if (!answer.ok) [problem, said] = [said.message, null];
+  } catch {
+    problem = "The station does not answer; is it still running?";
+  }
+  for (const id of ["problem", "dialog-problem", "shelf-problem"]) {
+    hide(id, problem === "");
+    say(id, problem);
+  }
+  return said;
+}

@@ -1,0 +1,77 @@
+// The list of past scans, the newest first.
+
+import { corrected, nameOf, sureness } from "./answer.js";
+import { $, ask, button, clock, hide, make, many, printable, say } from "./dom.js";
+
+const MOST = 300;
+let scans = [];
+let changed = () => {};
+let shown = "";
+
+// Calls a function whenever the list has changed.
+export function onChange(act) {
+  changed = act;
+}
+
+// Reads the list anew.
+export async function load() {
+  const said = await ask(`scans?limit=${MOST}`);
+  if (said) scans = said.scans;
+  changed();
+}
+
+// A scan was answered.
+export function add(answer) {
+  if (scans.some((scan) => scan.id === answer.id)) return;
+  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans].slice(0, MOST);
+}
+
+// A scan was corrected, or became a trial.
+export function change(scan) {
+  scans = scans.map((other) => (other.id === scan.id ? scan : other));
+  document.dispatchEvent(new CustomEvent("correction", { detail: scan }));
+}
+
+function badge(text, kind, title) {
+  const element = make("span", text, `badge ${kind}`);
+  if (title) element.title = printable(title);
+  return element;
+}
+
+function day(ms) {
+  const today = new Date().toDateString() === new Date(ms).toDateString();
+  return today ? clock(ms) : `${new Date(ms).toLocaleDateString("en-GB", { day: "numeric", month: "short" })} ${clock(ms)}`;
+}
+
+function row(scan) {
+  const line = make("tr", undefined, scan.state);
+  line.dataset.id = scan.id;
+  const name = make("td");
+  const open = button(nameOf(scan), () => (location.hash = `scan=${scan.id}`), "open");
+  open.setAttribute("aria-label", printable(`open scan ${scan.scan}: ${nameOf(scan)}`));
+  name.append(open);
+  if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`nearest: ${scan.ranked[0].surface}`, ""));
+  if (scan.spoiled.length) name.append(badge("spoiled", "", scan.spoiled.join("\n")));
+  if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
+  if (scan.became) name.append(badge("in the library", "good", scan.became));
+  line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", scan.state === "nearest" ? "" : sureness(scan)),
+    make("td", `${scan.scan_s.toFixed(1)} s`, "wide"), make("td", `${scan.latency_ms.toFixed(0)} ms`, "wide"),
+    make("td", scan.lost_samples));
+  return line;
+}
+
+// Shows the list, if it reads otherwise than before.
+export function render(counts) {
+  const only = $("unknown-only").checked;
+  const wanted = scans.filter((scan) => !only || scan.state === "unknown" || scan.state === "unsure");
+  const text = wanted.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join()).join();
+  if (text !== shown) {
+    shown = text;
+    const held = document.activeElement?.closest("#scans tr")?.dataset.id;
+    $("scans").replaceChildren(...wanted.map(row));
+    if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] button`)?.focus();
+  }
+  hide("no-scans", wanted.length > 0);
+  const { scans: count, unknown, unsure } = counts;
+  say("counts", count ? `${many(count, "scan")} · ${unknown} unknown · ${unsure} unsure` : "");
+}

@@ -1,0 +1,313 @@
+//! Past scans for programs and the page: the list, one of them, its files, and what people say of it.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
+use axum::extract::{Path, Query, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Json, Response};
+use axum::routing::{get, post};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::api::Shared;
+use super::hub::Hub;
+use super::label;
+use super::problem::Problem;
+use super::settings::Shelf;
+use crate::history::{
+    Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, nearest_picture,
+};
+use crate::library::{About, LibraryError, recording};
+use crate::record::{TrialOptions, append_trial, edit};
+use crate::scene::SourceId;
+use crate::station::Command;
+use crate::trial::{EXPERT, Trial, TrialKey};
+
+/// Scans of one answer, unless the request says otherwise.
+const USUAL: usize = 100;
+/// Most scans of one answer.
+const MOST: usize = 1000;
+
+/// What is below `/api/v1`.
+pub fn router() -> Router<Arc<Hub>> {
+    Router::new()
+        .route("/scans", get(scans))
+        .route("/scans.csv", get(csv))
+        .route("/scans.jsonl", get(json_lines))
+        .route("/scans/{id}", get(scan))
+        .route("/scans/{id}/why", get(why))
+        .route("/scans/{id}/correct", post(correct))
+        .route("/scans/{id}/keep", post(keep))
+        .route("/scans/{id}/{file}", get(file))
+        .route("/history", get(history))
+}
+
+impl From<HistoryError> for Problem {
+    fn from(error: HistoryError) -> Self {
+        match error {
+            HistoryError::NoScan(_) => Self::NotFound,
+            HistoryError::NoSignals(_) => Self::Gone(error.to_string()),
+            HistoryError::Library(_) | HistoryError::Io { .. } | HistoryError::InUse(_) => {
+                Self::Failed(error.to_string())
+            }
+        }
+    }
+}
+
+impl From<LibraryError> for Problem {
+    fn from(error: LibraryError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// Does what may wait for the disk, on another thread than the server's own.
+pub async fn aside<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Page {
+    /// How many at most.
+    limit: Option<usize>,
+    /// Only scans before this one, by its name or its number.
+    before: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Scans {
+    scans: Vec<Value>,
+}
+
+async fn scans(
+    State(hub): Shared,
+    page: Result<Query<Page>, QueryRejection>,
+) -> Result<Json<Scans>, Problem> {
+    let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let most = page.limit.unwrap_or(USUAL).min(MOST);
+    let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
+    Ok(Json(Scans { scans }))
+}
+
+/// All scans as one text, made on another thread.
+async fn all(
+    hub: Arc<Hub>,
+    content_type: &'static str,
+    write: impl FnOnce(&History) -> Result<Vec<u8>, Problem> + Send + 'static,
+) -> Result<Response, Problem> {
+    let text = aside(move || write(&hub.history)).await?;
+    Ok(([(CONTENT_TYPE, content_type)], text).into_response())
+}
+
+impl From<std::io::Error> for Problem {
+    fn from(error: std::io::Error) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+async fn csv(State(hub): Shared) -> Result<Response, Problem> {
+    let write = |history: &History| {
+        let mut csv = CsvWriter::new(Vec::new())?;
+        history.each(|scan| csv.scan(&scan).map_err(Problem::from))?;
+        Ok(csv.finish()?)
+    };
+    all(hub, "text/csv; charset=utf-8", write).await
+}
+
+async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
+    let write = |history: &History| {
+        let mut text = Vec::new();
+        history.each(|scan| Ok::<_, Problem>(text.extend(format!("{scan}\n").into_bytes())))?;
+        Ok(text)
+    };
+    all(hub, "application/jsonl", write).await
+}
+
+type Named = Result<Path<String>, PathRejection>;
+
+fn name(id: Named) -> Result<String, Problem> {
+    let bad = |_| Problem::Bad("a scan is named by its `id`, or its number".into());
+    id.map(|Path(id)| id).map_err(bad)
+}
+
+async fn scan(State(hub): Shared, id: Named) -> Result<Json<Value>, Problem> {
+    let id = name(id)?;
+    Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
+}
+
+/// A file as it stands.
+fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
+    std::fs::read(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Problem::NotFound,
+        _ => Problem::Failed(format!("{}: {error}", path.display())),
+    })
+}
+
+async fn why(State(hub): Shared, id: Named) -> Result<Response, Problem> {
+    let id = name(id)?;
+    let text = aside(move || whole(&hub.history.folder(&id)?.join(NOTES))).await?;
+    Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
+}
+
+/// The name on disk of a file that may be asked for, and its type.
+fn on_disk(file: &str) -> Option<(String, &'static str)> {
+    let (stem, extension) = file.rsplit_once('.')?;
+    let nearest = stem.strip_prefix("nearest-");
+    let source = SourceId::new(nearest.unwrap_or(stem)).ok()?;
+    match (extension, nearest) {
+        ("wav", None) => Some((format!("{source}.wav"), "audio/wav")),
+        ("png", None) => Some((format!("{source}.png"), "image/png")),
+        ("jpg", Some(_)) => Some((nearest_picture(&source), "image/jpeg")),
+        _ => None,
+    }
+}
+
+async fn file(
+    State(hub): Shared,
+    path: Result<Path<(String, String)>, PathRejection>,
+) -> Result<Response, Problem> {
+    let Path((id, file)) = path.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
+    let bytes = aside(move || whole(&hub.history.folder(&id)?.join(file))).await?;
+    Ok(([(CONTENT_TYPE, content_type)], bytes).into_response())
+}
+
+#[derive(Serialize)]
+struct HistoryView {
+    #[serde(flatten)]
+    extent: Extent,
+    precision: Vec<Precision>,
+}
+
+async fn history(State(hub): Shared) -> Json<HistoryView> {
+    let (extent, precision) = (hub.history.extent(), hub.history.precision());
+    Json(HistoryView { extent, precision })
+}
+
+/// What a scan was, as somebody says; nothing takes a correction back.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Was {
+    surface: Option<String>,
+    #[serde(default)]
+    unknown: bool,
+    #[serde(default)]
+    bad: bool,
+}
+
+impl Was {
+    fn correction(self) -> Result<Option<Correction>, Problem> {
+        match self {
+            Self { surface: None, unknown: false, bad: false } => Ok(None),
+            Self { surface: None, unknown: true, bad: false } => Ok(Some(Correction::Unknown)),
+            Self { surface: None, unknown: false, bad: true } => Ok(Some(Correction::Bad)),
+            Self { surface: Some(surface), unknown: false, bad: false } => {
+                let surface = label::check("surface", &surface).map_err(Problem::Bad)?;
+                Ok(Some(Correction::Surface { surface }))
+            }
+            _ => Err(Problem::Bad("a scan was one of `surface`, `unknown` and `bad`".into())),
+        }
+    }
+}
+
+/// The body of a request as JSON; an empty one as `{}`.
+pub fn body<T: serde::de::DeserializeOwned>(
+    body: Result<Bytes, BytesRejection>,
+    expected: &str,
+) -> Result<T, Problem> {
+    let body = body?;
+    let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
+    serde_json::from_slice(text)
+        .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
+}
+
+async fn correct(
+    State(hub): Shared,
+    id: Named,
+    said: Result<Bytes, BytesRejection>,
+) -> Result<Json<Value>, Problem> {
+    let id = name(id)?;
+    let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
+    let correction = was.correction()?;
+    let history = hub.history.clone();
+    let scan = aside(move || {
+        let id = full_name(&history.answer(&id)?);
+        history.correct(&id, correction)?;
+        Ok(history.answer(&id)?)
+    });
+    let scan = scan.await?;
+    hub.corrected(&scan);
+    Ok(Json(scan))
+}
+
+/// The name of a scan that may have been asked for by its number.
+fn full_name(scan: &Value) -> String {
+    scan["id"].as_str().unwrap_or_default().to_string()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Keep {
+    user: Option<String>,
+}
+
+async fn keep(
+    State(hub): Shared,
+    id: Named,
+    said: Result<Bytes, BytesRejection>,
+) -> Result<Json<Value>, Problem> {
+    let id = name(id)?;
+    let Keep { user } = body(said, "{\"user\": \"anna\"}")?;
+    let user = label::check("user", user.as_deref().unwrap_or(EXPERT)).map_err(Problem::Bad)?;
+    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let history = hub.history.clone();
+    let scan = aside(move || {
+        let scan = history.answer(&id)?;
+        let id = full_name(&scan);
+        let trial = to_library(&shelf, &scan, &history.folder(&id)?, user)?;
+        history.became(&id, Some(trial))?;
+        Ok(history.answer(&id)?)
+    });
+    let scan = scan.await?;
+    hub.corrected(&scan);
+    // A station that is too busy for it leaves it to the operator.
+    let _ = hub.order(Command::Reload);
+    Ok(Json(scan))
+}
+
+/// Writes a corrected scan into a library, and says as which trial.
+fn to_library(
+    shelf: &Shelf,
+    scan: &Value,
+    folder: &std::path::Path,
+    user: String,
+) -> Result<String, Problem> {
+    let refuse = |why: &str| Err(Problem::Bad(why.into()));
+    let Some(surface) = scan["correction"]["surface"].as_str() else {
+        return refuse("say first which surface this scan was");
+    };
+    if let Some(trial) = scan["became"].as_str() {
+        return refuse(&format!("this scan is a trial of the library already: {trial}"));
+    }
+    if scan["spoiled"].as_array().is_some_and(|reasons| !reasons.is_empty()) {
+        return refuse("this scan is spoiled, and no good trial");
+    }
+    let about = About::read(folder)?;
+    let opened = recording::open_trial(folder, &shelf.scene)?;
+    let [entry] = opened.entries.as_slice() else { return refuse("this scan holds no signals") };
+    let number = edit::next_number(&shelf.folder, &shelf.scene, surface, &user)?;
+    let key = TrialKey::new(surface, user, number);
+    let trial = Trial { key, signals: entry.load()?.signals };
+    let options = TrialOptions {
+        about: About { notes: Some(format!("scan {}", full_name(scan))), ..about },
+        durable: true,
+    };
+    let (_, kept) = append_trial(&shelf.folder, &trial, &shelf.scene, &options)?;
+    Ok(edit::trial_name(&shelf.folder, &kept))
+}

@@ -1,0 +1,199 @@
+//! The library for programs and the page: its trials, edits of them, and its audit.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::extract::rejection::BytesRejection;
+use axum::http::StatusCode;
+use axum::response::Json;
+use axum::routing::{get, post};
+use serde::{Deserialize, Serialize};
+
+use super::api::Shared;
+use super::hub::Hub;
+use super::label;
+use super::problem::Problem;
+use super::scans::{aside, body};
+use super::settings::Audit;
+use super::state::unix_ms;
+use crate::evaluate::CheckReport;
+use crate::library::LibraryError;
+use crate::record::edit::{self, Editor, Listed, Step};
+use crate::station::Command;
+
+/// Most trials of one edit.
+const MOST: usize = 1000;
+
+/// What is below `/api/v1`.
+pub fn router() -> Router<Arc<Hub>> {
+    Router::new()
+        .route("/library/trials", get(trials))
+        .route("/library/rename", post(rename))
+        .route("/library/move", post(move_to))
+        .route("/library/remove", post(remove))
+        .route("/library/restore", post(restore))
+        .route("/library/undo", post(undo))
+        .route("/check", get(check).post(begin_check))
+}
+
+#[derive(Serialize)]
+struct Trials {
+    trials: Vec<Listed>,
+    removed: Vec<Listed>,
+    /// The step that can be undone.
+    undo: Option<Step>,
+}
+
+async fn trials(State(hub): Shared) -> Result<Json<Trials>, Problem> {
+    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let listed = aside(move || {
+        Ok(Trials {
+            trials: edit::list(&shelf.folder, &shelf.scene)?,
+            removed: edit::list_removed(&shelf.folder, &shelf.scene)?,
+            undo: edit::last_step(&shelf.folder)?,
+        })
+    });
+    Ok(Json(listed.await?))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rename {
+    surface: String,
+    to: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MoveTo {
+    trials: Vec<String>,
+    to: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Chosen {
+    trials: Vec<String>,
+}
+
+type Said = Result<Bytes, BytesRejection>;
+
+async fn rename(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+    let Rename { surface, to } = body(said, "{\"surface\": \"oak\", \"to\": \"ash\"}")?;
+    let to = label::check("to", &to).map_err(Problem::Bad)?;
+    edited(&hub, move |editor| editor.rename(&surface, &to)).await
+}
+
+async fn move_to(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+    let MoveTo { trials, to } = body(said, "{\"trials\": [\"oak/anna-01\"], \"to\": \"ash\"}")?;
+    let to = label::check("to", &to).map_err(Problem::Bad)?;
+    let trials = few(trials)?;
+    edited(&hub, move |editor| editor.move_to(&trials, &to)).await
+}
+
+const TRIALS: &str = "{\"trials\": [\"oak/anna-01\"]}";
+
+async fn remove(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+    let Chosen { trials } = body(said, TRIALS)?;
+    let trials = few(trials)?;
+    edited(&hub, move |editor| editor.remove(&trials)).await
+}
+
+async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+    let Chosen { trials } = body(said, TRIALS)?;
+    let trials = few(trials)?;
+    edited(&hub, move |editor| editor.restore(&trials)).await
+}
+
+async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
+    edited(&hub, Editor::undo).await
+}
+
+fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
+    match trials.len() {
+        1..=MOST => Ok(trials),
+        n => Err(Problem::Bad(format!("{n} trials; expected 1 to {MOST}"))),
+    }
+}
+
+/// Does an edit, and has the library read anew.
+async fn edited(
+    hub: &Hub,
+    edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
+) -> Result<Json<Step>, Problem> {
+    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let step = aside(move || Ok(edit(&Editor::open(&shelf.folder, &shelf.scene)?)?)).await?;
+    // A station that is too busy for it leaves it to the operator.
+    let _ = hub.order(Command::Reload);
+    Ok(Json(step))
+}
+
+/// How the audit is.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckView {
+    /// `none`, `running`, `done` or `failed`.
+    state: &'static str,
+    /// Since when.
+    unix_ms: u64,
+    /// For people: why it failed.
+    problem: Option<String>,
+    /// What was found last.
+    report: Option<Arc<CheckReport>>,
+}
+
+/// Audits, one at a time.
+#[derive(Debug)]
+pub struct Checks {
+    audit: Option<Audit>,
+    view: Mutex<CheckView>,
+}
+
+impl Checks {
+    /// None has run yet.
+    pub fn new(audit: Option<Audit>) -> Self {
+        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
+        Self { audit, view: Mutex::new(view) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, CheckView> {
+        // Each change is one assignment.
+        self.view.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+async fn check(State(hub): Shared) -> Json<CheckView> {
+    Json(hub.checks.lock().clone())
+}
+
+async fn begin_check(State(hub): Shared) -> Result<(StatusCode, Json<CheckView>), Problem> {
+    let audit = hub.checks.audit.clone().ok_or(Problem::NoLibrary)?;
+    let view = {
+        let mut view = hub.checks.lock();
+        if view.state == "running" {
+            return Err(Problem::Busy);
+        }
+        (view.state, view.unix_ms, view.problem) = ("running", unix_ms(), None);
+        view.clone()
+    };
+    let running = hub.clone();
+    let work = move || {
+        let audit = std::panic::AssertUnwindSafe(|| (audit.0)());
+        let panicked = |_| Err("the audit failed; please report this".to_string());
+        let found = std::panic::catch_unwind(audit).unwrap_or_else(panicked);
+        let view = {
+            let mut view = running.checks.lock();
+            view.unix_ms = unix_ms();
+            match found {
+                Ok(report) => (view.state, view.report) = ("done", Some(Arc::new(report))),
+                Err(why) => (view.state, view.problem) = ("failed", Some(why)),
+            }
+            view.clone()
+        };
+        running.checked(&view);
+    };
+    let started = std::thread::Builder::new().name("check".into()).spawn(work);
+    started.map_err(|error| Problem::Failed(error.to_string()))?;
+    Ok((StatusCode::OK, Json(view)))
+}

@@ -1,0 +1,132 @@
+//! Whether an answer stands, and if not, why: the states of an answer and their reasons.
+
+use super::event::AnswerState;
+use super::recogniser::Verdict;
+use crate::scan::Scan;
+
+/// Probability below which the first surface is no more likely than all others together.
+const EVEN: f64 = 0.5;
+
+/// What is known of an answer.
+pub(super) struct Case<'a> {
+    pub verdict: &'a Verdict,
+    pub scan: &'a Scan,
+    /// When the answer was settled, if it was.
+    pub settled_s: Option<f64>,
+}
+
+/// The state of an answer, and for people the reasons, a line each.
+pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
+    let Verdict { ranking, rejection, .. } = case.verdict;
+    let of = ranking.ranked.len();
+    if let (Some(p), Some(rejection), true) =
+        (ranking.p_value, rejection, case.verdict.is_unknown())
+    {
+        let reason = format!(
+            "looks like none of {of} surfaces: p = {}, and {} or less is unknown",
+            digits(p),
+            digits(rejection.rate)
+        );
+        return (AnswerState::Unknown, vec![reason]);
+    }
+    let doubts = doubts(case);
+    if !doubts.is_empty() {
+        return (AnswerState::Unsure, doubts);
+    }
+    if rejection.is_none() {
+        let reason = "there is no threshold that tells unknown surfaces from known ones";
+        return (AnswerState::Nearest, vec![reason.into()]);
+    }
+    (AnswerState::Named, Vec::new())
+}
+
+fn doubts(case: &Case<'_>) -> Vec<String> {
+    let Case { verdict, scan, settled_s } = case;
+    let Verdict { ranking, rejection, needed_s, left_out, .. } = verdict;
+    let mut doubts = scan.spoiled.clone();
+    doubts.extend_from_slice(left_out);
+    match needed_s.filter(|needed_s| *needed_s > scan.scan_s) {
+        // An answer that would not change any more needs no longer scan.
+        Some(needed_s) if settled_s.is_none() => {
+            doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
+        }
+        _ if rejection.is_some() && ranking.p_value.is_none() => {
+            doubts.push("too short to tell whether it is an unknown surface".into());
+        }
+        _ => {}
+    }
+    if let Some(confidence) = ranking.confidence.filter(|confidence| *confidence < EVEN) {
+        let percent = 100.0 * confidence;
+        doubts
+            .push(format!("{} is the most probable surface, by {percent:.0} %", ranking.surface()));
+    }
+    doubts
+}
+
+/// A probability with as many digits as tell.
+fn digits(p: f64) -> String {
+    if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::time::Instant;
+
+    use super::*;
+    use crate::recognise::{RankedSurface, Ranking, Rejection};
+    use crate::trial::{Trial, TrialKey};
+
+    fn verdict(p_value: Option<f64>, threshold: bool) -> Verdict {
+        let ranked = ["oak", "ash"].map(|s| RankedSurface { surface: s.into(), score: 1.0 });
+        let ranking = Ranking {
+            ranked: ranked.into(),
+            margin: 1.0,
+            sources: Vec::new(),
+            nearest: TrialKey::new("oak", "expert", 1),
+            confidence: Some(0.9),
+            p_value,
+        };
+        let rejection = threshold.then(|| Rejection::usual(99).unwrap());
+        let (left_out, remarks) = (Vec::new(), Vec::new());
+        Verdict { ranking, rejection, left_out, needed_s: Some(0.9), remarks }
+    }
+
+    fn scan(scan_s: f64) -> Scan {
+        Scan {
+            number: 1,
+            trial: Trial { key: TrialKey::new("", "", 1), signals: BTreeMap::new() },
+            truth: None,
+            synthetic: false,
+            scan_s,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        }
+    }
+
+    fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {
+        let (state, reasons) = judge(&Case { verdict, scan: &scan(scan_s), settled_s });
+        (state, reasons.join("\n"))
+    }
+
+    #[test]
+    fn each_state_has_its_reason() {
+        use AnswerState::{Named, Nearest, Unknown, Unsure};
+        let known = verdict(Some(0.4), true);
+        assert_eq!(judged(&known, 1.0, None), (Named, String::new()));
+        let (state, reason) = judged(&verdict(Some(0.004), true), 1.0, None);
+        assert_eq!(state, Unknown);
+        assert!(reason.starts_with("looks like none of 2 surfaces: p = 0.004"), "{reason}");
+        assert_eq!(judged(&known, 0.2, None), (Unsure, "too short: 0.2 s of 0.9 s".into()));
+        assert_eq!(judged(&known, 0.2, Some(0.1)).0, Named, "it was settled");
+        assert_eq!(judged(&verdict(None, false), 1.0, None).0, Nearest);
+        assert_eq!(judged(&verdict(None, true), 1.0, None).0, Unsure);
+        let silent = Verdict { left_out: vec!["mi2 is left out".into()], ..known.clone() };
+        assert_eq!(judged(&silent, 1.0, None), (Unsure, "mi2 is left out".into()));
+        let mut close = known;
+        close.ranking.confidence = Some(0.4);
+        assert_eq!(judged(&close, 1.0, None).0, Unsure);
+    }
+}

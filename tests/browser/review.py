@@ -1,0 +1,194 @@
+#!/usr/bin/env python3
+"""The operator's day in headless Chromium: open a scan, correct it, make it a trial, check and edit
+the library, and find the history after the daemon was killed.
+
+    tests/browser/review.py target/release/surfaced [FOLDER FOR SCREENSHOTS]
+
+Needs chromium and chromedriver (Debian: chromium chromium-driver).
+"""
+
+import json
+import sys
+import tempfile
+import urllib.request
+from pathlib import Path
+
+from page import Station, run, shot
+from webdriver import Browser
+
+# Seconds that each synthetic scan lasts.
+DRAG = "1.5"
+WIDTHS = (1280, 360)
+
+
+def scene(surfaced, folder):
+    """A library of two surfaces in which one trial bears the wrong label, and recordings of a third."""
+    made = folder / "made"
+    run(surfaced, "synth", made, "--surfaces", "3", "--trials", "40", "--users", "0", "--seconds", DRAG)
+    library, data = folder / "library", folder / "data"
+    for part in (library, data):
+        part.mkdir()
+        (part / "library.toml").write_bytes((made / "library.toml").read_bytes())
+    surfaces = sorted(path for path in made.iterdir() if path.is_dir())
+    for surface in surfaces:
+        trials = sorted(surface.glob("expert-*"))
+        place, kept = (data, trials) if surface is surfaces[0] else (library, trials[:6])
+        (place / surface.name).mkdir()
+        for trial in kept:
+            trial.rename(place / surface.name / trial.name)
+    right, wrong = surfaces[1].name, surfaces[2].name
+    run(surfaced, "library", "move", library, f"{right}/expert-06", "--to", wrong)
+    return library, data, wrong
+
+
+def get(station, path):
+    with urllib.request.urlopen(station.url + path, timeout=20) as answer:
+        return json.load(answer)
+
+
+def shots_of(browser, shots, name):
+    """Light and dark, wide and narrow; nothing may stick out sideways."""
+    for width in WIDTHS:
+        browser.resize(width, 1000 if width > 600 else 740)
+        for scheme in ("light", "dark"):
+            browser.scheme(scheme)
+            wide = browser.run("return document.documentElement.scrollWidth")
+            assert wide <= width, f"{name}: nothing sticks out at {width} px: {wide}"
+            inner = browser.run(
+                "return [...document.querySelectorAll('dialog[open]')].map(d => d.scrollWidth - d.clientWidth)")
+            assert all(over <= 0 for over in inner), f"{name}: the dialog fits {width} px: {inner}"
+            if shots:
+                browser.wait("the pictures", lambda: browser.run(
+                    "return [...document.images].every(i => i.complete)"))
+                browser.screenshot(Path(shots) / f"{name}-{width}-{scheme}.png")
+    browser.resize(1280, 1000)
+    browser.scheme("light")
+
+
+def newest(station):
+    scans = get(station, "/api/v1/scans?limit=1")["scans"]
+    return scans[0] if scans else None
+
+
+def until(browser, what, wanted, seconds=60):
+    return browser.wait(what, wanted, seconds)
+
+
+def open_newest(browser, station):
+    """Opens the newest scan whose signals are kept, by its row; gives it."""
+    scan = until(browser, "a scan that is kept", lambda: next(
+        (s for s in get(station, "/api/v1/scans?limit=5")["scans"] if s["kept"]), None))
+    row = f"#scans tr[data-id='{scan['id']}'] button"
+    until(browser, "its row", lambda: browser.run("return !!document.querySelector(arguments[0])", row))
+    browser.run("document.querySelector(arguments[0]).click()", row)
+    until(browser, "the scan, opened", lambda: browser.run(
+        "return document.getElementById('scan').dataset.shown") == scan["id"])
+    return scan
+
+
+def opens_and_says_why(browser, station, shots):
+    scan = open_newest(browser, station)
+    count = lambda selector: browser.run("return document.querySelectorAll(arguments[0]).length", selector)
+    assert count("#scan-body .says li") >= 2, "what each source says"
+    assert count("#scan-body canvas.chart") >= 4, "signals and spectra"
+    assert count("#scan-body audio") >= 1, "the sound to play"
+    assert count("#scan-body .ranking li") == 2
+    pictures = browser.run("return [...document.querySelectorAll('#scan-body img')].map(i => i.alt)")
+    assert any("nearest" in alt for alt in pictures) and any("this scan" in alt for alt in pictures), pictures
+    until(browser, "the pictures", lambda: browser.run(
+        "return [...document.querySelectorAll('#scan-body img')].every(i => i.naturalWidth === 320)"))
+    with urllib.request.urlopen(f"{station.url}/api/v1/scans/{scan['id']}/mi2.wav") as sound:
+        assert sound.read(4) == b"RIFF" and sound.headers["Content-Type"] == "audio/wav"
+    shots_of(browser, shots, "scan")
+
+
+def correct_and_keep(browser, station):
+    """Says that the open scan was slate, and makes it a trial; gives the scan."""
+    browser.type("#was", "slate")
+    browser.click("#was-other")
+    until(browser, "the correction", lambda: "it was slate" in (browser.text("#was-now") or ""))
+    browser.click("#keep")
+    until(browser, "the trial", lambda: "slate/expert-" in (browser.text("#was-now") or ""))
+    browser.keys("\ue00c")
+    until(browser, "the dialog closed", lambda: not browser.run("return document.getElementById('scan').open"))
+
+
+def a_wrong_answer_is_corrected(browser, station, shots):
+    """Corrects two scans, and sees the next ones named right."""
+    before = newest(station)["scan"]
+    correct_and_keep(browser, station)
+    until(browser, "another scan", lambda: newest(station)["scan"] > before)
+    open_newest(browser, station)
+    correct_and_keep(browser, station)
+    after = newest(station)["scan"]
+    slate = lambda: newest(station)["scan"] > after + 1 and newest(station)["surface"] == "slate"
+    until(browser, "the next scan named slate", slate, 120)
+    until(browser, "the name on the page", lambda: "slate" in browser.text("#name"))
+    badges = browser.run("return [...document.querySelectorAll('#scans .badge')].map(b => b.innerText)")
+    assert "in the library" in badges, badges
+    precision = get(station, "/api/v1/history")["precision"]
+    assert sum(p["corrected"] for p in precision) == 2 and sum(p["right"] for p in precision) == 0, precision
+    shots_of(browser, shots, "page")
+
+
+def the_library_is_checked_and_mended(browser, station, shots, wrong):
+    """Finds the trial with the wrong label, removes it, sees the verdicts change, and takes it back."""
+    browser.click("#shelf-open")
+    state = lambda: browser.run("return document.getElementById('shelf').dataset.check")
+    until(browser, "the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length") > 12)
+    browser.click("#check")
+    until(browser, "the check", lambda: state() == "done", 120)
+    verdicts = "return [...document.querySelectorAll('#shelf-trials .wrong')].map(w => w.closest('tr').dataset.trial)"
+    found = browser.run(verdicts)
+    mislabelled = next(iter(t for t in found if t.startswith(wrong + "/")), None)
+    assert mislabelled, f"the trial with the wrong label is named otherwise: {found}"
+    shots_of(browser, shots, "library")
+    browser.run("document.querySelector(arguments[0]).click()", f"#shelf-trials tr[data-trial='{mislabelled}'] button:last-child")
+    until(browser, "the trial gone", lambda: mislabelled not in browser.run(
+        "return [...document.querySelectorAll('#shelf-trials tr')].map(t => t.dataset.trial)"))
+    until(browser, "the verdicts anew", lambda: state() == "done" and mislabelled not in browser.run(verdicts), 120)
+    assert (Path(station.library) / ".removed" / mislabelled).is_dir(), "it can come back"
+    assert "remove" in browser.text("#undo")
+    browser.click("#undo")
+    until(browser, "the trial back", lambda: (Path(station.library) / mislabelled).is_dir())
+    browser.keys("\ue00c")
+
+
+def check(browser, station, shots, wrong):
+    browser.resize(1280, 1000)
+    browser.scheme("light")
+    browser.open(station.url + "/")
+    opens_and_says_why(browser, station, shots)
+    a_wrong_answer_is_corrected(browser, station, shots)
+    the_library_is_checked_and_mended(browser, station, shots, wrong)
+
+
+def main():
+    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
+    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
+        library, data, wrong = scene(surfaced, Path(folder))
+        station = Station(surfaced, library, data)
+        station.library = library
+        try:
+            check(browser, station, shots, wrong)
+            before = get(station, "/api/v1/scans?limit=1000")["scans"]
+        finally:
+            station.process.kill()
+            station.process.communicate(timeout=30)
+        station = Station(surfaced, library, data)
+        try:
+            browser.open(station.url + "/")
+            rows = lambda: browser.run("return [...document.querySelectorAll('#scans tr')].map(r => r.dataset.id)")
+            kept = {scan["id"] for scan in before}
+            until(browser, "the history", lambda: kept <= set(rows()))
+            badges = browser.run("return [...document.querySelectorAll('#scans .badge')].map(b => b.innerText)")
+            assert "it was slate" in badges, f"what was said is remembered: {badges}"
+            console = [entry for entry in browser.log("browser") if "ERR_" not in entry["message"]]
+            assert not console, f"the console stays empty: {console}"
+        finally:
+            station.end()
+    print("a day can be reviewed")
+
+
+if __name__ == "__main__":
+    main()
