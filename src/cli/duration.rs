@@ -203,6 +203,10 @@ pub fn run(args: &Args) -> Done {
         for remark in remarks {
             say!("  {remark}");
         }
+        show::next(&format!(
+            "surfaced plan {} finds out how much of a drag names your surfaces well enough",
+            show::quoted(&args.lib)
+        ));
     }
     Ok(())
 }
