@@ -4,7 +4,7 @@
 //!     cargo +nightly fuzz run --dev --fuzz-dir tests/fuzz request \
 //!         tests/fuzz/corpus tests/fuzz/seeds -- -close_fd_mask=2
 //!
-//! (`cargo install cargo-fuzz`; the mask silences the log of refusals, `--dev` builds sooner).
+//! (`cargo install --locked cargo-fuzz`; the mask silences the log of refusals, `--dev` builds sooner).
 
 #![no_main]
 
