@@ -23,6 +23,8 @@ pub struct Tally {
     by_then: ByThen,
     notable: Notable,
     damages: usize,
+    /// Scans that hold too little to be named.
+    too_little: usize,
     spoiled: usize,
 }
 
@@ -106,6 +108,10 @@ impl Listener for Tally {
             }
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
+            StationEvent::TooLittle(text) => {
+                self.too_little += 1;
+                self.damage(text);
+            }
             _ => {}
         }
     }
@@ -126,6 +132,7 @@ impl Tally {
             by_then: ByThen::default(),
             notable: Notable::default(),
             damages: 0,
+            too_little: 0,
             spoiled: 0,
         }
     }
@@ -244,7 +251,7 @@ impl Tally {
 
     /// How the command ends, after `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
-        if self.answers == 0 {
+        if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
         }
         if self.damages + self.spoiled > 0 || lost > 0 {

@@ -173,7 +173,7 @@ impl Listener for Terminal {
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
             StationEvent::Library(library) => self.library(library),
-            StationEvent::Warning(text) => self.warn(text),
+            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warn(text),
             StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)

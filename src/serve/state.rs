@@ -214,7 +214,7 @@ impl State {
             StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.into()), false);
             }
-            StationEvent::Warning(text) => self.warned(text),
+            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warned(text),
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);

@@ -298,6 +298,8 @@ pub enum StationEvent {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work continues.
     Warning(String),
+    /// For people: a scan holds too little to be named: it is silent, or shorter than a frame.
+    TooLittle(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
     /// The station has ended; the last event.

@@ -276,7 +276,10 @@ impl<'a> Run<'a> {
                 self.emit(StationEvent::Answer(scan.answer.clone()));
                 self.emit(StationEvent::Scan(scan));
             }
-            WorkerEvent::Named(Err(problem)) => self.warn(problem),
+            WorkerEvent::Named(Err(unnamed)) if unnamed.too_little => {
+                self.emit(StationEvent::TooLittle(unnamed.why));
+            }
+            WorkerEvent::Named(Err(unnamed)) => self.warn(unnamed.why),
             WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
         }
     }

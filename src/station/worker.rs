@@ -10,7 +10,7 @@ use super::event::{Answer, AnswerState, AnsweredScan, Guess};
 use super::followed::{Followed, caught};
 use super::recogniser::{Recogniser, Verdict};
 use super::trial_need::Purpose;
-use crate::recognise::Ranking;
+use crate::recognise::{Ranking, RecogniseError};
 use crate::record::utc;
 use crate::scan::{Progress, Scan};
 
@@ -49,7 +49,14 @@ pub(super) enum WorkerEvent {
 }
 
 /// A scan with its answer, or why it has none.
-pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, String>;
+pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, Unnamed>;
+
+/// Why a scan has no answer, for people.
+pub(super) struct Unnamed {
+    pub why: String,
+    /// It holds too little.
+    pub too_little: bool,
+}
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
 /// the first is dropped, it ends with what it has in hand, and nobody waits for it.
@@ -102,10 +109,13 @@ fn name(
     settled_s: Option<f64>,
 ) -> ScanAnswer {
     let ranked = || ranking.map_or_else(|| by.rank(&scan), Ok);
+    let unnamed = |why: String, too_little| Unnamed {
+        why: format!("scan {}: {why}", scan.number),
+        too_little,
+    };
     let verdict = caught(|| ranked().map(|ranking| by.verdict(&scan, ranking)))
-        .ok_or_else(|| "the method panicked; please report this".to_string())
-        .and_then(|verdict| verdict.map_err(|error| error.to_string()))
-        .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
+        .ok_or_else(|| unnamed("the method panicked; please report this".into(), false))?
+        .map_err(|error| unnamed(error.to_string(), matches!(error, RecogniseError::TooLittle)))?;
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
     let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
     let Verdict { ranking, needed_s, remarks, .. } = verdict;
@@ -285,8 +295,8 @@ mod tests {
                 };
                 match named {
                     Ok(named) => assert!(names && named.answer.scan == number, "{part}"),
-                    Err(problem) => {
-                        assert!(!names && problem.contains("panicked"), "{part}: {problem}");
+                    Err(Unnamed { why, too_little }) => {
+                        assert!(!names && !too_little && why.contains("panicked"), "{part}: {why}");
                     }
                 }
             }
