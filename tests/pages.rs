@@ -17,9 +17,9 @@ fn blocks(page: &str) -> Vec<String> {
     let mut blocks = vec![String::new()];
     for line in page.lines() {
         match line.strip_prefix("    ") {
-            Some(code) => blocks.iter_mut().last().unwrap().push_str(&format!("{code}\n")),
+            Some(code) => blocks.last_mut().unwrap().push_str(&format!("{code}\n")),
             // A blank line within a block belongs to it, and so the next block is begun late.
-            None if line.is_empty() => blocks.iter_mut().last().unwrap().push('\n'),
+            None if line.is_empty() => blocks.last_mut().unwrap().push('\n'),
             None => blocks.push(String::new()),
         }
     }
