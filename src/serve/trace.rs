@@ -100,7 +100,8 @@ impl Limits {
         let at_limit = x <= self.low || x >= self.high;
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
         self.between = self.between.saturating_add(usize::from(!at_limit && self.run == 1));
-        at_limit && self.run >= RUN && self.between >= FEWEST_BETWEEN
+        // Zero is a sensor at rest.
+        at_limit && x != 0.0 && self.run >= RUN && self.between >= FEWEST_BETWEEN
     }
 }
 
