@@ -27,16 +27,17 @@
 //! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
 //! duration (HSIC, T*) and evaluate (protocols, chart, stress, plan) stand on library + kernel; station joins
-//! scan, recognise, duration and record; cli and serve stand on top of all.
+//! scan, recognise, duration and record; history and outputs stand on station; cli and serve stand on top of all.
 //! ```
 //!
 //! | to | use |
 //! |---|---|
 //! | open recordings of any form | [`dataset::open`], [`library`] |
-//! | write them | [`record::write_trial`] |
+//! | write them, edit them | [`record::write_trial`], [`record::edit`] |
 //! | name a trial | [`recognise`] |
 //! | measure how well that works | [`evaluate::Evaluation`] |
 //! | learn how long a scan must last | [`duration`] |
+//! | keep past scans, and read them | [`history`] |
 //! | run a station of your own devices | [`device::Device`], [`station::Station`] |
 //! | compare two samples, or test independence | [`kernel`] |
 //!
@@ -60,6 +61,7 @@ pub mod history;
 mod jpeg;
 pub mod kernel;
 pub mod library;
+pub mod outputs;
 mod printable;
 pub mod recognise;
 pub mod record;

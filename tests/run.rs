@@ -221,6 +221,25 @@ fn scans_that_cannot_be_written_wait_and_a_recording_that_loses_them_says_so() {
 }
 
 #[test]
+fn a_station_whose_devices_have_no_source_of_the_library_says_so_at_its_start() {
+    let bench = Bench::new();
+    let library = bench.path("sounds");
+    for (surface, number) in [("oak", 1), ("oak", 2), ("felt", 1), ("felt", 2)] {
+        let samples: Vec<i16> = (0..9000).map(|i: i32| (i * i * number % 2003) as i16).collect();
+        let path = library.join(format!("{surface}/{number}/mi2.wav"));
+        common::write_wav(&path, 44_100, 1, &samples);
+    }
+    let mut fake = bench.stylus();
+    let mut run = bench.surfaced(&["run", "--library", library.to_str().unwrap()]);
+    run.until_said("no scan can ever be named", Some(&mut fake));
+    assert!(run.said().contains("mi2") && run.said().contains("surfaced enroll"), "{}", run.said());
+    run.signal("TERM");
+    let last = run.line(&mut fake);
+    assert!(last["warnings"].to_string().contains("no scan can ever be named"), "{last}");
+    assert_eq!(run.end(&mut fake).code(), Some(0), "{}", run.said());
+}
+
+#[test]
 fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     let bench = Bench::new();
     let said = |args: &[&str]| {

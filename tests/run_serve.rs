@@ -109,7 +109,7 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
 
 #[test]
 fn an_enrolment_on_the_page_interrupts_a_recording_from_the_next_scan_on_and_does_not_end_it() {
-    let data = synthetic(0.8);
+    let data = synthetic(1.5);
     let mut bench = Bench::new();
     let path = bench.path("mine");
     let library = path.to_str().unwrap().to_string();
@@ -124,7 +124,7 @@ fn an_enrolment_on_the_page_interrupts_a_recording_from_the_next_scan_on_and_doe
     assert_eq!(state["enrolling"]["wanted"], Value::Null, "every scan");
     let order = json!({ "surface": "oak", "trials": 1 }).to_string();
     for (scan, surface) in [(1, "unlabelled"), (2, "oak"), (3, "unlabelled")] {
-        let seconds = bench.play(&fake, &trial(&data, 0, scan), 0.8);
+        let seconds = bench.play(&fake, &trial(&data, 0, 1 + scan % 2), 1.5);
         // In the middle of the first drag.
         fake.serve(seconds - 0.5);
         if scan == 1 {

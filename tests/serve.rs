@@ -197,6 +197,7 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
             trial: Some(1),
             folder: None,
             remarks: vec![],
+            nearest: None,
             wanted,
         });
         served.tell([enrolled, ash(wanted)]);
@@ -220,7 +221,10 @@ fn a_reader_gets_the_types_that_it_names() {
     // The reader may come a moment later than the first.
     let begin = std::time::Instant::now();
     for n in 0.. {
-        served.tell([StationEvent::Trace(Arc::new(Trace { fresh: vec![fresh(n * 500)] }))]);
+        served.tell([StationEvent::Trace(Arc::new(Trace {
+            fresh: vec![fresh(n * 500)],
+            images: vec![],
+        }))]);
         std::thread::sleep(std::time::Duration::from_millis(20));
         let metrics = served.get("/metrics").body;
         if metrics.contains("surfaced_readers 1") && n > 3 {
@@ -248,6 +252,13 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
         ("/style.css", "text/css"),
         ("/page.js", "text/javascript"),
         ("/draw.js", "text/javascript"),
+        ("/dom.js", "text/javascript"),
+        ("/answer.js", "text/javascript"),
+        ("/history.js", "text/javascript"),
+        ("/scan.js", "text/javascript"),
+        ("/chart.js", "text/javascript"),
+        ("/shelf.js", "text/javascript"),
+        ("/review.css", "text/css"),
         ("/favicon.svg", "image/svg+xml"),
     ] {
         let reply = served.get(path);

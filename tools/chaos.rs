@@ -51,8 +51,6 @@ pub struct Sums {
     scans: u64,
     kept: u64,
     peak_mb: u64,
-    /// Whether the last station was killed.
-    killed: bool,
 }
 
 fn main() -> Result<(), Failure> {
@@ -84,8 +82,7 @@ fn main() -> Result<(), Failure> {
         }
     }
     eprintln!("faults: {:?}", sums.faults);
-    let Sums { faults, violations, sent, received, lost, unknowable, scans, kept, peak_mb, .. } =
-        sums;
+    let Sums { faults, violations, sent, received, lost, unknowable, scans, kept, peak_mb } = sums;
     println!(
         "{{\"minutes\":{:.1},\"faults\":{},\"violations\":{},\"samples_sent\":{sent},\
          \"samples_received\":{received},\"samples_counted_lost\":{lost},\

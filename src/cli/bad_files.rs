@@ -16,8 +16,9 @@ pub(super) struct BadFileArgs {
     skip_bad: bool,
 }
 
-/// How many recordings were left out.
-pub(super) struct Skipped(usize);
+/// Why recordings were left out, one error each.
+#[derive(Default)]
+pub(super) struct Skipped(Vec<LibraryError>);
 
 impl BadFileArgs {
     /// Opens recordings, and says on stderr what was found. `narrow` chooses the sources in use.
@@ -32,7 +33,7 @@ impl BadFileArgs {
         let Opened { mut library, bad } = dataset::open_usable(path, &Scene::lmt108())?;
         if !self.skip_bad && bad.is_empty() {
             show::library(&library);
-            return Ok((library, Skipped(0)));
+            return Ok((library, Skipped::default()));
         }
         let scene = narrow(library.scene.clone())?;
         library.entries = library.entries.into_iter().map(|entry| entry.within(&scene)).collect();
@@ -43,15 +44,21 @@ impl BadFileArgs {
             return Err(failure(bad));
         }
         show::library(&library);
-        bad.iter().for_each(|error| say!("warning: not used: {error}"));
-        Ok((library, Skipped(bad.len())))
+        let skipped = Skipped(bad);
+        skipped.why().for_each(|why| say!("warning: {why}"));
+        Ok((library, skipped))
     }
 }
 
 impl Skipped {
+    /// For people: a line each.
+    pub fn why(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(|error| format!("not used: {error}"))
+    }
+
     /// How the command ends.
     pub fn verdict(&self) -> Done {
-        match self.0 {
+        match self.0.len() {
             0 => Ok(()),
             1 => Err(Failure::Damaged("done without 1 recording that cannot be read".into())),
             n => Err(Failure::Damaged(format!("done without {n} recordings that cannot be read"))),

@@ -1,6 +1,5 @@
 //! `surfaced check`: audits a library.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::plan::{Comparing, ComparingArgs};
@@ -34,7 +33,7 @@ pub fn run(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        print(&report)?;
+        print(&report);
     }
     match report.mend.len() {
         0 => Ok(()),
@@ -61,23 +60,18 @@ pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport
     Ok(check(opened, &scene, &*method, cache, &progress))
 }
 
-fn print(report: &CheckReport) -> std::io::Result<()> {
-    let mut out = std::io::stdout().lock();
-    let counted = |number, thing| show::counted(number, thing);
-    let (trials, surfaces) =
-        (counted(report.trials, "trial"), counted(report.surfaces.len(), "surface"));
-    writeln!(out, "{trials} of {surfaces}")?;
+fn print(report: &CheckReport) {
+    let trials = show::counted(report.trials, "trial");
+    let surfaces = show::counted(report.surfaces.len(), "surface");
+    result!("{trials} of {surfaces}");
     if let (Some(accuracy), Some(low), Some(high)) =
         (report.accuracy, report.accuracy_low, report.accuracy_high)
     {
         let [accuracy, low, high] = [accuracy, low, high].map(show::percent);
-        writeln!(out, "left out and named right: {accuracy} (95 % interval {low} to {high})")?;
+        result!("left out and named right: {accuracy} (95 % interval {low} to {high})");
     }
-    writeln!(
-        out,
-        "\n{:<28} {:>6}  {:>9}  {:<18}  taken for",
-        "surface", "trials", "right", "95 %"
-    )?;
+    result!();
+    result!("{:<28} {:>6}  {:>9}  {:<18}  taken for", "surface", "trials", "right", "95 %");
     for surface in &report.surfaces {
         let right = format!("{}/{}", surface.right, surface.queries);
         let interval = match surface.queries {
@@ -90,13 +84,13 @@ fn print(report: &CheckReport) -> std::io::Result<()> {
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
         let taken = taken.collect::<Vec<_>>().join(", ");
         let (name, trials) = (&surface.surface, surface.trials);
-        writeln!(out, "{name:<28} {trials:>6}  {right:>9}  {interval:<18}  {taken}")?;
+        result!("{name:<28} {trials:>6}  {right:>9}  {interval:<18}  {taken}");
     }
     for (title, lines) in [("to mend", &report.mend), ("next", &report.advice)] {
         if !lines.is_empty() {
-            writeln!(out, "\n{title}:")?;
+            result!();
+            result!("{title}:");
         }
-        lines.iter().try_for_each(|line| writeln!(out, "  {line}"))?;
+        lines.iter().for_each(|line| result!("  {line}"));
     }
-    Ok(())
 }

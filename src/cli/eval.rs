@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use self::report::{Answer, Report};
 use super::answers::AnswerArgs;
-use super::bad_files::{self, BadFileArgs};
+use super::bad_files::{self, BadFileArgs, Skipped};
 use super::choose::{protocol_for, within};
 use super::method::{MethodArgs, at_least_one};
 use super::protocol::ProtocolArg;
@@ -109,8 +109,8 @@ pub fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::Usage("name the recordings".into()));
     };
-    let mut skipped = None;
-    let report = match table::open(data)? {
+    let mut skipped = Skipped::default();
+    let mut report = match table::open(data)? {
         Some(tables) => on_tables(args, &tables)?,
         None => {
             let (library, left_out) =
@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Done {
                 paper::run(&library, &args.method, args.shard, out, args.json)?;
                 return left_out.verdict();
             }
-            skipped = Some(left_out);
+            skipped = left_out;
             let scene = args.sources.narrow(library.scene.clone())?;
             let entries = within(&library, &scene)?;
             let data = Data {
@@ -134,14 +134,14 @@ pub fn run(args: &Args) -> Done {
             evaluated(args, data).map_err(|error| bad_files::explain(&entries, error))?
         }
     };
-    show::left_out(&report.left_out);
+    report.warnings.extend(skipped.why());
     if args.json {
         show::json(&report);
     } else {
         report.print();
         advise(data, &report);
     }
-    skipped.map_or(Ok(()), |skipped| skipped.verdict())
+    skipped.verdict()
 }
 
 /// Says what the recordings are good for.
@@ -225,7 +225,7 @@ fn measured(
         unknown,
         enrolled,
         predictions: measured.predictions.into_iter().map(Answer::from).collect(),
-        left_out: measured.left_out,
+        warnings: show::left_out(&measured.left_out),
     })
 }
 

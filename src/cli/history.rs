@@ -1,6 +1,5 @@
 //! `surfaced history`: the scans of the past, and what people said of them.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use serde_json::Value;
@@ -55,18 +54,18 @@ pub fn run(args: &Args) -> Done {
         }
         match &mut csv {
             Some(csv) => csv.scan(&scan)?,
-            None if args.json => writeln!(std::io::stdout(), "{scan}")?,
-            None => line(&scan)?,
+            None if args.json => show::json(&scan),
+            None => line(&scan),
         }
         Ok::<(), Failure>(())
     })?;
     if let Some(csv) = csv {
-        csv.finish()?;
+        csv.finish();
     }
     Ok(())
 }
 
-fn line(scan: &Value) -> std::io::Result<()> {
+fn line(scan: &Value) {
     let text = |key: &str| scan[key].as_str().unwrap_or_default();
     let list = |key: &str| {
         let all = scan[key].as_array().into_iter().flatten().filter_map(Value::as_str);
@@ -78,14 +77,13 @@ fn line(scan: &Value) -> std::io::Result<()> {
         other => format!("  {other}, as somebody said"),
     };
     let surface = scan["surface"].as_str().unwrap_or("-");
-    writeln!(
-        std::io::stdout(),
+    result!(
         "{:<26} {:<8} {surface:<28} {:>5.1} s  {}{was}",
         text("id"),
         text("state"),
         scan["scan_s"].as_f64().unwrap_or(0.0),
         list("reasons")
-    )
+    );
 }
 
 fn text_of(value: &Value) -> &str {
@@ -102,10 +100,7 @@ fn precision(all: &[Precision], json: bool) -> Done {
         let [share, low, high] =
             [one.precision, one.precision_low, one.precision_high].map(show::percent);
         let Precision { right, corrected, .. } = one;
-        writeln!(
-            std::io::stdout(),
-            "{name:<28} {right}/{corrected} right: {share} (95 % interval {low} to {high})"
-        )?;
+        result!("{name:<28} {right}/{corrected} right: {share} (95 % interval {low} to {high})");
     }
     Ok(())
 }

@@ -169,13 +169,12 @@ fn list(args: &ListArgs) -> Done {
     if args.json {
         show::json(&rows);
     } else {
-        rows.iter().try_for_each(print)?;
+        rows.iter().for_each(print);
     }
     Ok(())
 }
 
-fn print(row: &Row) -> std::io::Result<()> {
-    use std::io::Write;
+fn print(row: &Row) {
     let Listed { trial, key, started_at, seconds, .. } = &row.listed;
     let verdict = match (row.verdict, &row.named) {
         (Some(TrialVerdict::Right), _) => "right".into(),
@@ -187,9 +186,8 @@ fn print(row: &Row) -> std::io::Result<()> {
     let margin = row.margin.map(|margin| format!(" by {margin:.1}")).unwrap_or_default();
     let flaws: String = row.flaws.iter().map(|flaw| format!("  {flaw}")).collect();
     let (surface, user) = (&key.surface, &key.user);
-    writeln!(
-        std::io::stdout(),
+    result!(
         "{trial:<32} {surface:<24} {user:<12} {:<20} {seconds:>5.1} s  {verdict}{margin}{flaws}",
         started_at.as_deref().unwrap_or("-")
-    )
+    );
 }

@@ -19,6 +19,7 @@ use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
 use crate::library::lock::LibraryLock;
+use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, prepare_library};
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
@@ -207,6 +208,12 @@ pub fn work(
     if work.load.is_some() {
         let folder = shelf.folder.join(history::FOLDER);
         (station, history) = keep_scans(station, &folder, config.keep_mb, (&shelf.scene, devices))?;
+    }
+    if let Some(address) = config.http.clone() {
+        station = station.listener(HttpOutput::start(address)?);
+    }
+    if let Some(address) = config.mqtt.clone() {
+        station = station.listener(MqttOutput::start(address)?);
     }
     let commands = station.commands();
     if let Some(load) = work.load {

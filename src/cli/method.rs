@@ -5,8 +5,8 @@ use clap::builder::PossibleValue;
 
 use super::Failure;
 use crate::recognise::{
-    EmbeddingOptions, MethodName, MethodSpec, PositionMode, Precision, ReferenceOptions, STAGES,
-    TreeOptions,
+    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, PositionMode, Precision,
+    ReferenceOptions, STAGES, TreeOptions,
 };
 
 /// A method's name on the command line.
@@ -91,8 +91,8 @@ pub struct MethodArgs {
 /// Parses a count.
 pub fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
-        Ok(0) | Err(_) => Err("expected a whole number, 1 or more".into()),
-        Ok(number) => Ok(number),
+        Ok(number) if (1..=MOST_COUNT).contains(&number) => Ok(number),
+        _ => Err(format!("expected a whole number, 1 or more, at most {MOST_COUNT}")),
     }
 }
 

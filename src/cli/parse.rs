@@ -1,10 +1,13 @@
 //! Values of arguments that several commands take.
 
+/// Longest drag in seconds: an hour.
+const LONGEST_S: f64 = 3600.0;
+
 /// Parses a positive number of seconds.
 pub fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
-        _ => Err("expected a positive number of seconds".into()),
+        Ok(x) if x > 0.0 && x <= LONGEST_S => Ok(x),
+        _ => Err(format!("expected a positive number of seconds, at most {LONGEST_S}")),
     }
 }
 

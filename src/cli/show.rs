@@ -37,17 +37,18 @@ pub fn json_text(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).expect("plain data")
 }
 
-/// Says which sources were left out of queries, and why.
-pub fn left_out(left_out: &LeftOut) {
-    for (remark, trials) in left_out {
+/// Says which sources were left out of queries, and why; gives the same lines.
+pub fn left_out(left_out: &LeftOut) -> Vec<String> {
+    let lines = left_out.iter().filter_map(|(remark, trials)| {
         let more = match trials.len() {
             0 | 1 => String::new(),
             several => format!(" and {} more", several - 1),
         };
-        if let Some(first) = trials.first() {
-            say!("warning: {remark} ({first}{more})");
-        }
-    }
+        trials.first().map(|first| format!("{remark} ({first}{more})"))
+    });
+    let lines: Vec<String> = lines.collect();
+    lines.iter().for_each(|line| say!("warning: {line}"));
+    lines
 }
 
 /// Says which files were written.

@@ -86,3 +86,33 @@ impl Retry {
         Ok(control.sleep_until(Instant::now() + wait))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ring::Stop;
+
+    #[test]
+    fn what_is_dear_to_open_is_tried_ever_more_rarely_until_it_could_be_opened() {
+        let (send, reports) = crossbeam_channel::unbounded();
+        // Stopped, so that nothing waits.
+        let stop = Stop::default();
+        stop.request();
+        let control = Control::new(0, stop, send);
+        let waits = |retry: &mut Retry| -> Vec<u64> {
+            let wait = |_| {
+                let wait = retry.wait.as_millis() as u64;
+                assert!(!retry.failed(OpenError::Absent("it".into()), false, &control).unwrap());
+                wait
+            };
+            (0..6).map(wait).collect()
+        };
+        let mut dear = Retry::new(LONGEST_RETRY);
+        assert_eq!(waits(&mut dear), [300, 600, 1200, 2400, 4800, 5000]);
+        dear.opened();
+        assert_eq!(dear.wait, RETRY);
+        assert_eq!(waits(&mut Retry::new(RETRY)), [300; 6]);
+        // Once, however often it fails.
+        assert_eq!(reports.try_iter().count(), 1);
+    }
+}

@@ -5,6 +5,7 @@
 
 mod player;
 
+use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
 use std::str::FromStr;
 use std::time::{Duration, Instant};
@@ -21,10 +22,13 @@ use crate::trial::Trial;
 /// Sizes the ring of a source whose rate the scene leaves open.
 const ANY_RATE_HZ: f64 = 44_100.0;
 
+/// Bounds of a speed: slower, nothing would ever come; faster, no clock can tell.
+const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
+
 /// How fast a recording is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// This many times as fast as it was recorded; what the session does not take is lost.
+    /// This many times as fast as it was recorded, from 0.001 to 10 000; what the session does not take is lost.
     RealTime(f64),
     /// As fast as the session takes it; nothing is lost.
     Max,
@@ -36,8 +40,12 @@ impl FromStr for Speed {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.parse::<f64>() {
             _ if text == "max" => Ok(Self::Max),
-            Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(Self::RealTime(factor)),
-            _ => Err(format!("`{text}` is no speed; expected a positive number, or `max`")),
+            Ok(factor) if SPEEDS.contains(&factor) => Ok(Self::RealTime(factor)),
+            _ => Err(format!(
+                "`{text}` is no speed; expected a number from {} to {}, or `max`",
+                SPEEDS.start(),
+                SPEEDS.end()
+            )),
         }
     }
 }
@@ -96,9 +104,12 @@ impl Replay {
         let fail = |what: &str, value: f64| {
             Err(DeviceError::Failed(format!("{what} = {value}; expected a positive number")))
         };
-        match self.speed {
-            Speed::RealTime(x) if !(x.is_finite() && x > 0.0) => return fail("speed", x),
-            _ => {}
+        if let Speed::RealTime(x) = self.speed
+            && !SPEEDS.contains(&x)
+        {
+            let (slowest, fastest) = (SPEEDS.start(), SPEEDS.end());
+            let problem = format!("speed = {x}; expected a number from {slowest} to {fastest}");
+            return Err(DeviceError::Failed(problem));
         }
         if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) {
             return fail("chunk_s", self.chunk_s);
@@ -197,10 +208,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_speed_is_a_positive_number_or_max() {
+    fn a_speed_is_a_number_within_reason_or_max() {
         assert_eq!("max".parse(), Ok(Speed::Max));
         assert_eq!("2.5".parse(), Ok(Speed::RealTime(2.5)));
-        for text in ["0", "-1", "nan", "inf", "fast", ""] {
+        for text in ["0", "-1", "1e-300", "1e300", "nan", "inf", "fast", ""] {
             assert!(text.parse::<Speed>().unwrap_err().contains("expected"), "{text}");
         }
     }

@@ -23,7 +23,10 @@ pub use enrolled::{EnrolledOutcome, enrol};
 pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
 pub use fold::{Fold, Protocol, folds};
 pub use loudness::Loudness;
-pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, wilson_interval};
+pub use outcome::{
+    Confusion, FoldAccuracy, Outcome, Prediction, interval_over_users, is_over_users,
+    wilson_interval,
+};
 pub use settled::{SettledOutcome, follow};
 pub use unknown::UnknownOutcome;
 

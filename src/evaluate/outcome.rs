@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
@@ -30,7 +32,7 @@ impl Prediction {
 }
 
 /// Accuracy within one fold.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FoldAccuracy {
     /// User or trial that was left out.
     pub name: String,
@@ -217,6 +219,36 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
     (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
 }
 
+/// Users from whom on an interval is taken over users.
+const LEAST_USERS: usize = 5;
+
+/// 95 % confidence interval of the share of all queries named right. Where there are five users or
+/// more it is taken over users, as queries of one person are no independent evidence of another:
+/// Student's t on the ratio of right answers to queries, users being the clusters (Cochran 1977,
+/// "Sampling techniques", §6.4). Below, and where that one is narrower, [`wilson_interval`] over
+/// queries.
+pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
+    let queries: usize = users.iter().map(|user| user.queries).sum();
+    let right: f64 = users.iter().map(|user| user.accuracy * user.queries as f64).sum();
+    let (low, high) = wilson_interval(right.round() as usize, queries);
+    if !is_over_users(users) {
+        return (low, high);
+    }
+    let (count, share) = (users.len() as f64, right / queries as f64);
+    let surplus = |user: &FoldAccuracy| user.queries as f64 * (user.accuracy - share);
+    let squares: f64 = users.iter().map(|user| surplus(user).powi(2)).sum();
+    let error = (squares * count / (count - 1.0)).sqrt() / queries as f64;
+    // Five users or more, so four degrees of freedom or more, and the other two are constants.
+    let student = StudentsT::new(0.0, 1.0, count - 1.0).expect("a Student-t distribution");
+    let half = student.inverse_cdf(0.975) * error;
+    (low.min((share - half).max(0.0)), high.max((share + half).min(1.0)))
+}
+
+/// Whether [`interval_over_users`] is over users, rather than over queries.
+pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
+    users.len() >= LEAST_USERS
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -263,6 +295,19 @@ mod tests {
     fn the_wilson_interval_of_ten_of_ten_is_known() {
         let (low, high) = wilson_interval(10, 10);
         assert!((low - 0.722_467).abs() < 1e-6 && (high - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_interval_is_over_users_from_five_on() {
+        let user = |accuracy| FoldAccuracy { name: String::new(), accuracy, queries: 10 };
+        let users = [0.2, 0.4, 0.5, 0.6, 0.8].map(user);
+        // The 97.5 % quantile for four degrees of freedom, times the standard error of the mean.
+        let half = 2.776_445 * (0.05f64 / 5.0).sqrt();
+        let (low, high) = interval_over_users(&users);
+        assert!((low - (0.5 - half)).abs() < 1e-6 && (high - (0.5 + half)).abs() < 1e-6);
+        assert_eq!(interval_over_users(&users[..4]), wilson_interval(17, 40));
+        // Users who agree more than chance would have it make nothing surer.
+        assert_eq!(interval_over_users(&[1.0; 5].map(user)), wilson_interval(50, 50));
     }
 
     #[test]

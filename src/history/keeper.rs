@@ -7,21 +7,18 @@ use std::thread::JoinHandle;
 use std::time::{Duration, UNIX_EPOCH};
 
 use crossbeam_channel::{Receiver, Sender};
-use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 
-use super::view::View;
+use super::view::{View, jpeg};
 use super::{History, HistoryError, SCANS};
 use crate::library::About;
 use crate::record::{TrialOptions, utc, write_trial};
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, Listener, StationEvent, Why};
-use crate::trial::{Image, Signal, Trial, TrialKey};
+use crate::trial::{Signal, Trial, TrialKey};
 
 /// Scans under way; of ten seconds each, some 50 MB.
 const QUEUE: usize = 16;
-/// Quality of the nearest trial's pictures, of 100.
-const QUALITY: u8 = 80;
 
 /// Keeps the scans of a station.
 #[derive(Debug)]
@@ -153,14 +150,7 @@ impl Writer {
 fn write_pictures(trial: &Trial, folder: &Path) -> Result<(), HistoryError> {
     for (id, signal) in &trial.signals {
         let Signal::Image(image) = signal else { continue };
-        let mut bytes = Vec::new();
-        let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
-        let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
-        let colour = image::ExtendedColorType::Rgb8;
-        // Fails only for sizes that a JPEG cannot have.
-        if image::ImageEncoder::write_image(encoder, image.rgb(), width, height, colour).is_err() {
-            continue;
-        }
+        let Some(bytes) = jpeg(image) else { continue };
         let path = folder.join(super::nearest_picture(id));
         std::fs::write(&path, bytes).map_err(HistoryError::io(&path))?;
     }

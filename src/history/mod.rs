@@ -13,6 +13,7 @@
 
 mod bands;
 mod csv;
+mod entries;
 mod file;
 mod keeper;
 mod log;
@@ -23,23 +24,21 @@ pub use self::csv::CsvWriter;
 pub use bands::{Bands, bands};
 pub use keeper::Keeper;
 pub use review::{Correction, Precision, precision};
-pub use view::{View, four_digits};
+pub use view::{View, four_digits, jpeg};
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
+use self::entries::{Entry, Inner, Text};
 use self::file::Disk;
-use self::log::{Head, Line, Span};
+use self::log::{Head, Line};
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
 /// Answers that are remembered where none is written to disk.
 const IN_MEMORY: usize = 1000;
-/// The part of the space that answers may take; the rest is for signals.
-const FOR_ANSWERS: u64 = 8;
 /// Name of the folder of scans.
 const SCANS: &str = "scans";
 /// Name of the history's folder, in that of the library that names its scans.
@@ -84,40 +83,10 @@ impl HistoryError {
     }
 }
 
-/// One answer of the past.
-#[derive(Debug)]
-struct Entry {
-    head: Head,
-    text: Text,
-    correction: Option<Correction>,
-    /// The library's trial that it became, as `SURFACE/TRIAL`.
-    trial: Option<String>,
-    /// Bytes of its signals on disk, where they are there.
-    signals: Option<u64>,
-}
-
-/// The answer in full, as JSON.
-#[derive(Debug)]
-enum Text {
-    Here(Box<str>),
-    InLog(Span),
-}
-
 /// All answers and scans that are kept.
 #[derive(Debug)]
 pub struct History {
     inner: Mutex<Inner>,
-}
-
-#[derive(Debug, Default)]
-struct Inner {
-    /// The oldest first.
-    entries: VecDeque<Entry>,
-    disk: Option<Disk>,
-    /// Bytes of all signals.
-    signals: u64,
-    /// For people: what went wrong last, until it goes right again.
-    problem: Option<String>,
 }
 
 /// How much is kept.
@@ -341,135 +310,6 @@ impl History {
         let news = inner.problem.is_none() && problem.is_some();
         inner.problem = problem;
         news
-    }
-}
-
-impl Inner {
-    fn write(&mut self, line: &str) -> Result<Option<Span>, HistoryError> {
-        self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
-    }
-
-    /// Takes a change in, once it is written.
-    fn change(&mut self, line: Line) -> Result<(), HistoryError> {
-        let span = self.write(&line.to_json())?;
-        self.take(line, span.unwrap_or_default());
-        Ok(())
-    }
-
-    /// Takes in what a line says.
-    fn take(&mut self, line: Line, span: Span) {
-        let (id, change): (_, Box<dyn FnOnce(&mut Entry)>) = match line {
-            Line::Answer(head) => {
-                let text = Text::InLog(span);
-                let (correction, trial, signals) = (None, None, None);
-                self.entries.push_back(Entry { head, text, correction, trial, signals });
-                return;
-            }
-            Line::Signals { id, bytes } => (id, Box::new(move |entry| entry.signals = bytes)),
-            Line::Correction { id, correction } => {
-                (id, Box::new(move |entry| entry.correction = correction))
-            }
-            Line::Trial { id, trial } => (id, Box::new(move |entry| entry.trial = trial)),
-        };
-        // Most changes are to one of the newest.
-        if let Some(entry) = self.entries.iter_mut().rev().find(|entry| entry.head.id == id) {
-            let before = entry.signals.unwrap_or(0);
-            change(entry);
-            self.signals = self.signals + entry.signals.unwrap_or(0) - before;
-        }
-    }
-
-    /// Where the scan of a name stands, or the newest one of a number.
-    fn position(&self, name: &str) -> Option<usize> {
-        let number: Option<u32> = name.parse().ok();
-        let is = |entry: &Entry| match number {
-            Some(number) => entry.head.scan == number,
-            None => entry.head.id == name,
-        };
-        self.entries.iter().rposition(is)
-    }
-
-    fn find(&self, id: &str) -> Result<&Entry, HistoryError> {
-        let at = self.position(id).ok_or_else(|| HistoryError::NoScan(id.into()))?;
-        Ok(&self.entries[at])
-    }
-
-    /// An answer, with what people said of it.
-    fn json(&self, entry: &Entry) -> Result<Value, HistoryError> {
-        let mut answer: Map<String, Value> = match (&entry.text, &self.disk) {
-            (Text::Here(text), _) => serde_json::from_str(text).unwrap_or_default(),
-            (Text::InLog(span), Some(disk)) => disk.log.answer(*span)?,
-            (Text::InLog(_), None) => Map::new(),
-        };
-        let correction = serde_json::to_value(&entry.correction).unwrap_or_default();
-        answer.insert("correction".into(), correction);
-        answer.insert("became".into(), entry.trial.clone().into());
-        answer.insert("kept".into(), entry.signals.is_some().into());
-        Ok(Value::Object(answer))
-    }
-
-    /// Lets the oldest signals go, and then the oldest answers, until all fits.
-    fn make_room(&mut self) -> Result<(), HistoryError> {
-        let Some(disk) = &mut self.disk else { return Ok(()) };
-        let for_answers = disk.most_bytes / FOR_ANSWERS;
-        while self.signals > disk.most_bytes - for_answers {
-            let Some(entry) = self.entries.iter_mut().find(|entry| entry.signals.is_some()) else {
-                break;
-            };
-            disk.remove(&entry.head.id)?;
-            let id = entry.head.id.clone();
-            disk.log.append(&Line::Signals { id, bytes: None }.to_json())?;
-            self.signals -= entry.signals.take().unwrap_or(0);
-        }
-        if disk.log.bytes() > for_answers {
-            self.shorten(for_answers / 2)?;
-        }
-        Ok(())
-    }
-
-    /// Writes the log anew with the newest answers that fit.
-    fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
-        let Some(disk) = &mut self.disk else { return Ok(()) };
-        let length = |entry: &Entry| match &entry.text {
-            Text::InLog(span) => u64::from(span.length),
-            Text::Here(text) => text.len() as u64,
-        };
-        let mut left = self.entries.len();
-        let mut bytes = 0;
-        for entry in self.entries.iter().rev() {
-            bytes += length(entry);
-            if bytes > most_bytes {
-                break;
-            }
-            left -= 1;
-        }
-        for entry in self.entries.drain(..left) {
-            if let Some(bytes) = entry.signals {
-                disk.remove(&entry.head.id)?;
-                self.signals -= bytes;
-            }
-        }
-        let mut fresh = disk.log.begin_anew()?;
-        for entry in &mut self.entries {
-            let answer = match &entry.text {
-                Text::InLog(span) => disk.log.line(*span)?,
-                Text::Here(text) => format!("{{\"answer\":{text}}}"),
-            };
-            let span = fresh.append(&answer)?;
-            let id = || entry.head.id.clone();
-            if entry.signals.is_some() {
-                fresh.append(&Line::Signals { id: id(), bytes: entry.signals }.to_json())?;
-            }
-            if let Some(correction) = entry.correction.clone() {
-                let correction = Some(correction);
-                fresh.append(&Line::Correction { id: id(), correction }.to_json())?;
-            }
-            if let Some(trial) = entry.trial.clone() {
-                fresh.append(&Line::Trial { id: id(), trial: Some(trial) }.to_json())?;
-            }
-            entry.text = Text::InLog(span);
-        }
-        disk.log.replace(fresh)
     }
 }
 

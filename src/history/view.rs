@@ -1,15 +1,19 @@
 //! Trials small enough to draw: the extremes of each stretch of time, and the spectrum.
 
+use image::ImageEncoder;
+use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 
 use super::bands::{Bands, bands};
-use crate::scene::{Phase, Scene, SourceId};
-use crate::trial::{Series, Signal, Trial};
+use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
+use crate::trial::{Image, Series, Signal, Trial};
 
 /// Stretches that a series is drawn by.
 const BINS: usize = 400;
 /// Frames of a window of the spectrum.
 const WINDOW: usize = 4096;
+/// Quality of pictures, of 100.
+const QUALITY: u8 = 80;
 /// Samples a second from which a source can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
@@ -50,8 +54,8 @@ impl View {
         for (id, signal) in &trial.signals {
             match signal {
                 Signal::Series(series) => {
-                    let phase = scene.get(id.as_str()).map_or(Phase::Drag, |spec| spec.phase);
-                    view.series.push(SeriesView::of(id, phase, series));
+                    let spec = scene.get(id.as_str());
+                    view.series.push(SeriesView::of(id, spec, series));
                 }
                 Signal::Image(_) => view.pictures.push(id.clone()),
             }
@@ -61,8 +65,9 @@ impl View {
 }
 
 impl SeriesView {
-    fn of(source: &SourceId, phase: Phase, series: &Series) -> Self {
+    fn of(source: &SourceId, spec: Option<&SourceSpec>, series: &Series) -> Self {
         let (channels, rate_hz) = (series.channels(), series.rate_hz());
+        let is_sound = spec.is_some_and(|spec| matches!(spec.domain, Domain::Spectrum { .. }));
         let width = series.frames().div_ceil(BINS) * channels;
         let extremes = |pick: fn(f32, f32) -> f32| {
             let of_channel = |channel: usize| {
@@ -77,15 +82,25 @@ impl SeriesView {
         };
         Self {
             source: source.clone(),
-            phase,
+            phase: spec.map_or(Phase::Drag, |spec| spec.phase),
             rate_hz,
             duration_s: series.duration_s(),
-            audible: rate_hz >= AUDIBLE_HZ && channels <= 2,
+            audible: rate_hz >= AUDIBLE_HZ && channels <= 2 && is_sound,
             min: extremes(f32::min),
             max: extremes(f32::max),
             spectrum: bands(series.samples(), channels, rate_hz, WINDOW),
         }
     }
+}
+
+/// A picture as JPEG; `None` if there is no memory for it.
+pub fn jpeg(image: &Image) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
+    let colour = image::ExtendedColorType::Rgb8;
+    encoder.write_image(image.rgb(), width, height, colour).ok()?;
+    Some(bytes)
 }
 
 /// A number that is short when printed: about four digits, which is finer than any screen.

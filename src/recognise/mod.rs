@@ -48,4 +48,4 @@ pub use reference::{
     score_sets,
 };
 pub use shape::{LibraryShape, SourceShape};
-pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
+pub use spec::{MOST_COUNT, MethodName, MethodSpec, NoOptions, TreeOptions};

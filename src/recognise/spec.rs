@@ -8,6 +8,9 @@ use super::method::Method;
 use super::reference::{Reference, ReferenceOptions};
 use crate::scene::Scene;
 
+/// The most of anything that settings may count: samples, repetitions, neighbours.
+pub const MOST_COUNT: usize = 1_000_000;
+
 /// The methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -214,7 +214,8 @@ impl Collector {
 
     fn send_trace(&mut self) {
         let (ends, trace) = progress::trace(&self.streams);
-        if !trace.fresh.is_empty() && self.event_queue.offer(Event::Trace(trace)) {
+        let anything = !(trace.fresh.is_empty() && trace.images.is_empty());
+        if anything && self.event_queue.offer(Event::Trace(trace)) {
             for (stream, end) in self.streams.iter_mut().zip(ends) {
                 stream.traced = end;
             }

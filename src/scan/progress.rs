@@ -61,6 +61,8 @@ impl Progress {
 pub struct Trace {
     /// New frames, a stream each.
     pub fresh: Vec<Fresh>,
+    /// The latest picture of each camera stream that has a new one.
+    pub images: Vec<(SourceId, Arc<Image>)>,
 }
 
 /// Adds up the snapshots of a scan.
@@ -198,22 +200,28 @@ impl SnapshotLengths {
 
 /// What is new in the streams since each was last traced, and up to where.
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
-    let mut fresh = Vec::new();
+    let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {
-        if let StreamBuffer::Series { history, rate_hz, .. } = stream.buffer() {
-            let (start, samples) = history.frames(stream.traced..u64::MAX);
-            if !samples.is_empty() {
-                fresh.push(Fresh {
-                    source: stream.id().clone(),
-                    rate_hz: *rate_hz,
-                    channels: history.channels(),
-                    start,
-                    samples: samples.to_vec(),
-                });
+        match stream.buffer() {
+            StreamBuffer::Series { history, rate_hz, .. } => {
+                let (start, samples) = history.frames(stream.traced..u64::MAX);
+                if !samples.is_empty() {
+                    fresh.push(Fresh {
+                        source: stream.id().clone(),
+                        rate_hz: *rate_hz,
+                        channels: history.channels(),
+                        start,
+                        samples: samples.to_vec(),
+                    });
+                }
+            }
+            StreamBuffer::Images { history, .. } => {
+                let new = history.latest().filter(|(at, _)| *at >= stream.traced);
+                images.extend(new.map(|(_, image)| (stream.id().clone(), image.clone())));
             }
         }
     }
-    (streams.iter().map(Stream::end).collect(), Trace { fresh })
+    (streams.iter().map(Stream::end).collect(), Trace { fresh, images })
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -19,11 +20,12 @@ use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
-use crate::history::History;
+use crate::history::{History, Precision};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
+use crate::trial::Image;
 
 /// How often figures of the streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
@@ -54,6 +56,8 @@ pub struct Inner {
     pub metrics: Metrics,
     subscribers: Subscribers,
     tracer: Tracer,
+    /// The latest picture of each camera stream.
+    pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
 }
@@ -104,8 +108,9 @@ impl Inner {
     }
 
     /// All figures.
-    pub fn metrics(&self, missed_notices: u64) -> String {
+    pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
         self.metrics.text(&Around {
+            precision,
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -155,7 +160,8 @@ impl Inner {
             }
             StationEvent::Trace(trace) => {
                 let event = self.tracer.add(trace);
-                if !event.streams.is_empty() {
+                self.pictures.extend(trace.images.iter().cloned());
+                if !(event.streams.is_empty() && event.pictures.is_empty()) {
                     self.publish(EventKind::Trace, &event);
                 }
             }
@@ -207,6 +213,7 @@ impl Hub {
             metrics: Metrics::default(),
             subscribers: Subscribers::default(),
             tracer: Tracer::default(),
+            pictures: BTreeMap::new(),
             meters: Vec::new(),
             enrolls: settings.enrolls,
         };
@@ -232,7 +239,8 @@ impl Hub {
 
     /// All figures.
     pub fn metrics(&self) -> String {
-        self.lock().metrics(self.missed.load(Ordering::Relaxed))
+        let precision = self.history.precision();
+        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
     }
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.

@@ -7,6 +7,7 @@ use std::fmt::{Display, Write};
 
 use super::state::State;
 use crate::device::DeviceState;
+use crate::history::Precision;
 use crate::printable::Printable;
 use crate::scan::StreamMeter;
 use crate::station::AnswerState;
@@ -65,6 +66,8 @@ pub struct Around<'a> {
     pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
+    /// Of answers that somebody corrected.
+    pub precision: &'a [Precision],
 }
 
 impl Metrics {
@@ -113,6 +116,7 @@ impl Metrics {
             page.head(name, "counter", help);
             page.line(name, &[], value);
         }
+        page.precision(around.precision);
         page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
         page.line("surfaced_readers", &[], around.subscribers);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
@@ -158,6 +162,17 @@ impl Page {
             for (meter, counts) in &all {
                 let labels = [("source", meter.id.as_str()), ("device", meter.device.as_str())];
                 self.line(name, &labels, figure(counts));
+            }
+        }
+    }
+
+    fn precision(&mut self, precision: &[Precision]) {
+        let name = "surfaced_reviewed_scans";
+        self.head(name, "gauge", "Scans of which somebody said what they were.");
+        for Precision { surface, corrected, right, .. } in precision {
+            let answer = surface.as_deref().unwrap_or("unknown");
+            for (verdict, count) in [("true", *right), ("false", corrected - right)] {
+                self.line(name, &[("answer", answer), ("right", verdict)], count);
             }
         }
     }
@@ -213,6 +228,7 @@ mod tests {
             subscribers: 3,
             dropped_events: 4,
             missed_notices: 5,
+            precision: &[],
         };
         let text = metrics.text(&around);
         for line in [

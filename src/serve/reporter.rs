@@ -54,7 +54,7 @@ mod tests {
     #[test]
     fn a_server_that_does_not_read_holds_up_nothing_and_keeps_room_for_what_matters() {
         let (mut reporter, mut notices) = pair();
-        let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![] }));
+        let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![], images: vec![] }));
         (0..10 * QUEUE).for_each(|_| reporter.on_event(&trace));
         (0..10).for_each(|n| reporter.on_event(&StationEvent::Warning(n.to_string())));
         let mut warnings = 0;

@@ -18,7 +18,7 @@ use super::label;
 use super::problem::Problem;
 use super::settings::Shelf;
 use crate::history::{
-    Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, nearest_picture,
+    Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,
 };
 use crate::library::{About, LibraryError, recording};
 use crate::record::{TrialOptions, append_trial, edit};
@@ -43,6 +43,7 @@ pub fn router() -> Router<Arc<Hub>> {
         .route("/scans/{id}/keep", post(keep))
         .route("/scans/{id}/{file}", get(file))
         .route("/history", get(history))
+        .route("/pictures/{file}", get(live_picture))
 }
 
 impl From<HistoryError> for Problem {
@@ -176,6 +177,16 @@ async fn file(
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
     let bytes = aside(move || whole(&hub.history.folder(&id)?.join(file))).await?;
     Ok(([(CONTENT_TYPE, content_type)], bytes).into_response())
+}
+
+/// What a camera sees now: the latest picture of a stream.
+async fn live_picture(State(hub): Shared, file: Named) -> Result<Response, Problem> {
+    let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
+    let source = file.strip_suffix(".jpg").and_then(|stem| SourceId::new(stem).ok());
+    let image = source.and_then(|source| hub.lock().pictures.get(&source).cloned());
+    let image = image.ok_or(Problem::NotFound)?;
+    let bytes = aside(move || jpeg(&image).ok_or(Problem::NotFound)).await?;
+    Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
 }
 
 #[derive(Serialize)]

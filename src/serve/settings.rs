@@ -38,7 +38,10 @@ pub struct Settings {
 
 /// Audits a library, as often as it is called; for people, why not.
 #[derive(Clone)]
-pub struct Audit(pub Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>);
+pub struct Audit(
+    /// The audit.
+    pub Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>,
+);
 
 impl fmt::Debug for Audit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -48,7 +48,7 @@ mod tests {
             let source = SourceId::new("ac").unwrap();
             let samples = vec![0.0; frames];
             let fresh = Fresh { source, rate_hz: 10_000.0, channels: 1, start: 0, samples };
-            tracer.add(&Trace { fresh: vec![fresh] });
+            tracer.add(&Trace { fresh: vec![fresh], images: Vec::new() });
             assert_eq!(spectra(&tracer).streams.len(), spectra_of);
         }
     }

@@ -20,6 +20,8 @@ pub const RECENT: usize = 4096;
 pub struct TraceEvent {
     /// A stream each.
     pub streams: Vec<Bins>,
+    /// Camera streams that have a new picture.
+    pub pictures: Vec<SourceId>,
 }
 
 /// New bins of one stream.
@@ -35,6 +37,9 @@ pub struct Bins {
     pub min: Vec<Vec<f32>>,
     /// Greatest sample of each bin, a list a channel.
     pub max: Vec<Vec<f32>>,
+    /// The bins, counted from 0, in which a channel rests at its limit.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub clipped: Vec<usize>,
 }
 
 /// Follows the streams.
@@ -60,6 +65,43 @@ pub struct Stream {
     filled: usize,
     /// Its least and greatest sample so far, a pair a channel.
     extremes: Vec<(f32, f32)>,
+    /// How close each channel comes to its limits.
+    limits: Vec<Limits>,
+    /// Whether a channel rested at its limit in the bin that is not full.
+    clipped: bool,
+}
+
+/// Finds where a channel runs into its limits: samples in a row at the highest or lowest value that
+/// it has had.
+#[derive(Clone, Debug)]
+struct Limits {
+    low: f32,
+    high: f32,
+    last: f32,
+    /// Samples in a row like the last.
+    run: usize,
+    /// Samples between the limits that were unlike the one before; a switch has none.
+    between: usize,
+}
+
+/// This many samples in a row at a limit are no coincidence.
+const RUN: usize = 3;
+/// With fewer values between its limits, a channel is a switch or a coarse converter.
+const FEWEST_BETWEEN: usize = 16;
+
+impl Limits {
+    const NEW: Self =
+        Self { low: f32::INFINITY, high: f32::NEG_INFINITY, last: f32::NAN, run: 0, between: 0 };
+
+    /// Takes the next sample; true if it rests at a limit.
+    fn add(&mut self, x: f32) -> bool {
+        self.run = if x == self.last { self.run + 1 } else { 1 };
+        self.last = x;
+        let at_limit = x <= self.low || x >= self.high;
+        (self.low, self.high) = (self.low.min(x), self.high.max(x));
+        self.between = self.between.saturating_add(usize::from(!at_limit && self.run == 1));
+        at_limit && self.run >= RUN && self.between >= FEWEST_BETWEEN
+    }
 }
 
 const NONE_YET: (f32, f32) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -74,6 +116,8 @@ impl Stream {
             next: fresh.start,
             filled: 0,
             extremes: vec![NONE_YET; fresh.channels],
+            limits: vec![Limits::NEW; fresh.channels],
+            clipped: false,
         }
     }
 
@@ -90,15 +134,21 @@ impl Stream {
             start_s: (self.next - self.filled as u64) as f64 / self.rate_hz,
             min: vec![Vec::new(); self.channels],
             max: vec![Vec::new(); self.channels],
+            clipped: Vec::new(),
         };
         for frame in fresh.samples.chunks_exact(self.channels) {
-            for ((low, high), &sample) in self.extremes.iter_mut().zip(frame) {
+            let channels = self.extremes.iter_mut().zip(&mut self.limits);
+            for (((low, high), limits), &sample) in channels.zip(frame) {
                 *low = low.min(sample);
                 *high = high.max(sample);
+                self.clipped |= limits.add(sample);
             }
             self.filled += 1;
             if self.filled == self.width {
                 self.filled = 0;
+                if std::mem::take(&mut self.clipped) {
+                    bins.clipped.push(bins.len());
+                }
                 for (channel, extremes) in self.extremes.iter_mut().enumerate() {
                     bins.min[channel].push(four_digits(extremes.0));
                     bins.max[channel].push(four_digits(extremes.1));
@@ -127,6 +177,8 @@ impl Bins {
         let over = self.len().saturating_sub(most);
         self.start_s += over as f64 * self.bin_s;
         self.min.iter_mut().chain(&mut self.max).for_each(|values| drop(values.drain(..over)));
+        self.clipped.retain(|bin| *bin >= over);
+        self.clipped.iter_mut().for_each(|bin| *bin -= over);
     }
 
     fn len(&self) -> usize {
@@ -150,7 +202,8 @@ impl Tracer {
                 streams.push(bins);
             }
         }
-        TraceEvent { streams }
+        let pictures = trace.images.iter().map(|(source, _)| source.clone()).collect();
+        TraceEvent { streams, pictures }
     }
 
     /// The streams, by name.
@@ -165,7 +218,8 @@ mod tests {
 
     fn fresh(start: u64, samples: Vec<f32>) -> Trace {
         let source = SourceId::new("ir").unwrap();
-        Trace { fresh: vec![Fresh { source, rate_hz: 1000.0, channels: 1, start, samples }] }
+        let fresh = vec![Fresh { source, rate_hz: 1000.0, channels: 1, start, samples }];
+        Trace { fresh, images: Vec::new() }
     }
 
     #[test]
@@ -179,6 +233,19 @@ mod tests {
         let bins = &second.streams[0];
         assert_eq!(bins.start_s, 0.005, "the second bin began with the first frames");
         assert_eq!((&bins.min[0], &bins.max[0]), (&vec![-7.0], &vec![9.0]));
+    }
+
+    #[test]
+    fn a_channel_that_rests_at_its_limit_is_marked_and_a_switch_is_not() {
+        let mut tracer = Tracer::default();
+        let sine = |i: usize| (i as f32 * 0.1).sin();
+        let clipped = tracer.add(&fresh(0, (0..1000).map(|i| sine(i).clamp(-0.7, 0.7)).collect()));
+        assert!(clipped.streams[0].clipped.len() > 20);
+        let mut tracer = Tracer::default();
+        assert!(tracer.add(&fresh(0, (0..1000).map(sine).collect())).streams[0].clipped.is_empty());
+        let mut tracer = Tracer::default();
+        let switch = (0..1000).map(|i| f32::from(u8::from(i % 100 > 50))).collect();
+        assert!(tracer.add(&fresh(0, switch)).streams[0].clipped.is_empty());
     }
 
     #[test]

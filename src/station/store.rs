@@ -248,8 +248,17 @@ mod tests {
     use crate::trial::{Series, Signal};
 
     fn scan(number: u32) -> Box<Scan> {
-        let series = Series::new(10_000.0, 1, (0..100).map(|x| x as f32 / 128.0).collect());
-        let signals = [(SourceId::new("ir").unwrap(), Signal::Series(series.unwrap()))];
+        scan_at(number, 0.0)
+    }
+
+    /// One whose sources all have this level.
+    fn scan_at(number: u32, level: f32) -> Box<Scan> {
+        let signal = |channels: usize| {
+            let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
+            Signal::Series(Series::new(10_000.0, channels, samples).unwrap())
+        };
+        let signals = [("ir", 1), ("fr", 2), ("ac", 3)]
+            .map(|(id, channels)| (SourceId::new(id).unwrap(), signal(channels)));
         Box::new(Scan {
             number,
             trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
@@ -293,21 +302,35 @@ mod tests {
     }
 
     #[test]
-    fn two_that_record_under_one_label_both_keep_every_scan() {
+    fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
         let dir = tempfile::tempdir().unwrap();
         let start = || {
             let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
             RecordingThread::start(store).unwrap()
         };
         let both = [start(), start()];
+        // Of one process, so with one process number, as in two containers.
         for number in 1..=8 {
-            both.iter().for_each(|thread| thread.store(scan(number), enrolment(), None));
+            for (thread, level) in both.iter().zip([0.0, 0.5]) {
+                thread.store(scan_at(number, level), enrolment(), None);
+            }
         }
         for thread in both {
             assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
         }
         let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
         assert_eq!(library.entries.len(), 16);
+        let level = |signal: &Signal| match signal {
+            Signal::Series(series) => series.samples()[0],
+            Signal::Image(_) => f32::NAN,
+        };
+        let mut of_each = [0, 0];
+        for entry in library.entries {
+            let levels: Vec<f32> = entry.load().unwrap().signals.values().map(level).collect();
+            assert!(levels.len() == 3 && levels.iter().all(|x| *x == levels[0]), "{levels:?}");
+            of_each[usize::from(levels[0] > 0.25)] += 1;
+        }
+        assert_eq!(of_each, [8, 8]);
     }
 
     #[test]

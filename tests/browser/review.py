@@ -8,8 +8,10 @@ Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
 import json
+import signal
 import sys
 import tempfile
+import time
 import urllib.request
 from pathlib import Path
 
@@ -154,11 +156,30 @@ def the_library_is_checked_and_mended(browser, station, shots, wrong):
     browser.keys("\ue00c")
 
 
+def a_stalled_device_is_grey(browser, station, shots):
+    """Stops the station's process: within a second, no trace looks alive."""
+    stalled = "return document.querySelectorAll('.plot[data-stalled]').length"
+    until(browser, "live traces", lambda: browser.run(stalled) == 0)
+    station.process.send_signal(signal.SIGSTOP)
+    try:
+        time.sleep(1)
+        assert browser.run(stalled) == browser.run("return document.querySelectorAll('.plot').length")
+        assert "no data for" in browser.text(".plot span")
+        if shots:
+            browser.screenshot(Path(shots) / "stalled.png")
+    finally:
+        station.process.send_signal(signal.SIGCONT)
+    until(browser, "live traces again", lambda: browser.run(stalled) == 0)
+
+
 def check(browser, station, shots, wrong):
     browser.resize(1280, 1000)
     browser.scheme("light")
     browser.open(station.url + "/")
     opens_and_says_why(browser, station, shots)
+    browser.keys("\ue00c")
+    a_stalled_device_is_grey(browser, station, shots)
+    open_newest(browser, station)
     a_wrong_answer_is_corrected(browser, station, shots)
     the_library_is_checked_and_mended(browser, station, shots, wrong)
 

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::Failure;
@@ -33,8 +34,10 @@ pub struct Line<'a> {
     link: PathBuf,
     tape: &'a Tape,
     fake: Fake,
-    /// Samples before its index last began anew.
-    before: u64,
+    /// Samples that were put on the line.
+    put: Arc<AtomicU64>,
+    /// Samples that were taken and not put on the line.
+    skipped: u64,
     /// What nobody can know whether it was lost.
     pub unknowable: u64,
 }
@@ -42,13 +45,14 @@ pub struct Line<'a> {
 impl<'a> Line<'a> {
     pub fn new(dir: &Path, tape: &'a Tape) -> Self {
         let link = dir.join("stylus");
-        let fake = plug(&link, tape);
-        Self { link, tape, fake, before: 0, unknowable: 0 }
+        let put = Arc::default();
+        let fake = plug(&link, tape, &put);
+        Self { link, tape, fake, put, skipped: 0, unknowable: 0 }
     }
 
     /// Samples taken so far, sent or not.
     pub fn sent(&self) -> u64 {
-        self.before + self.fake.next.unwrap_or(0)
+        self.put.load(Ordering::Relaxed) + self.skipped
     }
 
     pub fn serve(&mut self, seconds: f64) {
@@ -79,7 +83,9 @@ impl<'a> Line<'a> {
     /// Frames do not arrive.
     pub fn lose(&mut self, dice: &mut Dice) {
         if let Some(next) = &mut self.fake.next {
-            *next += FRAME * (1 + dice.below(200));
+            let count = FRAME * (1 + dice.below(200));
+            *next += count;
+            self.skipped += count;
         }
     }
 
@@ -97,26 +103,27 @@ impl<'a> Line<'a> {
 
     /// It is unplugged, and plugged in again later.
     pub fn replug(&mut self, dice: &mut Dice) {
-        self.before = self.sent();
         self.unknowable += TAIL;
         self.fake.next = None;
         let _ = std::fs::remove_file(&self.link);
         std::thread::sleep(Duration::from_secs_f64(dice.between(0.0, 1.0)));
         // The one before is unplugged by this.
-        self.fake = plug(&self.link, self.tape);
+        self.fake = plug(&self.link, self.tape, &self.put);
     }
 
     /// It loses power for a moment, and does not sample until it is started again.
     pub fn restart(&mut self) {
-        self.before = self.sent();
         self.unknowable += TAIL;
         self.fake.next = None;
     }
 }
 
-fn plug(link: &Path, tape: &Tape) -> Fake {
-    let tape = tape.0.clone();
-    let values = move |index: u64, channel: usize| tape[index as usize % tape.len()][channel];
+fn plug(link: &Path, tape: &Tape, put: &Arc<AtomicU64>) -> Fake {
+    let (tape, put) = (tape.0.clone(), put.clone());
+    let values = move |index: u64, channel: usize| {
+        put.fetch_add(u64::from(channel == 0), Ordering::Relaxed);
+        tape[index as usize % tape.len()][channel]
+    };
     let mut fake = Fake::with(link, Box::new(values));
     fake.scales[6] = 1.0 / 32_767.0;
     fake

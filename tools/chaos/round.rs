@@ -1,9 +1,10 @@
 //! The life of one station, and what must hold after its end.
 
+use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::daemon::Daemon;
 use crate::dice::Dice;
@@ -15,6 +16,25 @@ use crate::{Failure, Sums, page};
 const END: Duration = Duration::from_secs(5);
 /// The most memory of a station, in MB.
 const MOST_MB: u64 = 600;
+/// Samples that may come after the end of the reading, when a station is ended in mid-stream.
+const UNDER_WAY: u64 = 4000;
+/// Readers that ask for everything and read nothing.
+const STALLED: usize = 4;
+
+/// Faults of what is around the line; after these, every sample is accounted for.
+const GENTLE: [&str; 9] = [
+    "line stalls",
+    "orders race",
+    "orders race",
+    "disk fills",
+    "disk empties",
+    "library is edited",
+    "reader stalls",
+    "lines of JSON are not read",
+    "samples are lost",
+];
+/// Faults of the line.
+const ROUGH: [&str; 4] = ["garbage", "hellos", "unplugged", "restarted"];
 
 /// What a station needs.
 pub struct Round<'a> {
@@ -22,6 +42,16 @@ pub struct Round<'a> {
     pub dir: &'a Path,
     pub disk: &'a Disk,
     pub tape: &'a Tape,
+}
+
+/// A station at work, and what strikes it.
+struct Life<'a> {
+    disk: &'a Disk,
+    daemon: Daemon,
+    address: SocketAddr,
+    line: Line<'a>,
+    dice: Dice,
+    stalled: Vec<TcpStream>,
 }
 
 impl Round<'_> {
@@ -45,67 +75,23 @@ impl Round<'_> {
     pub fn run(&self, seed: u64, sums: &mut Sums) -> Result<(), Failure> {
         let mut dice = Dice(seed);
         self.disk.empty()?;
-        let mut line = Line::new(self.dir, self.tape);
+        let line = Line::new(self.dir, self.tape);
         let mut daemon = Daemon::start(&mut self.command(&mut dice)?)?;
         let address = daemon.address()?;
         let highest = page::watch(address)?;
-        let (mut stalled, surfaces) = (Vec::new(), self.disk.data.surfaces());
-        // In one life of four nothing is lost by the line, and every sample is accounted for.
-        let gentle = dice.once_in(4);
-        for _ in 0..8 + dice.below(8) {
-            if !line.is_started() {
-                return Err(format!("the stylus is not started; {}", daemon.said()).into());
-            }
-            line.serve(dice.between(0.1, 1.2));
-            let fault = match dice.below(if gentle { 9 } else { 13 }) {
-                0 => "line stalls",
-                1 | 2 => "orders race",
-                3 => "disk fills",
-                4 => "disk empties",
-                5 => "library is edited",
-                6 => "reader stalls",
-                7 => "lines of JSON are not read",
-                8 => "samples are lost",
-                9 => "garbage",
-                10 => "hellos",
-                11 => "unplugged",
-                _ => "restarted",
-            };
-            *sums.faults.entry(fault).or_default() += 1;
-            match fault {
-                "line stalls" => line.stall(&mut dice),
-                "orders race" => page::order(address, &surfaces, &mut dice),
-                "disk fills" => self.disk.empty().and_then(|()| self.disk.fill())?,
-                "disk empties" => self.disk.empty()?,
-                // It fails where the disk is full, or its library gone.
-                "library is edited" => drop(self.disk.edit(&mut dice)),
-                "reader stalls" if stalled.len() < 4 => stalled.push(page::stalled(address)?),
-                "lines of JSON are not read" => {
-                    daemon.stalled.fetch_xor(true, Ordering::Relaxed);
-                }
-                "samples are lost" => line.lose(&mut dice),
-                "garbage" => line.garbage(&mut dice),
-                "hellos" => line.hellos(&mut dice),
-                "unplugged" => line.replug(&mut dice),
-                "restarted" => line.restart(),
-                _ => {}
-            }
-            if !daemon.is_alive() {
-                return Err(format!("it has ended by itself: {}", daemon.said()).into());
-            }
-            if let Err(error) = page::request(address, "GET", "/healthz", "") {
-                sums.violations.push(format!("after {fault}: no answer: {error}"));
-            }
-        }
-        self.end(&mut daemon, &mut line, &mut dice, sums)?;
-        let seen = highest.load(Ordering::Relaxed);
-        let lines = daemon.lines();
-        let (scans, killed) = (daemon.scans(), sums.killed);
+        let disk = self.disk;
+        let mut life = Life { disk, daemon, address, line, dice, stalled: Vec::new() };
+        life.suffer(sums)?;
+        let killed = life.dice.once_in(4);
+        life.end(killed, sums)?;
+        let lines = life.daemon.lines();
+        let scans = life.daemon.scans();
         sums.scans += scans.len() as u64;
         // Of one that was killed, the last scans may be under way.
-        let silent: Vec<u64> = (1..=seen).filter(|scan| !killed && !scans.contains(scan)).collect();
+        let seen = if killed { 0 } else { highest.load(Ordering::Relaxed) };
+        let silent: Vec<u64> = (1..=seen).filter(|scan| !scans.contains(scan)).collect();
         if !silent.is_empty() {
-            let said = daemon.said();
+            let said = life.daemon.said();
             sums.violations.push(format!("nothing was said of scans {silent:?}: {said} {lines:?}"));
         }
         self.disk.empty()?;
@@ -114,69 +100,109 @@ impl Round<'_> {
         sums.violations.extend(wrong);
         Ok(())
     }
+}
 
-    /// Ends or kills a station, and checks its end and its account.
-    fn end(
-        &self,
-        daemon: &mut Daemon,
-        line: &mut Line<'_>,
-        dice: &mut Dice,
-        sums: &mut Sums,
-    ) -> Result<(), Failure> {
-        let peak_mb = daemon.peak_mb().unwrap_or(0);
+impl Life<'_> {
+    /// Lets it work, and strikes now and then.
+    fn suffer(&mut self, sums: &mut Sums) -> Result<(), Failure> {
+        // In one life of four the line itself is sound.
+        let gentle = self.dice.once_in(4);
+        let rough: &[&str] = if gentle { &[] } else { &ROUGH };
+        let faults = [&GENTLE[..], rough].concat();
+        for _ in 0..8 + self.dice.below(8) {
+            if !self.line.is_started() {
+                let said = self.daemon.said();
+                return Err(format!("the stylus is not started; {said}").into());
+            }
+            self.line.serve(self.dice.between(0.1, 1.2));
+            let fault = *self.dice.pick(&faults);
+            *sums.faults.entry(fault).or_default() += 1;
+            self.strike(fault)?;
+            if !self.daemon.is_alive() {
+                let said = self.daemon.said();
+                return Err(format!("it ended by itself after {fault}: {said}").into());
+            }
+            if let Err(error) = page::request(self.address, "GET", "/healthz", "") {
+                sums.violations.push(format!("after {fault}: no answer: {error}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn strike(&mut self, fault: &str) -> Result<(), Failure> {
+        let Self { disk, daemon, address, line, dice, stalled } = self;
+        match fault {
+            "line stalls" => line.stall(dice),
+            "orders race" => page::order(*address, &disk.data.surfaces(), dice),
+            "disk fills" => disk.empty().and_then(|()| disk.fill())?,
+            "disk empties" => disk.empty()?,
+            // It fails where the disk is full, or its library gone.
+            "library is edited" => drop(disk.edit(dice)),
+            "reader stalls" if stalled.len() < STALLED => stalled.push(page::stalled(*address)?),
+            "lines of JSON are not read" => {
+                daemon.stalled.fetch_xor(true, Ordering::Relaxed);
+            }
+            "samples are lost" => line.lose(dice),
+            "garbage" => line.garbage(dice),
+            "hellos" => line.hellos(dice),
+            "unplugged" => line.replug(dice),
+            "restarted" => line.restart(),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Ends or kills it, and checks its end and its account.
+    fn end(&mut self, killed: bool, sums: &mut Sums) -> Result<(), Failure> {
+        let peak_mb = self.daemon.peak_mb().unwrap_or(0);
         sums.peak_mb = sums.peak_mb.max(peak_mb);
         if peak_mb > MOST_MB {
             sums.violations.push(format!("it had {peak_mb} MB"));
         }
-        sums.killed = dice.once_in(4);
-        let signal = if sums.killed { "KILL" } else { "TERM" };
+        let signal = if killed { "KILL" } else { "TERM" };
         *sums.faults.entry(signal).or_default() += 1;
-        // In three of four cases in the middle of things; else with nothing under way.
-        let mut under_way = 0;
-        if dice.once_in(4) {
-            let begin = std::time::Instant::now();
-            while begin.elapsed() < Duration::from_millis(800) {
-                line.obey();
-            }
-        } else {
-            // What it sent last may come after the end of the reading.
-            under_way = 4000;
+        let line = &mut self.line;
+        // In one case of four with nothing under way; else in the middle of things.
+        let quiet = self.dice.once_in(4);
+        let begin = Instant::now();
+        while quiet && begin.elapsed() < Duration::from_millis(800) {
+            line.obey();
         }
-        let (status, took) = daemon.end(signal, || line.obey())?;
-        sums.sent += line.sent();
-        if sums.killed {
-            sums.unknowable += line.sent();
+        let (status, took) = self.daemon.end(signal, || line.obey())?;
+        let sent = line.sent();
+        sums.sent += sent;
+        if killed {
+            sums.unknowable += sent;
             return Ok(());
         }
-        let said = daemon.said();
+        let said = self.daemon.said();
         if took > END {
             sums.violations.push(format!("the end took {took:?}: {said}"));
         }
         if !matches!(status.code(), Some(0 | 1 | 3)) || said.contains("panicked") {
             sums.violations.push(format!("it ended with {status}: {said}"));
         }
-        // "received: ac 10 (0 lost), …"
-        let account = said.lines().rev().find_map(|line| line.strip_prefix("received: "));
-        let of_ir = account.and_then(|text| text.split("ir ").nth(1));
-        let number = |text: &str| text.trim_start_matches('(').parse::<u64>().ok();
-        let mut words = of_ir.unwrap_or_default().split(' ').map(number);
-        let (Some(Some(received)), Some(Some(lost))) = (words.next(), words.next()) else {
-            return Err(format!("it gave no account: {said}").into());
-        };
-        let unknowable = line.unknowable + under_way;
+        let (received, lost) = account(&said).ok_or(format!("it gave no account: {said}"))?;
+        let unknowable = line.unknowable + if quiet { 0 } else { UNDER_WAY };
         sums.received += received;
         sums.lost += lost;
         sums.unknowable += unknowable;
-        let sent = line.sent();
-        if received > sent || sent - received > lost + unknowable {
+        // Where the line was sound, no loss is invented either.
+        let invented = line.unknowable == 0 && received + lost > sent;
+        if received > sent || sent - received > lost + unknowable || invented {
             sums.violations.push(format!(
-                "{sent} samples sent, {received} received, {lost} lost, {unknowable} unknowable"
+                "{sent} samples sent, {received} received, {lost} lost, {unknowable} unknowable: \
+                 {said}"
             ));
-        }
-        // Where the line never broke, no loss is invented either.
-        if line.unknowable == 0 && received + lost > sent {
-            sums.violations.push(format!("{received} received and {lost} lost of {sent}: {said}"));
         }
         Ok(())
     }
+}
+
+/// Samples received and lost, of "received: ac 10 (0 lost), …, ir 10 (0 lost), …".
+fn account(said: &str) -> Option<(u64, u64)> {
+    let account = said.lines().rev().find_map(|line| line.strip_prefix("received: "))?;
+    let mut words = account.split("ir ").nth(1)?.split(' ');
+    let mut number = || words.next()?.trim_start_matches('(').parse().ok();
+    Some((number()?, number()?))
 }

@@ -11,22 +11,34 @@ from pathlib import Path
 import numpy as np
 from scipy.io import wavfile
 
+import quant
 from data import folds, load
-from evaluation import wilson
+from evaluation import interval, wilson
 from hydra import Hydra, transform_plainly
 from mmd import Mmd, amplitudes, sigma_of
 from peers import join
 
 
 def hydra_agrees_with_plain_numpy() -> None:
-    series = np.random.default_rng(0).standard_normal(3001).astype(np.float32)
-    hydra = Hydra(len(series), seed=2)
-    fast, plain = hydra.transform(series), transform_plainly(hydra, series)
-    assert fast.shape == plain.shape == (9 * 2 * 32 * 8 * 2,)
-    hard = np.abs(fast - plain).reshape(-1, 2)[:, 1]
-    # responses that f32 cannot tell apart may change sides
-    assert hard.max() <= 1, hard.max()
-    np.testing.assert_allclose(fast, plain, rtol=1e-3, atol=1.5)
+    for channels in (1, 5):
+        series = np.random.default_rng(0).standard_normal((channels, 3001)).astype(np.float32)
+        hydra = Hydra(channels, 3001, seed=2)
+        assert hydra.channels.shape[-1] == min(channels, 2)
+        fast, plain = hydra.transform(series), transform_plainly(hydra, series)
+        assert fast.shape == plain.shape == (9 * 2 * 32 * 8 * 2,)
+        hard = np.abs(fast - plain).reshape(-1, 2)[:, 1]
+        # responses that f32 cannot tell apart may change sides
+        assert hard.max() <= 1, hard.max()
+        np.testing.assert_allclose(fast, plain, rtol=1e-3, atol=1.5)
+
+
+def quant_agrees_with_plain_loops() -> None:
+    for length in (7, 50, 138, 501):
+        series = np.random.default_rng(length).standard_normal((3, length)).astype(np.float32)
+        fast, plain = quant.transform(series), quant.transform_plainly(series.astype(np.float64))
+        np.testing.assert_allclose(fast, plain, rtol=1e-4, atol=1e-4)
+    # 2^(depth − 1) · 4 − 2 − depth intervals
+    assert len(quant.intervals(512)) == 120
 
 
 def mmd_agrees_with_the_plain_sums() -> None:
@@ -78,15 +90,23 @@ def a_recorded_library_is_read() -> None:
                 trial = Path(folder) / surface / f"trial{number}"
                 trial.mkdir(parents=True)
                 wavfile.write(trial / "mi2.wav", 44_100, np.full(9, 16384, np.int16))
+                wavfile.write(trial / "ac.wav", 1000, np.arange(6, dtype=np.float32).reshape(3, 2))
         (trial / "trial.toml").write_text('user = "user1"\n', encoding="utf-8")
-        trials = load(Path(folder))
-    assert [(t.surface, t.number) for t in trials] == [
-        ("cork", 1), ("cork", 2), ("cork", 3), ("felt", 1), ("felt", 2),
+        data = load(Path(folder))
+    assert (data.sources, data.rates_hz) == (["ac", "mi2"], [1000, 44_100])
+    assert [(t.surface, t.user, t.number) for t in data.trials] == [
+        ("cork", "expert", 1), ("cork", "expert", 2), ("cork", "expert", 3),
+        ("felt", "expert", 1), ("felt", "expert", 2), ("felt", "user1", 3),
     ]
-    assert (trials[0].samples == 0.5).all()
-    assert [(f.library, f.queries) for f in folds(trials)] == [
+    ac, mi2 = data.trials[0].signals
+    assert (mi2 == 0.5).all() and mi2.shape == (1, 9)
+    np.testing.assert_array_equal(ac, [[0, 2, 4], [1, 3, 5]])
+    assert [(f.library, f.queries) for f in folds(data.trials)] == [
         ([1, 2, 4], [0, 3]), ([0, 2, 3], [1, 4]), ([0, 1, 3, 4], [2]),
     ]
+    for protocol in ("expert-vs-users", "all-vs-one-user"):
+        (fold,) = folds(data.trials, protocol)
+        assert (fold.name, fold.library, fold.queries) == ("user1", [0, 1, 2, 3, 4], [5])
 
 
 def wilson_interval_is_the_known_one() -> None:
@@ -94,11 +114,18 @@ def wilson_interval_is_the_known_one() -> None:
     np.testing.assert_allclose(wilson(5, 10), (0.2365931, 0.7634069), atol=1e-6)
 
 
+def intervals_are_over_users_from_five_on() -> None:
+    users = [{"accuracy": a, "queries": 10} for a in (0.2, 0.4, 0.5, 0.6, 0.8)]
+    half = 2.7764451 * np.std([0.2, 0.4, 0.5, 0.6, 0.8], ddof=1) / np.sqrt(5)
+    np.testing.assert_allclose(interval(25, 50, users), (0.5 - half, 0.5 + half), atol=1e-6)
+    assert interval(20, 40, users[:4]) == wilson(20, 40)
+
+
 def joining_a_chart_twice_changes_nothing() -> None:
     ours = {"method": "svm", "setting": "", "query_seconds": None}
     result = dict.fromkeys(
         ("sources", "accuracy", "accuracy_low", "accuracy_high", "query_ms_p50", "query_ms_p99"), 0
-    ) | {"method": "lda", "setting": "", "query_seconds": None, "queries": 1}
+    ) | {"method": "lda", "setting": "", "query_seconds": None, "queries": 1, "users": []}
     chart = {"points": [ours], "other": 1}
     join(chart, [result])
     join(chart, [result])
@@ -107,9 +134,11 @@ def joining_a_chart_twice_changes_nothing() -> None:
 
 CHECKS = (
     hydra_agrees_with_plain_numpy,
+    quant_agrees_with_plain_loops,
     mmd_agrees_with_the_plain_sums,
     a_recorded_library_is_read,
     wilson_interval_is_the_known_one,
+    intervals_are_over_users_from_five_on,
     joining_a_chart_twice_changes_nothing,
 )
 

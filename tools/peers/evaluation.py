@@ -6,11 +6,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
-from data import DataError, Fold, Trial
+from data import LEAVE_ONE_TRIAL_OUT, Data, DataError, Fold, Signals
 from methods import Method
 
 Z_95 = 1.959963984540054
+LEAST_USERS = 5  # of an interval over users
 
 
 @dataclass
@@ -21,14 +23,16 @@ class Answer:
     cpu_ms: float
 
 
-def windows_of(samples: np.ndarray, length: int) -> list[np.ndarray]:
-    """Windows of that length, one after the other; a rest is left out."""
-    return [samples[i : i + length] for i in range(0, len(samples) - length + 1, length)]
+def windows_of(signals: Signals, lengths: list[int]) -> list[Signals]:
+    """Windows of those lengths, one after the other; a rest is left out."""
+    count = min(x.shape[1] // length for x, length in zip(signals, lengths, strict=True))
+    return [
+        tuple(x[:, i * n : (i + 1) * n] for x, n in zip(signals, lengths, strict=True))
+        for i in range(count)
+    ]
 
 
-def shifts(
-    method: Method, trials: list[Trial], folds: list[Fold]
-) -> list[tuple[list[int], list[int]]]:
+def shifts(method: Method, folds: list[Fold]) -> list[tuple[list[int], list[int]]]:
     """Folds that share features, by number, and the trials from which these are pretrained.
 
     Pretraining for each fold would take most of the time. Two shifts will do: the first half of
@@ -45,32 +49,34 @@ def shifts(
     ]
 
 
-def query_length(trials: list[Trial], seconds: float | None) -> int:
-    """Samples of a query: so many seconds, or the whole, which is the shortest trial's length."""
-    shortest = min(trials, key=lambda trial: len(trial.samples))
-    if seconds is None:
-        return len(shortest.samples)
-    length = round(seconds * shortest.rate_hz)
-    if not 0 < length <= len(shortest.samples):
-        whole_s = len(shortest.samples) / shortest.rate_hz
-        raise DataError(f"{shortest.path}: {whole_s:.3f} s long; {seconds} s were asked for")
-    return length
+def query_lengths(data: Data, seconds: float) -> list[int]:
+    """Samples of each source in the first seconds."""
+    lengths = [round(seconds * rate_hz) for rate_hz in data.rates_hz]
+    for trial in data.trials:
+        for x, length, rate_hz in zip(trial.signals, lengths, data.rates_hz, strict=True):
+            if not 0 < length <= x.shape[1]:
+                raise DataError(f"{trial.path}: {x.shape[1] / rate_hz:.3f} s; query of {seconds} s")
+    return lengths
 
 
 def evaluate(
-    method: Method, trials: list[Trial], folds: list[Fold], seconds: float | None
+    method: Method, data: Data, folds: list[Fold], protocol: str, seconds: float | None
 ) -> dict:
     """Accuracy over queries and folds, and latencies: from raw samples to the label."""
     load_before = os.getloadavg()[0]
-    length = query_length(trials, seconds)
-    method.prepare(trials[0].rate_hz, length)
-    surfaces = sorted({trial.surface for trial in trials})
-    cut = windows_of if method.windows and seconds is not None else lambda x, n: [x[:n]]
+    trials, surfaces = data.trials, data.surfaces()
+    of_query = None if seconds is None else query_lengths(data, seconds)
+
+    def cut(signals: Signals) -> list[Signals]:
+        return [signals] if of_query is None else windows_of(signals, of_query)
+
+    most = None if method.windows else 1  # windows of a library's trial
+    method.prepare(data.rates_hz, data.lengths() if of_query is None else np.array([of_query]))
     answers = []
-    for numbers, unlabelled in shifts(method, trials, folds):
-        method.pretrain([w for i in unlabelled for w in cut(trials[i].samples, length)])
+    for numbers, unlabelled in shifts(method, folds):
+        method.pretrain([w for i in unlabelled for w in cut(trials[i].signals)])
         features = [
-            np.stack([method.features(window) for window in cut(trial.samples, length)])
+            np.stack([method.features(window) for window in cut(trial.signals)[:most]])
             for trial in trials
         ]
         for number in numbers:
@@ -78,19 +84,19 @@ def evaluate(
             of_class = [surfaces.index(trials[i].surface) for i in fold.library]
             labels = np.repeat(of_class, [len(features[i]) for i in fold.library])
             method.fit(np.concatenate([features[i] for i in fold.library]), labels)
-            method.predict(method.features(trials[fold.library[0]].samples[:length]))  # warms up
+            method.predict(method.features(cut(trials[fold.library[0]].signals)[0]))  # warms up
             for i in fold.queries:
-                query = trials[i].samples[:length].copy()
+                query = tuple(x.copy() for x in cut(trials[i].signals)[0])
                 wall, cpu = time.perf_counter(), time.process_time()
                 label = method.predict(method.features(query))
                 cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
                 right = surfaces[label] == trials[i].surface
                 answers.append(Answer(number, right, wall * 1e3, cpu * 1e3))
-    result = summary(answers, len(folds))
+    result = summary(answers, [fold.name for fold in folds], protocol != LEAVE_ONE_TRIAL_OUT)
     result.update(
         method=method.name,
         setting=method.setting,
-        sources=["mi2"],
+        sources=sorted(data.sources),
         query_seconds=seconds,
         library_trials=max(len(fold.library) for fold in folds),
         classes=len(surfaces),
@@ -99,24 +105,45 @@ def evaluate(
     return result
 
 
-def summary(answers: list[Answer], folds: int) -> dict:
-    by_fold = [[a.right for a in answers if a.fold == fold] for fold in range(folds)]
+def summary(answers: list[Answer], names: list[str], folds_are_users: bool) -> dict:
+    by_fold = [[a.right for a in answers if a.fold == fold] for fold in range(len(names))]
     accuracies = [float(np.mean(rights)) for rights in by_fold]
+    users = [
+        {"name": name, "accuracy": accuracy, "queries": len(rights)}
+        for name, accuracy, rights in zip(names, accuracies, by_fold, strict=True)
+        if folds_are_users
+    ]
     right = sum(a.right for a in answers)
-    low, high = wilson(right, len(answers))
+    low, high = interval(right, len(answers), users)
     wall_ms = sorted(a.wall_ms for a in answers)
     return {
         "accuracy": right / len(answers),
         "accuracy_low": low,
         "accuracy_high": high,
         "accuracy_mean": float(np.mean(accuracies)),
-        "accuracy_std": float(np.std(accuracies, ddof=1)) if folds > 1 else 0.0,
+        "accuracy_std": float(np.std(accuracies, ddof=1)) if len(names) > 1 else 0.0,
         "folds": accuracies,
+        "users": users,
         "queries": len(answers),
         "query_ms_p50": nearest_rank(wall_ms, 0.5),
         "query_ms_p99": nearest_rank(wall_ms, 0.99),
         "query_cpu_ms_p50": nearest_rank(sorted(a.cpu_ms for a in answers), 0.5),
     }
+
+
+def interval(right: int, queries: int, users: list[dict]) -> tuple[float, float]:
+    """95 % interval of the share of all queries, as in `surfaced chart`: over users (Student's t on
+    what each user's right answers deviate from that share) where there are five or more and it is
+    the wider one, else Wilson's over queries."""
+    low, high = wilson(right, queries)
+    n = len(users)
+    if n >= LEAST_USERS:
+        share = right / queries
+        squares = sum((user["queries"] * (user["accuracy"] - share)) ** 2 for user in users)
+        error = math.sqrt(squares * n / (n - 1)) / queries
+        half = stats.t.ppf(0.975, n - 1) * error
+        low, high = min(low, max(0.0, share - half)), max(high, min(1.0, share + half))
+    return low, high
 
 
 def wilson(right: int, queries: int) -> tuple[float, float]:

@@ -5,7 +5,8 @@ the paper; details such as the scaling were looked up in the authors' published 
 Random kernels of length 9 come in g groups of k for each dilation 1, 2, 4, …; half of the groups
 see the series, half its first difference. At each time the kernel of a group with the largest
 response wins (its response is added to its count: a soft count), and that with the smallest
-(counted as 1: a hard count).
+(counted as 1: a hard count). Of several channels each group sees the sum of a few, drawn at random:
+half of them, but 2 at least and 8 at most.
 """
 
 import numba
@@ -14,43 +15,54 @@ import numpy as np
 TAPS = 9
 KERNELS = 8  # k
 GROUPS = 64  # g, of a dilation
+MOST_CHANNELS = 8  # that a group sees
 BLOCK = 512  # time steps worked on at once; bounds the buffers, not the result
 
 
 class Hydra:
-    """The transform of series of one length. It does not depend on the training data."""
+    """The transform of series of one length and number of channels. It does not depend on the
+    training data."""
 
-    def __init__(self, length: int, seed: int):
+    def __init__(self, channels: int, length: int, seed: int):
         dilations = int(np.log2((length - 1) / (TAPS - 1))) + 1
         shape = (dilations, 2, GROUPS // 2, KERNELS, TAPS)
-        weights = np.random.default_rng(seed).standard_normal(shape)
+        rng = np.random.default_rng(seed)
+        weights = rng.standard_normal(shape)
         weights -= weights.mean(-1, keepdims=True)
         weights /= np.abs(weights).sum(-1, keepdims=True)
         self.weights = weights.astype(np.float32)
+        seen = min(channels, max(2, min(channels // 2, MOST_CHANNELS)))
+        drawn = rng.random((*shape[:3], channels)).argsort(-1)
+        self.channels = drawn[..., :seen]  # of each group
 
     def transform(self, series: np.ndarray) -> np.ndarray:
-        """Counts of one series, flattened: dilation, series or difference, group, kernel, soft
-        then hard."""
+        """Counts of a series of shape (channels, samples), flattened: dilation, series or
+        difference, group, kernel, soft then hard."""
         views = (series.astype(np.float32), np.diff(series).astype(np.float32))
         counts = np.zeros((*self.weights.shape[:-1], 2))
         for exponent, of_dilation in enumerate(self.weights):
             dilation = 2**exponent
             for view, weights in enumerate(of_dilation):
-                padded = np.pad(views[view], (TAPS - 1) // 2 * dilation)
-                _count(padded, weights, dilation, counts[exponent, view])
+                ends = (TAPS - 1) // 2 * dilation
+                padded = np.pad(views[view], ((0, 0), (ends, ends)))
+                seen = self.channels[exponent, view]
+                _count(padded, seen, weights, dilation, counts[exponent, view])
         return counts.reshape(-1)
 
 
 @numba.njit(fastmath=True, cache=True)
-def _count(padded, weights, dilation, counts):
-    length = padded.size - (TAPS - 1) * dilation
+def _count(padded, seen, weights, dilation, counts):
+    length = padded.shape[1] - (TAPS - 1) * dilation
     response = np.empty((KERNELS, BLOCK), np.float32)
     most = np.empty((4, BLOCK), np.float32)
-    for start in range(0, length, BLOCK):
-        size = min(BLOCK, length - start)
-        for group in range(weights.shape[0]):
+    for group in range(weights.shape[0]):
+        series = padded[seen[group, 0]]
+        for channel in seen[group, 1:]:
+            series = series + padded[channel]
+        for start in range(0, length, BLOCK):
+            size = min(BLOCK, length - start)
             for kernel in range(KERNELS):
-                _convolve(padded[start:], weights[group, kernel], dilation, response[kernel, :size])
+                _convolve(series[start:], weights[group, kernel], dilation, response[kernel, :size])
             _compete(response, size, most, counts[group])
 
 
@@ -105,14 +117,16 @@ def transform_plainly(hydra: Hydra, series: np.ndarray) -> np.ndarray:
     """The same in plain NumPy, slow and obvious: the oracle of `Hydra.transform`."""
     result = []
     for exponent, of_dilation in enumerate(hydra.weights):
-        dilation = 2**exponent
-        for view, weights in zip((series, np.diff(series)), of_dilation, strict=True):
-            padded = np.pad(view.astype(np.float64), (TAPS - 1) // 2 * dilation)
-            taps = [padded[j * dilation :][: len(view)] for j in range(TAPS)]
-            response = np.einsum("gkj,jt->gkt", weights.astype(np.float64), np.stack(taps))
-            for kernel_by_time in response:
-                winner, loser = kernel_by_time.argmax(0), kernel_by_time.argmin(0)
-                soft = np.bincount(winner, kernel_by_time.max(0), minlength=KERNELS)
+        views = zip((series, np.diff(series)), of_dilation, hydra.channels[exponent], strict=True)
+        for view, weights, of_groups in views:
+            dilation, length = 2**exponent, view.shape[1]
+            ends = (TAPS - 1) // 2 * dilation
+            for kernels, seen in zip(weights, of_groups, strict=True):
+                padded = np.pad(view[seen].astype(np.float64).sum(0), ends)
+                taps = np.stack([padded[j * dilation :][:length] for j in range(TAPS)])
+                responses = kernels.astype(np.float64) @ taps
+                winner, loser = responses.argmax(0), responses.argmin(0)
+                soft = np.bincount(winner, responses.max(0), minlength=KERNELS)
                 hard = np.bincount(loser, minlength=KERNELS)
                 result.append(np.stack([soft, hard], axis=1))
     return np.stack(result).reshape(-1)

@@ -5,16 +5,19 @@ Settings are those of the papers or of the packages, or round numbers: none was 
 
 import numpy as np
 from aeon.transformations.collection.convolution_based import MiniRocket as MiniRocketTransform
+from aeon.transformations.collection.convolution_based import MultiRocket as MultiRocketTransform
 from scipy import fft, signal
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.linear_model import RidgeClassifierCV
 from sklearn.preprocessing import StandardScaler
 
+import quant
+from data import Signals
 from hydra import Hydra, SparseScaler
 from mmd import Mmd, amplitudes
 
-SERIES_RATE_HZ = 14_700  # what MiniRocket and Hydra see: the drag sound's band is 7500 Hz
+SERIES_RATE_HZ = 14_700  # what the convolutions see at most: the drag sound's band is 7500 Hz
 
 
 class Method:
@@ -26,14 +29,13 @@ class Method:
     windows = True  # a short query is compared with windows of its length; else with first ones
     pretrained = False  # `features` needs some unlabelled library signals first
 
-    def prepare(self, rate_hz: int, length: int) -> None:
-        """What signals will look like."""
-        self.rate_hz = rate_hz
+    def prepare(self, rates_hz: list[int], lengths: np.ndarray) -> None:
+        """What signals will look like; `lengths` in samples, shape (trials, sources)."""
 
-    def pretrain(self, signals: list[np.ndarray]) -> None:
-        """What `features` learns, from signals that are in the library of every fold served."""
+    def pretrain(self, trials: list[Signals]) -> None:
+        """What `features` learns, from trials that are in the library of every fold served."""
 
-    def features(self, samples: np.ndarray) -> np.ndarray:
+    def features(self, signals: Signals) -> np.ndarray:
         raise NotImplementedError
 
     def fit(self, features: np.ndarray, labels: np.ndarray) -> None:
@@ -53,8 +55,14 @@ class MmdMethod(Method):
         self.repetitions = repetitions
         self.seed = seed
 
-    def features(self, samples):
-        return amplitudes(samples, self.rate_hz)
+    def prepare(self, rates_hz, lengths):
+        if len(rates_hz) != 1:
+            raise ValueError("numpy-mmd compares one source of one channel")
+        self.rate_hz, self.length = rates_hz[0], lengths.min()
+
+    def features(self, signals):
+        (series,) = signals[0]
+        return amplitudes(series[: self.length], self.rate_hz)
 
     def fit(self, features, labels):
         self.mmd = Mmd(features, self.repetitions, self.seed)
@@ -65,18 +73,38 @@ class MmdMethod(Method):
         return self.labels[np.argmin(self.mmd.scores(features))]
 
 
+def median_length(lengths: np.ndarray) -> int:
+    return int(np.median(lengths))
+
+
+def at_length(series: np.ndarray, length: int) -> np.ndarray:
+    """Series of shape (channels, samples), interpolated linearly to one length."""
+    if series.shape[1] == length:
+        return series
+    at = np.linspace(0, series.shape[1] - 1, length)
+    held = np.arange(series.shape[1])
+    return np.stack([np.interp(at, held, channel) for channel in series]).astype(np.float32)
+
+
 class Series(Method):
-    """What MiniRocket and Hydra see: the signal thinned to about 14.7 kHz, its mean and scale
-    taken out, as in the archive that both were made for."""
+    """What convolutions see: every channel of every source at one length, which is the longest
+    source's median, its mean and scale taken out, as in the archives that they were made for. Sounds
+    are thinned to about 14.7 kHz."""
 
-    def prepare(self, rate_hz, length):
-        super().prepare(rate_hz, length)
-        self.step = max(1, round(rate_hz / SERIES_RATE_HZ))
-        self.length = -(-length // self.step)
+    def prepare(self, rates_hz, lengths):
+        self.steps = [max(1, round(rate_hz / SERIES_RATE_HZ)) for rate_hz in rates_hz]
+        medians = zip(lengths.T, self.steps, strict=True)
+        self.length = max(-(-median_length(of_source) // step) for of_source, step in medians)
 
-    def series(self, samples):
-        thinned = signal.resample_poly(samples, 1, self.step) if self.step > 1 else samples
-        return ((thinned - thinned.mean()) / (thinned.std() + 1e-8)).astype(np.float32)
+    def series(self, signals):
+        channels = np.concatenate(
+            [
+                at_length(signal.resample_poly(x, 1, step, axis=1) if step > 1 else x, self.length)
+                for x, step in zip(signals, self.steps, strict=True)
+            ]
+        )
+        centred = channels - channels.mean(1, keepdims=True)
+        return (centred / (channels.std(1, keepdims=True) + 1e-8)).astype(np.float32)
 
     def fit_ridge(self, features, labels, scaler):
         self.scaler = scaler.fit(features)
@@ -93,18 +121,17 @@ class MiniRocket(Series):
     random training series."""
 
     name = "minirocket"
-    setting = "9996 features, 14.7 kHz, ridge"
+    setting = "9996 features, ridge"
     pretrained = True
 
     def __init__(self, seed: int):
-        self.seed = seed
+        self.transform = MiniRocketTransform(n_kernels=10_000, random_state=seed, n_jobs=1)
 
-    def pretrain(self, signals):
-        self.transform = MiniRocketTransform(n_kernels=10_000, random_state=self.seed, n_jobs=1)
-        self.transform.fit(np.stack([self.series(samples) for samples in signals])[:, None, :])
+    def pretrain(self, trials):
+        self.transform.fit(np.stack([self.series(signals) for signals in trials]))
 
-    def features(self, samples):
-        return self.transform.transform(self.series(samples)[None, None, :])[0]
+    def features(self, signals):
+        return self.transform.transform(self.series(signals)[None])[0]
 
     def fit(self, features, labels):
         self.fit_ridge(features, labels, StandardScaler())
@@ -115,17 +142,18 @@ class MiniRocket(Series):
 
 class HydraMethod(Series):
     name = "hydra"
-    setting = "k=8 g=64, 14.7 kHz, ridge"
+    setting = "k=8 g=64, ridge"
 
     def __init__(self, seed: int):
         self.seed = seed
 
-    def prepare(self, rate_hz, length):
-        super().prepare(rate_hz, length)
-        self.hydra = Hydra(self.length, self.seed)
+    def features(self, signals):
+        return self.counts(self.series(signals))
 
-    def features(self, samples):
-        return self.hydra.transform(self.series(samples))
+    def counts(self, series):
+        if not hasattr(self, "hydra"):
+            self.hydra = Hydra(len(series), self.length, self.seed)
+        return self.hydra.transform(series)
 
     def fit(self, features, labels):
         self.fit_ridge(features, labels, SparseScaler())
@@ -134,33 +162,118 @@ class HydraMethod(Series):
         return self.predict_ridge(features)
 
 
+class MultiRocketHydra(MiniRocket):
+    """Tan, Dempster, Bergmeir, Webb, "MultiRocket: multiple pooling operators and transformations
+    for fast and effective time series classification", Data Mining and Knowledge Discovery 36, 2022,
+    as in aeon, and Hydra beside it: all features of both go to one ridge."""
+
+    name = "multirocket+hydra"
+    setting = "49,728 features and Hydra's, ridge"
+
+    def __init__(self, seed: int):
+        self.transform = MultiRocketTransform(random_state=seed, n_jobs=1)
+        self.hydra = HydraMethod(seed)
+
+    def prepare(self, rates_hz, lengths):
+        super().prepare(rates_hz, lengths)
+        self.hydra.prepare(rates_hz, lengths)
+
+    def features(self, signals):
+        series = self.series(signals)
+        rocket = self.transform.transform(series[None])[0]
+        self.split = len(rocket)
+        return np.concatenate([rocket, self.hydra.counts(series)], dtype=np.float32)
+
+    def fit(self, features, labels):
+        self.fit_ridge(features, labels, Beside(self.split, StandardScaler(), SparseScaler()))
+
+
+class Beside:
+    """One scaler for the first features and another for the others."""
+
+    def __init__(self, split: int, *scalers):
+        self.split, self.scalers = split, scalers
+
+    def fit(self, features):
+        for scaler, part in self._parts(features):
+            scaler.fit(part)
+        return self
+
+    def transform(self, features):
+        return np.hstack([scaler.transform(part) for scaler, part in self._parts(features)])
+
+    def _parts(self, features):
+        return zip(self.scalers, np.split(features, [self.split], axis=1), strict=True)
+
+
+class Quant(Method):
+    """QUANT's features of each source at its own rate and median length, levels and scales left
+    in, as in the paper; its classifier: 200 extremely randomised trees, entropy, a tenth of all
+    features at each split."""
+
+    name = "quant"
+    setting = "depth 6, v=4, 200 trees"
+
+    def __init__(self, seed: int):
+        self.seed = seed
+
+    def prepare(self, rates_hz, lengths):
+        self.lengths = [median_length(of_source) for of_source in lengths.T]
+
+    def features(self, signals):
+        sources = zip(signals, self.lengths, strict=True)
+        return np.concatenate([quant.transform(at_length(x, length)) for x, length in sources])
+
+    def fit(self, features, labels):
+        self.model = ExtraTreesClassifier(
+            200, criterion="entropy", max_features=0.1, random_state=self.seed, n_jobs=1
+        )
+        self.model.fit(features, labels)
+
+    def predict(self, features):
+        return self.model.predict(features[None])[0]
+
+
 class LogBands(Method):
     """Mean and standard deviation over frames of the log energies of 40 bands from 0 to 7500 Hz,
-    evenly spaced on the mel scale; Hann frames of 2048 points, half overlapping."""
+    evenly spaced on the mel scale, for every channel; Hann frames of 2048 points, half overlapping.
+    A source whose trials are short has frames of the largest power of two within a quarter of its
+    median length, and a source whose rate is low has a band a bin at most. Means are taken out."""
 
     FRAME = 2048
     BANDS = 40
     BAND_HZ = 7500.0
 
-    def prepare(self, rate_hz, length):
-        super().prepare(rate_hz, length)
-        if length < self.FRAME:
-            raise ValueError(f"{length} samples; log bands need {self.FRAME} or more")
-        self.window = np.hanning(self.FRAME + 1)[:-1].astype(np.float32)
-        top_mel = np.log1p(min(self.BAND_HZ, rate_hz / 2) / 700)
-        edges_hz = 700 * np.expm1(np.linspace(0, top_mel, self.BANDS + 1))
-        edges = np.round(edges_hz * self.FRAME / rate_hz).astype(int)
+    def prepare(self, rates_hz, lengths):
+        self.layouts = []
+        for rate_hz, of_source in zip(rates_hz, lengths.T, strict=True):
+            frame = min(self.FRAME, 2 ** int(np.log2(max(4, median_length(of_source)) / 4)))
+            frame = max(4, frame)
+            if of_source.min() < frame:
+                raise ValueError(f"{of_source.min()} samples; log bands need {frame} or more")
+            self.layouts.append((frame, self.edges(frame, rate_hz)))
+
+    def edges(self, frame, rate_hz):
+        top_hz = min(self.BAND_HZ, rate_hz / 2)
+        bands = min(self.BANDS, int(top_hz * frame / rate_hz))
+        edges_hz = 700 * np.expm1(np.linspace(0, np.log1p(top_hz / 700), bands + 1))
+        edges = np.round(edges_hz * frame / rate_hz).astype(int)
         for i in range(1, len(edges)):  # one bin at least
             edges[i] = max(edges[i], edges[i - 1] + 1)
-        self.edges = edges
+        return edges
 
-    def features(self, samples):
-        frames = np.lib.stride_tricks.sliding_window_view(samples, self.FRAME)
-        frames = frames[:: self.FRAME // 2] * self.window
-        power = np.abs(fft.rfft(frames, axis=1)[:, : self.edges[-1]]) ** 2
-        widths = np.diff(self.edges)
-        bands = np.log(np.add.reduceat(power, self.edges[:-1], axis=1) / widths + 1e-10)
-        return np.concatenate([bands.mean(0), bands.std(0)])
+    def features(self, signals):
+        sources = zip(signals, self.layouts, strict=True)
+        return np.concatenate([self.of_source(x, *layout) for x, layout in sources])
+
+    def of_source(self, series, frame, edges):
+        centred = series - series.mean(1, keepdims=True)
+        frames = np.lib.stride_tricks.sliding_window_view(centred, frame, axis=1)
+        window = np.hanning(frame + 1)[:-1].astype(np.float32)
+        power = np.abs(fft.rfft(frames[:, :: frame // 2] * window)[..., : edges[-1]]) ** 2
+        bands = np.add.reduceat(power, edges[:-1], axis=2) / np.diff(edges)
+        bands = np.log(bands + 1e-10)
+        return np.concatenate([bands.mean(1), bands.std(1)], axis=None)
 
 
 class Lda(LogBands):
@@ -198,6 +311,8 @@ METHODS = {
     "extratrees": ExtraTrees,
     "minirocket": MiniRocket,
     "hydra": HydraMethod,
+    "multirocket+hydra": MultiRocketHydra,
+    "quant": Quant,
     "mmd-1": lambda seed: MmdMethod(1, seed),
     "mmd-10": lambda seed: MmdMethod(10, seed),
 }

@@ -1,5 +1,4 @@
-"""Other methods on the trials and folds of
-`surfaced eval DATA --protocol leave-one-trial-out --sources mi2`.
+"""Other methods on the trials and folds of `surfaced eval DATA --protocol … --sources …`.
 
 One process, one thread. See README.md.
 """
@@ -12,7 +11,7 @@ import platform
 import sys
 from pathlib import Path
 
-from data import DataError, folds, load
+from data import LEAVE_ONE_TRIAL_OUT, PROTOCOLS, DataError, folds, load
 from evaluation import evaluate
 from methods import METHODS
 
@@ -24,6 +23,7 @@ POINT_KEYS = (
     "accuracy",
     "accuracy_low",
     "accuracy_high",
+    "users",
     "query_ms_p50",
     "query_ms_p99",
     "queries",
@@ -35,18 +35,17 @@ PACKAGES = ("numpy", "scipy", "scikit-learn", "numba", "aeon")
 def main() -> int:
     options = parse()
     try:
-        trials = load(options.data)
-        split = folds(trials)[: options.folds]
-        chart = read_chart(options.chart) if options.chart else None
-        classes = len({trial.surface for trial in trials})
-        print(f"{len(trials)} trials, {classes} surfaces, {len(split)} folds", file=sys.stderr)
-        if len({len(trial.samples) for trial in trials}) > 1:
-            print("lengths differ: a whole query is as long as the shortest trial", file=sys.stderr)
+        data = load(options.data, options.sources)
+        split = folds(data.trials, options.protocol)[: options.folds]
+        chart = read_chart(options.chart, options.protocol) if options.chart else None
+        found = f"{len(data.trials)} trials, {len(data.surfaces())} surfaces, {len(split)} folds"
+        print(f"{found}, sources {', '.join(data.sources)}", file=sys.stderr)
         results = []
         print(HEADER, flush=True)
         for seconds in options.seconds or [None]:
             for name in options.methods:
-                results.append(evaluate(METHODS[name](options.seed), trials, split, seconds))
+                method = METHODS[name](options.seed)
+                results.append(evaluate(method, data, split, options.protocol, seconds))
                 print(row(results[-1]), flush=True)
         if options.out:
             write(options.out, {**machine(), "seed": options.seed, "results": results})
@@ -62,6 +61,10 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="run", description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="LMT108's root, or a library")
+    parser.add_argument("--protocol", choices=PROTOCOLS, default=LEAVE_ONE_TRIAL_OUT)
+    parser.add_argument(
+        "--sources", type=lambda text: text.split(","), help="some of them (default: all)"
+    )
     parser.add_argument(
         "--seconds",
         type=lambda text: None if text == "whole" else float(text),
@@ -138,13 +141,15 @@ def machine() -> dict:
     return {"versions": versions, "threads": 1, "cores": os.cpu_count()}
 
 
-def read_chart(path: Path) -> dict:
+def read_chart(path: Path, protocol: str) -> dict:
     try:
         chart = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, json.JSONDecodeError) as error:
         raise DataError(f"{path}: {error}; write it first, with `surfaced chart`") from error
     if not isinstance(chart, dict) or not isinstance(chart.get("points"), list):
         raise DataError(f"{path}: no list `points` in it; expected what `surfaced chart` writes")
+    if chart.get("protocol") != protocol:
+        raise DataError(f"{path}: measured by {chart.get('protocol')}, not by {protocol}")
     return chart
 
 

@@ -2,7 +2,7 @@
 
 use crate::cli::show;
 use crate::evaluate::{
-    EnrolledOutcome, LeftOut, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+    EnrolledOutcome, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::trial::TrialKey;
 
@@ -26,9 +26,8 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enrolled: Option<EnrolledOutcome>,
     pub predictions: Vec<Answer>,
-    /// The sources that were left out of queries, for people.
-    #[serde(skip)]
-    pub left_out: LeftOut,
+    /// For people: what was left out, and why, a line each.
+    pub warnings: Vec<String>,
 }
 
 // The signature is serde's.

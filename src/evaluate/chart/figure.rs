@@ -13,7 +13,7 @@ const LINE: i32 = 20;
 const MARGIN: i32 = 24;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
-/// right. Bars are 95 % Wilson intervals, the thick line is the Pareto front, whose points are
+/// right. Bars are 95 % intervals, ticks are users, the thick line is the Pareto front, whose points are
 /// numbered and listed below, dashed lines with letters are negative controls, squares are programs
 /// of others, and hollow points use only some of the sources.
 ///
@@ -89,7 +89,7 @@ fn line(chart: &Chart, point: &Point) -> String {
     )
 }
 
-fn three_digits(x: f64) -> String {
+pub(super) fn three_digits(x: f64) -> String {
     let decimals = (2 - x.max(1e-3).log10().floor() as i32).clamp(0, 3) as usize;
     format!("{x:.decimals$}")
 }
@@ -112,8 +112,12 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
         chart.sources.join(", ")
     );
     put(root, facts, (MARGIN, 38), 14)?;
-    let key = "bars: 95 % Wilson interval over queries; thick line: Pareto front, numbered and \
-               listed below; dashed: negative controls, what a room or a session may give away";
+    let key = format!(
+        "bars: {}{}; thick line: Pareto front, numbered and listed below; dashed: negative \
+         controls, what a room or a session may give away",
+        chart.bars(),
+        if chart.has_users() { "; ticks: each user's share" } else { "" }
+    );
     put(root, key, (MARGIN, 58), 13)
 }
 

@@ -2,7 +2,7 @@
 
 use super::point::Point;
 use super::settings::{Charted, What};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, LeftOut, Loudness, Measured};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, LeftOut, Loudness, Measured, Protocol};
 use crate::library::Entry;
 use crate::recognise::{Method, RecogniseError};
 use crate::scene::{Scene, SourceId};
@@ -12,6 +12,8 @@ use crate::scene::{Scene, SourceId};
 pub struct Charting<'a> {
     /// The trials.
     pub entries: &'a [Entry],
+    /// How they are split.
+    pub protocol: Protocol,
     /// Queries and libraries.
     pub folds: &'a [Fold],
 }
@@ -37,7 +39,7 @@ pub fn measure(
     let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
     let measured = run.measure_lengths(&charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        Point::new(&measured.outcome, name, *seconds, charted.is_control())
+        Point::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
     let mut left_out = LeftOut::new();

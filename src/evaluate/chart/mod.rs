@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! charted (settings, subsets of sources, controls) ─► measure ─► Chart of points ─► figure (panels, legend)
+//!                                                      several Charts of points ─► side_by_side
 //! ```
 
 mod figure;
@@ -10,8 +11,10 @@ mod measure;
 mod panel;
 mod point;
 mod settings;
+mod side_by_side;
 
 pub use figure::figure;
 pub use measure::{Charting, drag_s, measure};
 pub use point::{Chart, Point, pareto};
-pub use settings::{Charted, What, charted, settings};
+pub use settings::{Charted, What, brief, charted, settings};
+pub use side_by_side::side_by_side;

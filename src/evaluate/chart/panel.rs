@@ -12,7 +12,7 @@ use crate::draw::{Area, Drawn, drawing, put};
 
 const GREY: RGBColor = RGBColor(120, 120, 120);
 
-type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
+pub(super) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// The accuracies that an axis shows, controls included.
 fn axis(chart: &Chart, points: &[&Point]) -> std::ops::Range<f64> {
@@ -81,8 +81,55 @@ fn builder<'a, 'b>(area: &'a Area<'b>) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     builder
 }
 
-fn percent(y: f64) -> String {
+pub(super) fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
+}
+
+/// Where a value lies in an area.
+pub(super) fn place<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &Panel<'_, '_, X>,
+    x: f64,
+    y: f64,
+) -> (i32, i32) {
+    let ((left, top), at) = (area.get_base_pixel(), panel.backend_coord(&(x, y)));
+    (at.0 - left, at.1 - top)
+}
+
+/// Dashed lines, each with its letter.
+pub(super) fn controls<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &Panel<'_, '_, X>,
+    chart: &Chart,
+    ends: (f64, f64),
+) -> Drawn {
+    for (letter, control) in lettered(chart) {
+        let ends = [ends.0, ends.1].map(|end| place(area, panel, end, control.accuracy));
+        for dash in (ends[0].0..ends[1].0).step_by(10) {
+            let line = [(dash, ends[0].1), ((dash + 5).min(ends[1].0), ends[0].1)];
+            area.draw(&PathElement::new(line, GREY.stroke_width(1))).map_err(drawing)?;
+        }
+        put(area, letter, (ends[0].0 + 4, ends[0].1 - 16), 13)?;
+    }
+    Ok(())
+}
+
+/// A point's interval, and a tick for each user's share.
+pub(super) fn bar<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &Panel<'_, '_, X>,
+    point: &Point,
+    x: f64,
+    colour: RGBColor,
+) -> Drawn {
+    let ends = [point.accuracy_low, point.accuracy_high].map(|y| place(area, panel, x, y));
+    area.draw(&PathElement::new(ends, colour.mix(0.45).stroke_width(1))).map_err(drawing)?;
+    for user in &point.users {
+        let (x, y) = place(area, panel, x, user.accuracy);
+        let tick = PathElement::new([(x - 7, y), (x + 7, y)], colour.mix(0.7).stroke_width(1));
+        area.draw(&tick).map_err(drawing)?;
+    }
+    Ok(())
 }
 
 /// Controls, front and points.
@@ -95,32 +142,19 @@ fn marks<X: Ranged<ValueType = f64>>(
     colours: &Colours<'_>,
     x: impl Fn(&Point) -> f64,
 ) -> Drawn {
-    let place = |panel: &Panel<'_, '_, X>, x: f64, y: f64| {
-        let ((left, top), at) = (area.get_base_pixel(), panel.backend_coord(&(x, y)));
-        (at.0 - left, at.1 - top)
-    };
-    for (letter, control) in lettered(chart) {
-        let ends = [ends.0, ends.1].map(|end| place(panel, end, control.accuracy));
-        for dash in (ends[0].0..ends[1].0).step_by(10) {
-            let line = [(dash, ends[0].1), ((dash + 5).min(ends[1].0), ends[0].1)];
-            area.draw(&PathElement::new(line, GREY.stroke_width(1))).map_err(drawing)?;
-        }
-        put(area, letter, (ends[0].0 + 4, ends[0].1 - 16), 13)?;
-    }
+    controls(area, panel, chart, ends)?;
     let front = front(points, &x);
     let line = front.iter().map(|p| (x(p), p.accuracy));
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3))).map_err(drawing)?;
     for point in points {
         let colour = colours[point.method.as_str()];
-        let bar = [(x(point), point.accuracy_low), (x(point), point.accuracy_high)];
-        let bar = PathElement::new(bar, colour.mix(0.45).stroke_width(1));
-        panel.draw_series([bar]).map_err(drawing)?;
+        bar(area, panel, point, x(point), colour)?;
         let key = Mark { colour, square: point.peer, hollow: chart.is_subset(point) };
-        key.draw(area, place(panel, x(point), point.accuracy))?;
+        key.draw(area, place(area, panel, x(point), point.accuracy))?;
     }
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in front.iter().enumerate() {
-        let at = place(panel, x(point), point.accuracy_high);
+        let at = place(area, panel, x(point), point.accuracy_high);
         // Numbers of points that lie close together stand one above the other.
         let top = if at.0 - before.0 < 18 { (at.1 - 16).min(before.1 - 13) } else { at.1 - 16 };
         before = (at.0, top);

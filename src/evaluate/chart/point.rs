@@ -1,7 +1,7 @@
 //! Accuracy against latency and against scan time: measured points, and which of them no other
 //! point beats.
 
-use crate::evaluate::Outcome;
+use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_over_users};
 use crate::scene::SourceId;
 
 /// One setting of one method, measured.
@@ -17,10 +17,13 @@ pub struct Point {
     pub query_seconds: Option<f64>,
     /// Share of queries named right.
     pub accuracy: f64,
-    /// Lower end of the 95 % Wilson interval over queries.
+    /// Lower end of its 95 % interval, over users where there are five or more, else over queries.
     pub accuracy_low: f64,
     /// Upper end of that interval.
     pub accuracy_high: f64,
+    /// Each user's share, where queries and library are split by user.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub users: Vec<FoldAccuracy>,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
     /// 99th percentile of that time.
@@ -39,18 +42,25 @@ impl Point {
     /// A point from an evaluation.
     pub fn new(
         outcome: &Outcome,
+        protocol: Protocol,
         setting: &str,
         query_seconds: Option<f64>,
         control: bool,
     ) -> Self {
+        let (users, (accuracy_low, accuracy_high)) = if protocol.folds_are_users() {
+            (outcome.folds.clone(), interval_over_users(&outcome.folds))
+        } else {
+            (Vec::new(), (outcome.accuracy_low, outcome.accuracy_high))
+        };
         Self {
             method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
             sources: outcome.sources.iter().map(SourceId::to_string).collect(),
             query_seconds,
             accuracy: outcome.accuracy,
-            accuracy_low: outcome.accuracy_low,
-            accuracy_high: outcome.accuracy_high,
+            accuracy_low,
+            accuracy_high,
+            users,
             query_ms_p50: outcome.query_ms_p50,
             query_ms_p99: outcome.query_ms_p99,
             queries: outcome.queries,
@@ -142,6 +152,20 @@ impl Chart {
         self.methods().filter(has_others).collect()
     }
 
+    /// Whether its points know each user's share.
+    pub(super) fn has_users(&self) -> bool {
+        self.points.iter().any(|point| !point.users.is_empty())
+    }
+
+    /// What the bars of its points are.
+    pub(super) fn bars(&self) -> &'static str {
+        if self.points.iter().any(|point| is_over_users(&point.users)) {
+            "95 % interval over users"
+        } else {
+            "95 % interval over queries"
+        }
+    }
+
     /// Whether a point of ours used but some of the sources.
     pub fn is_subset(&self, point: &Point) -> bool {
         !point.peer && point.sources.len() < self.sources.len()
@@ -166,6 +190,7 @@ pub(super) mod tests {
             accuracy,
             accuracy_low: accuracy - 0.05,
             accuracy_high: (accuracy + 0.02).min(1.0),
+            users: Vec::new(),
             query_ms_p50: ms,
             query_ms_p99: 2.0 * ms,
             queries: 200,

@@ -9,12 +9,7 @@ const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
 const CONTROL_HZ: f64 = 80.0;
 
 /// Settings that are charted; the flagged ones on the first seconds of a drag, too.
-pub fn settings() -> [(MethodSpec, bool); 6] {
-    let reference = |samples, repetitions, halving: bool| {
-        let halving = if halving { STAGES.to_vec() } else { Vec::new() };
-        let usual = ReferenceOptions::default();
-        MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
-    };
+pub fn settings() -> [(MethodSpec, bool); 8] {
     [
         (reference(100, 1, false), false),
         (reference(400, 1, false), false),
@@ -22,7 +17,21 @@ pub fn settings() -> [(MethodSpec, bool); 6] {
         (reference(400, 10, false), true),
         (reference(400, 10, true), false),
         (on_subsets(), true),
+        (MethodName::Svm.into(), false),
+        (MethodName::RandomForest.into(), false),
     ]
+}
+
+fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
+    let halving = if halving { STAGES.to_vec() } else { Vec::new() };
+    let usual = ReferenceOptions::default();
+    MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
+}
+
+/// Settings of a brief chart, the cheapest useful one of each method.
+fn few_settings() -> [MethodSpec; 4] {
+    let [svm, forest] = [MethodName::Svm, MethodName::RandomForest].map(MethodSpec::from);
+    [reference(400, 1, false), on_subsets(), svm, forest]
 }
 
 /// The setting by which subsets of the sources, and the control below, are charted.
@@ -59,9 +68,18 @@ impl Charted {
     }
 }
 
+fn whole(what: What, scene: &Scene) -> Charted {
+    Charted { what, scene: scene.clone(), seconds: vec![None] }
+}
+
+/// One setting of each method on whole drags with all sources, and the negative controls.
+pub fn brief(scene: &Scene) -> Vec<Charted> {
+    let settings = few_settings().into_iter().map(|method| whole(What::Method(method), scene));
+    settings.chain(controls(scene)).collect()
+}
+
 /// All that is measured on a scene whose drags last this long, in seconds.
 pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
-    let whole = |what, scene: &Scene| Charted { what, scene: scene.clone(), seconds: vec![None] };
     let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
     let of_setting = |(method, is_timed): (MethodSpec, bool)| {
@@ -72,18 +90,29 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     for subset in subsets(scene) {
         all.push(whole(What::Method(on_subsets()), &subset));
     }
-    if let Some(sounds) = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. })) {
-        let ids: Vec<_> = sounds.sources().map(|spec| spec.id.as_str()).collect();
-        let ids = ids.join(", ");
-        let below = sounds.clone().changed(|spec| {
+    all.extend(controls(scene));
+    all
+}
+
+/// What a room and a session give away: the lowest band of spectra that reach far beyond it, and
+/// loudness.
+fn controls(scene: &Scene) -> Vec<Charted> {
+    let named =
+        |scene: &Scene| scene.sources().map(|spec| spec.id.as_str()).collect::<Vec<_>>().join(", ");
+    let reaches = |domain: &Domain| matches!(domain, Domain::Spectrum { band_hz } if band_hz.1 >= 2.0 * CONTROL_HZ);
+    let band = of_domain(scene, reaches).map(|wide| {
+        let of_band = format!("{} below {CONTROL_HZ} Hz alone", named(&wide));
+        let below = wide.changed(|spec| {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        let of_band = format!("{ids} below {CONTROL_HZ} Hz alone");
-        all.push(whole(What::Control(on_subsets(), of_band), &below));
-        all.push(whole(What::Loudness(format!("loudness of {ids} alone")), &sounds));
-    }
-    all
+        whole(What::Control(on_subsets(), of_band), &below)
+    });
+    let spectra = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. }));
+    let loudness = spectra.map(|sounds| {
+        whole(What::Loudness(format!("loudness of {} alone", named(&sounds))), &sounds)
+    });
+    band.into_iter().chain(loudness).collect()
 }
 
 /// Each source alone, and all of one domain, where that is not all there is.
@@ -117,14 +146,26 @@ mod tests {
     #[test]
     fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
         let scene = Scene::lmt108();
-        let controls = |all: &[Charted]| all.iter().filter(|one| one.is_control()).count();
+        let control_count = |all: &[Charted]| all.iter().filter(|one| one.is_control()).count();
         let all = charted(&scene, Some(4.8));
-        assert_eq!(controls(&all), 2);
+        assert_eq!(control_count(&all), 2);
         // Eight sources alone, three spectra, three series, two pictures.
         assert_eq!(all.len(), settings().len() + 8 + 3 + 2);
         let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
         let alone = charted(&mi2, Some(0.8));
-        assert_eq!((controls(&alone), alone.len()), (2, settings().len() + 2));
+        assert_eq!((control_count(&alone), alone.len()), (2, settings().len() + 2));
         assert_eq!(alone[3].seconds, [None, Some(0.5)]);
+        let few = brief(&mi2);
+        assert_eq!((control_count(&few), few.len()), (2, few_settings().len() + 2));
+        assert!(few.iter().all(|one| one.seconds == [None]));
+    }
+
+    #[test]
+    fn a_spectrum_without_much_above_80_hz_is_no_negative_control() {
+        let scene = Scene::lmt108().only(&[SourceId::new("ac").unwrap()]).unwrap();
+        let narrow = scene.changed(|spec| spec.domain = Domain::Spectrum { band_hz: (0.5, 49.0) });
+        let controls: Vec<What> =
+            controls(&narrow).into_iter().map(|control| control.what).collect();
+        assert_eq!(controls, [What::Loudness("loudness of ac alone".into())]);
     }
 }

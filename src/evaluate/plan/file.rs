@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
+use crate::recognise::{MOST_COUNT, MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::{Scene, SceneError, SourceId};
 
 /// Why a plan cannot be used.
@@ -118,15 +118,18 @@ impl Plan {
         let sources = file.sources.iter().map(|name| SourceId::new(name));
         let sources: Vec<SourceId> =
             sources.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+        let counts = 1..=MOST_COUNT;
         let method = match (file.method, file.n, file.repetitions) {
             (MethodName::Reference, Some(samples), Some(repetitions))
-                if samples > 0 && repetitions > 0 =>
+                if counts.contains(&samples) && counts.contains(&repetitions) =>
             {
                 let usual = ReferenceOptions::default();
                 MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..usual })
             }
             (MethodName::Reference, _, _) => {
-                return Err("method = \"reference\" needs n and repetitions, 1 or more".into());
+                return Err(format!(
+                    "method = \"reference\" needs n and repetitions, from 1 to {MOST_COUNT}"
+                ));
             }
             (_, Some(_), _) | (_, _, Some(_)) => {
                 return Err("n and repetitions go with method = \"reference\" alone".into());

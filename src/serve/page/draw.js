@@ -17,7 +17,7 @@ const place = document.getElementById("plots");
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   const of = (name) => style.getPropertyValue(name).trim();
-  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft"), idle: of("--idle") };
+  colours = { traces: [0, 1, 2].map((n) => of(`--trace-${n}`)), grid: of("--grid"), soft: of("--soft"), idle: of("--idle"), bad: of("--bad") };
   ask();
 }
 
@@ -44,14 +44,15 @@ function stream(source) {
     arrived: performance.now(), stalled: false };
   streams.set(source, known);
   // In order of names, whatever came first.
-  const after = [...place.children].find((other) => other.querySelector("strong").textContent > source);
+  const after = [...place.children].find((other) =>
+    other.classList.contains("camera") || other.querySelector("strong").textContent > source);
   place.insertBefore(box, after ?? null);
   return known;
 }
 
 // Takes in an event of type `trace`.
 export function trace(event) {
-  for (const { source, bin_s, start_s, min, max } of event.streams) {
+  for (const { source, bin_s, start_s, min, max, clipped } of event.streams) {
     const s = stream(source);
     const last = s.bins[s.bins.length - 1];
     const expected = last ? last.at + bin_s : start_s;
@@ -60,7 +61,7 @@ export function trace(event) {
     s.bin_s = bin_s;
     const count = min[0]?.length ?? 0;
     for (let i = 0; i < count; i++) {
-      s.bins.push({ at: start_s + i * bin_s, min: min.map((m) => m[i]), max: max.map((m) => m[i]) });
+      s.bins.push({ at: start_s + i * bin_s, min: min.map((m) => m[i]), max: max.map((m) => m[i]), clipped: clipped?.includes(i) });
     }
     const end = s.bins[s.bins.length - 1].at;
     const first = s.bins.findIndex((bin) => bin.at > end - WINDOW_S);
@@ -69,11 +70,46 @@ export function trace(event) {
     s.arrived = performance.now();
     if (s.stalled) revive(s);
   }
+  for (const source of event.pictures ?? []) picture(source);
   if (view === "traces") ask();
+}
+
+const cameras = new Map();
+
+// What a camera sees: its latest picture, at most twice a second, and the next one only once the
+// last has come.
+function picture(source) {
+  let camera = cameras.get(source);
+  if (!camera) {
+    place.querySelector(".empty")?.remove();
+    const box = document.createElement("figure");
+    box.className = "plot camera";
+    const image = document.createElement("img");
+    image.alt = `what the camera sees, ${source}`;
+    const head = document.createElement("div");
+    const name = document.createElement("strong");
+    name.textContent = source;
+    const note = document.createElement("span");
+    note.textContent = "the whole picture is compared";
+    head.append(name, note);
+    box.append(head, image);
+    place.append(box);
+    camera = { box, image, note, busy: false, asked: 0, arrived: 0 };
+    image.addEventListener("load", () => (camera.busy = false));
+    image.addEventListener("error", () => (camera.busy = false));
+    cameras.set(source, camera);
+  }
+  camera.arrived = performance.now();
+  delete camera.box.dataset.stalled;
+  if (camera.busy || camera.arrived - camera.asked < 500 || document.hidden) return;
+  [camera.busy, camera.asked] = [true, camera.arrived];
+  camera.note.textContent = "the whole picture is compared";
+  camera.image.src = `/api/v1/pictures/${source}.jpg?at=${Math.round(camera.arrived)}`;
 }
 
 function revive(s) {
   s.stalled = false;
+  s.fresh = true;
   delete s.box.dataset.stalled;
   s.canvas.setAttribute("aria-label", `signal of ${s.source}`);
 }
@@ -82,8 +118,13 @@ function revive(s) {
 function findStalled() {
   const now = performance.now();
   for (const s of streams.values()) {
-    const silent_ms = now - s.arrived;
-    if (silent_ms < STALLED_MS) continue;
+    // A recording's tap comes now and then; a device that is there always brings something.
+    const device = [...streams.values()].filter((other) => other.device === s.device);
+    const silent_ms = now - Math.max(...device.map((other) => other.arrived));
+    if (silent_ms < STALLED_MS) {
+      if (s.stalled) revive(s);
+      continue;
+    }
     if (!s.stalled) {
       s.stalled = true;
       s.box.dataset.stalled = "true";
@@ -97,6 +138,16 @@ function findStalled() {
   }
 }
 setInterval(findStalled, 250);
+
+// A camera takes its time between pictures.
+setInterval(() => {
+  for (const camera of cameras.values()) {
+    const silent_ms = performance.now() - camera.arrived;
+    if (silent_ms < 5 * STALLED_MS) continue;
+    camera.box.dataset.stalled = "true";
+    camera.note.textContent = `no picture for ${(silent_ms / 1000).toFixed(0)} s`;
+  }
+}, 1000);
 
 // Takes in an event of type `spectrum`.
 export function spectrum(event) {
@@ -113,9 +164,10 @@ export function spectrum(event) {
 
 // Shows what was lost.
 export function losses(list) {
-  for (const { source, lost } of list) {
+  for (const { source, device, lost } of list) {
     const s = streams.get(source);
     if (!s) continue;
+    s.device = device;
     s.lost.textContent = lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} lost`;
     s.lost.dataset.any = String(lost > 0);
   }
@@ -161,12 +213,13 @@ function columns(s, w) {
   const wide = Math.max(1, Math.floor(WINDOW_S / s.bin_s / w));
   const all = [];
   let group = null;
-  for (const { at, min, max } of s.bins) {
+  for (const { at, min, max, clipped } of s.bins) {
     const of = min ? Math.floor(Math.round(at / s.bin_s) / wide) : null;
     if (of === null || of !== group) {
-      all.push(min ? { at, min: [...min], max: [...max] } : { at, min: null });
+      all.push(min ? { at, min: [...min], max: [...max], clipped } : { at, min: null });
     } else {
       const last = all[all.length - 1];
+      last.clipped ||= clipped;
       for (let channel = 0; channel < min.length; channel++) {
         last.min[channel] = Math.min(last.min[channel], min[channel]);
         last.max[channel] = Math.max(last.max[channel], max[channel]);
@@ -216,7 +269,13 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  if (!s.stalled) s.note.textContent = low === high ? short(low) : `${short(low)} to ${short(high)}`;
+  // Where a channel runs into its limit: a mark above.
+  const clipped = bins.filter((bin) => bin.clipped);
+  pen.fillStyle = colours.bad;
+  for (const bin of clipped) pen.fillRect(x(bin.at), 0, Math.max(w * s.bin_s / WINDOW_S, 2 * ratio), 4 * ratio);
+  s.box.dataset.clipped = String(clipped.length > 0);
+  s.canvas.title = clipped.length ? "clipped: lower the gain, or press less" : "";
+  if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + (low === high ? short(low) : `${short(low)} to ${short(high)}`);
 }
 
 // The spectrum of now to the right, those of the last seconds to the left: time runs to the right,

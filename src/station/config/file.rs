@@ -22,6 +22,8 @@ pub(super) struct StationFile {
     pub enroll: EnrollBlock,
     pub history: HistoryBlock,
     #[serde(default)]
+    pub outputs: OutputsBlock,
+    #[serde(default)]
     pub sources: BTreeMap<String, Spanned<SourceBlock>>,
 }
 
@@ -99,4 +101,11 @@ pub(super) struct EnrollBlock {
 #[serde(deny_unknown_fields)]
 pub(super) struct HistoryBlock {
     pub keep_mb: u32,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct OutputsBlock {
+    pub http: Option<Spanned<String>>,
+    pub mqtt: Option<Spanned<String>>,
 }

@@ -13,6 +13,7 @@ use std::time::Duration;
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::{Selector, Wanted};
+use crate::outputs::{HttpAddress, MqttAddress};
 use crate::scan::Detection;
 use crate::scene::{Scene, SceneError, SourceId};
 
@@ -81,6 +82,10 @@ pub struct StationConfig {
     pub trials: u32,
     /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
     pub keep_mb: u32,
+    /// Where answers are posted, if anywhere.
+    pub http: Option<HttpAddress>,
+    /// Where answers are published by MQTT, if anywhere.
+    pub mqtt: Option<MqttAddress>,
 }
 
 /// The stylus.

@@ -92,7 +92,21 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         by_t_star,
         trials,
         keep_mb: file.history.keep_mb,
+        http: output("http", file.outputs.http.as_ref())?,
+        mqtt: output("mqtt", file.outputs.mqtt.as_ref())?,
     })
+}
+
+/// An address of `[outputs]`.
+fn output<A: std::str::FromStr<Err = String>>(
+    key: &str,
+    value: Option<&Spanned<String>>,
+) -> Result<Option<A>, Mistake> {
+    let Some(value) = value else { return Ok(None) };
+    match value.get_ref().parse() {
+        Ok(address) => Ok(Some(address)),
+        Err(problem) => mistake(value, format!("{key}: {problem}")),
+    }
 }
 
 /// A finite number above 0.

@@ -63,7 +63,7 @@ fn mistakes_are_reported_with_their_line() {
     refused("[detection]\nonset = 2.0", &["line 3", "at most onset = 2"]);
     refused("[stylus]\nport = 3", &["line 3", "string"]);
     refused("stylus = 3", &["line 2"]);
-    refused("serve = \"here\"", &["line 2", "127.0.0.1:8108"]);
+    refused("serve = \"here\"", &["line 2", "127.0.0.1:8080"]);
     refused("[sources.pac]\ndomain = \"spectrum\"", &["line 2", "band_hz"]);
     let future = parse("format = 2").unwrap_err();
     assert!(future.contains("line 1") && future.contains("format = 1"), "{future}");

@@ -1,10 +1,11 @@
-//! Any request: no panic, and nothing is ordered that is not allowed. With nightly Rust,
+//! Any request: no panic, and nothing is ordered that is not allowed. `tools/fuzz` runs it for a
+//! moment; for longer, with nightly Rust and `cargo install --locked cargo-fuzz`,
 //!
 //!     mkdir -p tests/fuzz/corpus
 //!     cargo +nightly fuzz run --dev --fuzz-dir tests/fuzz request \
 //!         tests/fuzz/corpus tests/fuzz/seeds -- -close_fd_mask=2
 //!
-//! (`cargo install --locked cargo-fuzz`; the mask silences the log of refusals, `--dev` builds sooner).
+//! (the mask silences the log of refusals, `--dev` builds sooner).
 
 #![no_main]
 

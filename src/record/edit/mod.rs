@@ -6,16 +6,22 @@
 //! moved while somebody reads the library ([`LibraryLock`]), and a step that a crash cut short can
 //! be undone like any other.
 
+mod list;
+mod relocate;
+
+pub use list::{Listed, list, list_removed};
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
+use self::relocate::{relocate, replace};
 use super::{failed, trial_folder, utc};
 use crate::library::lock::LibraryLock;
-use crate::library::{ABOUT_FILE, About, Entry, LibraryError, recording};
-use crate::scene::{Scene, SourceId};
+use crate::library::{Entry, LibraryError, recording};
+use crate::scene::Scene;
 use crate::trial::TrialKey;
 
 /// The folder of what was removed.
@@ -95,56 +101,6 @@ fn trials(folder: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
         Err(LibraryError::NothingFound { .. }) => Ok(Vec::new()),
         Err(error) => Err(error),
     }
-}
-
-/// A trial as it is listed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Listed {
-    /// What edits call it: `SURFACE/TRIAL`.
-    pub trial: String,
-    /// Its label, user and number.
-    #[serde(flatten)]
-    pub key: TrialKey,
-    /// When it was recorded, as its `trial.toml` says.
-    pub started_at: Option<String>,
-    /// Its sources.
-    pub sources: Vec<SourceId>,
-    /// Duration of the longest, in seconds.
-    pub seconds: f64,
-}
-
-/// The trials of a library that can be edited, sorted.
-///
-/// # Errors
-/// If they cannot be read.
-pub fn list(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
-    Ok(listed(library, &trials(library, scene)?))
-}
-
-/// The trials that were removed from a library and can come back, likewise.
-///
-/// # Errors
-/// If they cannot be read.
-pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
-    let bin = library.join(REMOVED);
-    Ok(listed(&bin, &trials(&bin, scene)?))
-}
-
-fn listed(root: &Path, entries: &[Entry]) -> Vec<Listed> {
-    let one = |entry: &Entry| {
-        let folder = entry.folder()?;
-        // What cannot be read of it is left out here, and found by `surfaced check`.
-        let seconds = entry.outlines().unwrap_or_default();
-        let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
-        Some(Listed {
-            trial: trial_name(root, folder),
-            key: entry.key.clone(),
-            started_at: About::read(folder).ok().and_then(|about| about.started_at),
-            sources: entry.sources.clone(),
-            seconds: seconds.fold(0.0, f64::max),
-        })
-    };
-    entries.iter().filter_map(one).collect()
 }
 
 /// The last step that can be undone.
@@ -401,125 +357,5 @@ fn free_key(taken: &mut Vec<TrialKey>, label: &str, key: &TrialKey) -> TrialKey 
     is
 }
 
-/// Moves a trial to another folder, under another name. The name is written first: it is what
-/// readers go by, wherever the folder is.
-fn relocate(from: &Path, to: &Path, key: Option<&TrialKey>) -> Result<(), LibraryError> {
-    if let Some(TrialKey { surface, user, number }) = key {
-        let about = About {
-            surface: Some(surface.clone()),
-            user: Some(user.clone()),
-            trial: Some(*number),
-            ..About::read(from)?
-        };
-        replace(&from.join(ABOUT_FILE), &about.to_toml())?;
-    }
-    let (old, new) = (from.parent().unwrap_or(from), to.parent().unwrap_or(to));
-    fs::create_dir_all(new).map_err(|error| failed(new, error))?;
-    fs::rename(from, to).map_err(|error| failed(to, error))?;
-    for folder in [old, new] {
-        super::sync_folder(folder)?;
-    }
-    // A surface without trials needs no folder; one that holds anything stays.
-    let _ = fs::remove_dir(old);
-    Ok(())
-}
-
-/// Replaces a file as a whole.
-fn replace(path: &Path, text: &str) -> Result<(), LibraryError> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let unfinished = path.with_file_name(format!(".{name}.unfinished"));
-    super::write_file(&unfinished, text.as_bytes(), true)?;
-    fs::rename(&unfinished, path).map_err(|error| failed(path, error))
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::record::{TrialOptions, write_trial};
-    use crate::scene::SourceId;
-    use crate::trial::{Series, Signal, Trial};
-
-    fn library() -> (tempfile::TempDir, Scene) {
-        let (dir, scene) = (tempfile::tempdir().unwrap(), Scene::lmt108());
-        for (surface, number) in [("oak", 1), ("oak", 2), ("ash", 1)] {
-            let samples = (0..200).map(|i| (i * number) as f32 / 128.0).collect();
-            let series = Signal::Series(Series::new(10_000.0, 1, samples).unwrap());
-            let signals = [(SourceId::new("ir").unwrap(), series)].into();
-            let trial = Trial { key: TrialKey::new(surface, "anna", number), signals };
-            write_trial(dir.path(), &trial, &scene, &TrialOptions::default()).unwrap();
-        }
-        (dir, scene)
-    }
-
-    fn held(root: &Path, scene: &Scene) -> Vec<String> {
-        let name = |e: &Entry| format!("{}/{}", e.key.surface, e.key.number);
-        trials(root, scene).unwrap().iter().map(name).collect()
-    }
-
-    #[test]
-    fn every_step_can_be_undone_and_leaves_the_bytes_as_they_were() {
-        let (dir, scene) = library();
-        let root = dir.path();
-        let wav = || fs::read(root.join("oak/anna-02/ir.wav")).unwrap();
-        let before = (held(root, &scene), wav());
-        let edit = || Editor::open(root, &scene).unwrap();
-        edit().rename("oak", "ash").unwrap();
-        assert_eq!(held(root, &scene), ["ash/1", "ash/2", "ash/3"]);
-        assert!(!root.join("oak").exists());
-        edit().undo().unwrap();
-        assert_eq!((held(root, &scene), wav()), before);
-        edit().move_to(&["oak/anna-02".into()], "elm").unwrap();
-        assert_eq!(held(root, &scene), ["ash/1", "elm/2", "oak/1"]);
-        edit().remove(&["elm".into(), "oak/anna-01".into()]).unwrap();
-        assert_eq!(held(root, &scene), ["ash/1"]);
-        let gone = list_removed(root, &scene).unwrap();
-        let names: Vec<_> = gone.iter().map(|gone| gone.trial.as_str()).collect();
-        assert_eq!(names, ["elm/anna-02", "oak/anna-01"]);
-        assert!(last_step(root).unwrap().unwrap().what.starts_with("remove elm"));
-        (0..2).for_each(|_| drop(edit().undo().unwrap()));
-        assert_eq!((held(root, &scene), wav()), before);
-        assert!(edit().undo().unwrap_err().to_string().contains("no step to undo"));
-    }
-
-    #[test]
-    fn what_was_removed_comes_back_beside_what_came_in_its_place() {
-        let (dir, scene) = library();
-        let root = dir.path();
-        let edit = || Editor::open(root, &scene).unwrap();
-        edit().remove(&["oak/anna-02".into()]).unwrap();
-        edit().move_to(&["ash/anna-01".into()], "oak").unwrap();
-        edit().remove(&["oak/anna-01".into()]).unwrap();
-        edit().restore(&["oak".into()]).unwrap();
-        assert_eq!(held(root, &scene), ["oak/1", "oak/2", "oak/3"]);
-        assert!(list_removed(root, &scene).unwrap().is_empty());
-    }
-
-    #[test]
-    fn a_trial_that_cannot_be_read_can_be_removed_and_nothing_outside_can() {
-        let (dir, scene) = library();
-        let root = dir.path();
-        fs::write(root.join("oak/anna-01/trial.toml"), "what is this").unwrap();
-        let edit = || Editor::open(root, &scene).unwrap();
-        edit().remove(&["oak/anna-01".into()]).unwrap();
-        assert!(root.join(".removed/oak/anna-01/ir.wav").exists());
-        for name in ["../oak", "oak/../ash", ".removed/oak", "oak/", "/etc"] {
-            let error = edit().remove(&[name.into()]).unwrap_err().to_string();
-            assert!(error.contains("no surface or trial"), "{error}");
-        }
-    }
-
-    #[test]
-    fn nothing_moves_while_somebody_reads() {
-        let (dir, scene) = library();
-        let root = dir.path().to_path_buf();
-        let reading = LibraryLock::for_reading(&root);
-        let editing = std::thread::spawn(move || {
-            Editor::open(&root, &scene).unwrap().remove(&["oak".into()]).unwrap();
-        });
-        std::thread::sleep(std::time::Duration::from_millis(200));
-        assert!(dir.path().join("oak/anna-01").exists());
-        drop(reading);
-        editing.join().unwrap();
-        assert!(!dir.path().join("oak").exists());
-    }
-}
+mod tests;

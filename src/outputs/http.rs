@@ -1,0 +1,129 @@
+//! Answers by HTTP POST: each as one JSON document.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::http::header::{CONTENT_TYPE, HOST};
+use axum::http::{Request, StatusCode};
+use crossbeam_channel::{Receiver, Sender, bounded};
+use hyper_util::rt::TokioIo;
+use tokio::net::TcpStream;
+use tokio::runtime::Runtime;
+
+use super::{BackOff, HttpAddress, PATIENCE, QUEUE};
+use crate::station::{Listener, StationEvent};
+
+/// How long one attempt may take.
+const ATTEMPT: Duration = Duration::from_secs(5);
+
+/// Posts the answers of a station.
+#[derive(Debug)]
+pub struct HttpOutput {
+    answers: Option<Sender<String>>,
+    ending: Arc<AtomicBool>,
+    /// Closed when the thread has ended.
+    ended: Receiver<()>,
+}
+
+struct Poster {
+    address: HttpAddress,
+    runtime: Runtime,
+    back_off: BackOff,
+    ending: Arc<AtomicBool>,
+}
+
+impl HttpOutput {
+    /// Posts to an address from now on.
+    ///
+    /// # Errors
+    /// If the system gives no thread, or no means to wait on sockets.
+    pub fn start(address: HttpAddress) -> std::io::Result<Self> {
+        let (answers, to_post) = bounded::<String>(QUEUE);
+        let (ending, ended) = bounded(0);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut poster =
+            Poster { address, runtime, back_off: BackOff::new(), ending: stop.clone() };
+        let run = move || {
+            let _ending: Sender<()> = ending;
+            to_post.iter().for_each(|answer| poster.deliver(&answer));
+        };
+        std::thread::Builder::new().name("http-output".into()).spawn(run)?;
+        Ok(Self { answers: Some(answers), ending: stop, ended })
+    }
+}
+
+impl Listener for HttpOutput {
+    fn on_event(&mut self, event: &StationEvent) {
+        let (StationEvent::Answer(answer), Some(answers)) = (event, &self.answers) else { return };
+        // Plain structs, numbers and text: nothing here that JSON cannot express.
+        let text = serde_json::to_string(&**answer).unwrap_or_default();
+        if answers.try_send(text).is_err() {
+            tracing::warn!("answer {} is not posted: too many wait", answer.id);
+        }
+    }
+}
+
+impl Drop for HttpOutput {
+    fn drop(&mut self) {
+        self.answers.take();
+        self.ending.store(true, Ordering::Release);
+        // An error is the end of the thread, which is what is waited for.
+        let _ = self.ended.recv_timeout(PATIENCE);
+    }
+}
+
+impl Poster {
+    /// Posts one answer, again and again until it is taken or refused; at the end, once.
+    fn deliver(&mut self, answer: &str) {
+        loop {
+            match self.post(answer) {
+                Ok(status) if status.is_success() => {
+                    return self.back_off.reset();
+                }
+                // It will not be taken another time either.
+                Ok(status)
+                    if status.is_client_error() && status != StatusCode::TOO_MANY_REQUESTS =>
+                {
+                    return tracing::warn!("an answer that was posted is refused: {status}");
+                }
+                Ok(status) => tracing::debug!("posting: {status}"),
+                Err(error) => tracing::debug!("posting: {error}"),
+            }
+            let mut left = self.back_off.next();
+            while left > Duration::ZERO {
+                if self.ending.load(Ordering::Acquire) {
+                    return;
+                }
+                let step = left.min(Duration::from_millis(100));
+                std::thread::sleep(step);
+                left -= step;
+            }
+        }
+    }
+
+    fn post(&self, answer: &str) -> Result<StatusCode, String> {
+        let attempt = async { tokio::time::timeout(ATTEMPT, self.attempt(answer)).await };
+        self.runtime.block_on(attempt).map_err(|_| "no answer in time".to_string())?
+    }
+
+    async fn attempt(&self, answer: &str) -> Result<StatusCode, String> {
+        let HttpAddress { host, path } = &self.address;
+        let to_text = |error: &dyn std::fmt::Display| error.to_string();
+        let connected = TcpStream::connect((host.0.as_str(), host.1)).await;
+        let stream = TokioIo::new(connected.map_err(|error| to_text(&error))?);
+        let (mut sender, connection) =
+            hyper::client::conn::http1::handshake(stream).await.map_err(|e| to_text(&e))?;
+        // Its error is the sender's, too.
+        tokio::spawn(async move { drop(connection.await) });
+        let request = Request::post(path)
+            .header(HOST, format!("{}:{}", host.0, host.1))
+            .header(CONTENT_TYPE, "application/json")
+            .body(Body::from(answer.to_string()))
+            .map_err(|error| to_text(&error))?;
+        let response = sender.send_request(request).await.map_err(|error| to_text(&error))?;
+        Ok(response.status())
+    }
+}
