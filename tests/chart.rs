@@ -37,7 +37,7 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
     let points = chart["points"].as_array().unwrap().clone();
     let with = |key: &str, value: Value| points.iter().filter(|p| p[key] == value).count();
     // Of the scan times, half a second alone is shorter than these drags.
-    for (method, least) in [("reference", 3), ("embedding", 1)] {
+    for (method, least) in [("reference", 3), ("embedding", 1), ("svm", 1), ("random-forest", 1)] {
         assert!(with("method", json!(method)) >= least, "{method}");
     }
     assert_eq!(with("control", json!(true)), 2);
@@ -48,6 +48,8 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
         let of = |key: &str| point[key].as_f64().unwrap();
         assert!(of("accuracy_low") <= of("accuracy") && of("accuracy") <= of("accuracy_high"));
         assert!(of("query_ms_p50") > 0.0 && of("queries") == 3.0);
+        let user = &point["users"][0];
+        assert_eq!((&user["name"], &user["accuracy"]), (&json!("user1"), &point["accuracy"]));
     }
 
     let mut peer = points[0].clone();
@@ -60,6 +62,38 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.contains("other (a peer)") && picture.contains("SYNTHETIC"));
     assert_eq!(read(Path::new(&json_path)), chart, "what was joined stays");
+}
+
+#[test]
+fn several_charts_are_drawn_side_by_side() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (data, svg) = (at("scene"), at("both.svg"));
+    let synth = ["synth", &data, "--surfaces", "3", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&[&synth[..], &["--seconds", "0.8"]].concat()).status.success());
+    let protocols = ["expert-vs-users", "all-vs-one-user"];
+    let charts = protocols.map(|protocol| at(&format!("{protocol}.svg")));
+    for (protocol, out) in protocols.iter().zip(&charts) {
+        let said = ["chart", &data, "--sources", "ir", "--brief", "--protocol", protocol];
+        let output = surfaced(&[&said[..], &["--out", out]].concat());
+        assert!(output.status.success(), "{}", told(&output));
+    }
+    let json = charts.map(|out| out.replace(".svg", ".json"));
+    let chart = read(Path::new(&json[0]));
+    let points = chart["points"].as_array().unwrap();
+    // One setting of each method, all of the drag, and nothing of a spectrum to control.
+    assert_eq!(points.len(), 4);
+    assert!(points.iter().all(|point| point["query_seconds"].is_null()));
+
+    let output = surfaced(&["chart", &json[0], &json[1], "--out", &svg]);
+    assert!(output.status.success(), "{}", told(&output));
+    let picture = std::fs::read_to_string(&svg).unwrap();
+    for protocol in protocols {
+        assert!(picture.contains(protocol), "{protocol}");
+    }
+    let output = surfaced(&["chart", &json[0], &data, "--out", &svg]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(told(&output).contains("chart these recordings first"), "{}", told(&output));
 }
 
 #[test]

@@ -296,3 +296,26 @@ fn a_stuck_sensor_is_told_of() {
     let said = stderr(&output);
     assert!(said.contains("ir: channel 1 is stuck at 0.015258789; check its cable"), "{said}");
 }
+
+#[test]
+fn a_scan_of_eleven_milliseconds_or_of_silence_is_not_named() {
+    let (_dir, path) = common::temp();
+    let sound = |pitch: f32, frames: usize| -> Vec<i16> {
+        let wave = |i: usize| (i as f32 * pitch).sin() + 0.3 * ((i * i % 977) as f32 * 0.7).sin();
+        (0..frames).map(|i| (9000.0 * wave(i)) as i16).collect()
+    };
+    for (surface, pitch) in [("oak", 0.3), ("beech", 0.05)] {
+        for trial in 1..=3 {
+            let samples = sound(pitch, 44_100 + 100 * trial);
+            let wav = path.join(format!("library/{surface}/{trial}/mi2.wav"));
+            common::write_wav(&wav, 44_100, 1, &samples);
+        }
+    }
+    for (name, samples) in [("short", sound(0.3, 485)), ("silent", vec![0; 44_100])] {
+        let new = path.join(name);
+        common::write_wav(&new.join("new/1/mi2.wav"), 44_100, 1, &samples);
+        let (new, library) = (new.to_str().unwrap(), path.join("library"));
+        let args = ["replay", new, "--library", library.to_str().unwrap()];
+        refused(&args, 3, &["too little to name"]);
+    }
+}

@@ -16,8 +16,7 @@ use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};
 use surfaced::station::{
-    Command, DurationRequirements, Enrolled, Keep, LibraryState, Listener, Recogniser, ScanStore,
-    Station, StationEvent,
+    Command, Enrolled, Keep, LibraryState, Listener, Recogniser, ScanStore, Station, StationEvent,
 };
 use surfaced::trial::{Trial, TrialKey};
 
@@ -184,8 +183,7 @@ impl Model for Slow {
 #[test]
 fn of_a_station_that_classifies_or_calibrates() {
     for part in ["prepare", "rank", "follow"] {
-        let needs = DurationRequirements::of(&Scene::lmt108(), Vec::new(), false);
-        let by = Recogniser::new(Arc::new(Slow(part)), needs, LibraryState::default());
+        let by = Recogniser::new(Arc::new(Slow(part)), Scene::lmt108(), LibraryState::default());
         assert_eq!(unnamed(|station| station.recogniser(Arc::new(by))), [1, 2, 3], "{part}");
     }
 }

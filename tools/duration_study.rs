@@ -1,11 +1,15 @@
-//! The studies behind `surfaced::duration`: T* where the truth is known, and odd trials against even
-//! ones on recordings. Seeds are fixed. `tools/charts/duration-study DATA` keeps what it prints.
+//! The studies behind `surfaced duration`: T* where the truth is known, odd trials against even ones
+//! on recordings, and whether the accuracy that is promised for a scan time holds. Seeds are fixed.
+//! `tools/charts/duration-study DATA` keeps what it prints. DATA is a library or LMT108.
 //!
-//!     cargo run --release --example duration_study               processes
-//!     cargo run --release --example duration_study -- DATA …     recordings: libraries, LMT108
+//!     cargo run --release --example duration_study                         processes
+//!     cargo run --release --example duration_study -- DATA …               odd and even trials
+//!     cargo run --release --example duration_study -- --promises DATA …    promised, measured
 
 #[path = "duration_study_halves.rs"]
 mod halves;
+#[path = "duration_study_promise.rs"]
+mod promise;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -53,12 +57,17 @@ enum Wanted {
 }
 
 fn main() -> Result<(), Failure> {
-    let folders: Vec<String> = std::env::args().skip(1).collect();
-    if folders.is_empty() {
-        pooled_on_processes();
-        return algorithm1_on_processes();
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    match &words[..] {
+        [] => {
+            pooled_on_processes();
+            algorithm1_on_processes()
+        }
+        [first, folders @ ..] if first == "--promises" => {
+            folders.iter().try_for_each(|folder| promise::promises(Path::new(folder)))
+        }
+        folders => folders.iter().try_for_each(|folder| halves::halves(Path::new(folder))),
     }
-    folders.iter().try_for_each(|folder| halves::halves(Path::new(folder)))
 }
 
 fn ou(frames: usize, tau: f64, rng: &mut ChaCha8Rng) -> Vec<f32> {

@@ -2,7 +2,7 @@
 
 use super::parse::share;
 use super::show;
-use crate::recognise::{Rejection, RejectionError, Settling};
+use crate::recognise::{Rejection, RejectionError, ScanTime, Settling};
 use crate::station::Recogniser;
 
 /// When answers are settled, and which scans are called unknown.
@@ -41,9 +41,12 @@ impl AnswerArgs {
             }
         }
         let found = by.calibrate(self.settle_loss);
-        remarks.extend(on_settling(&found));
+        let (settling, scan_times): (Vec<Settling>, Vec<Option<ScanTime>>) =
+            found.into_iter().unzip();
+        remarks.extend(on_settling(&settling));
+        remarks.extend(on_scan_time(scan_times.iter().flatten()));
         by.add_remarks(&remarks);
-        Ok(Applied { follows: !found.is_empty(), remarks })
+        Ok(Applied { follows: !settling.is_empty(), remarks })
     }
 }
 
@@ -84,4 +87,11 @@ fn on_settling(found: &[Settling]) -> Option<String> {
          {}{unproven}",
         show::percent(first.stated_loss)
     ))
+}
+
+/// How long to drag; of several libraries, that of the one that takes longest.
+fn on_scan_time<'a>(found: impl Iterator<Item = &'a ScanTime>) -> Option<String> {
+    let longest = |answer: &&ScanTime| answer.scan_s().unwrap_or(f64::INFINITY);
+    let answer = found.max_by(|a, b| longest(a).total_cmp(&longest(b)))?;
+    Some(answer.line())
 }

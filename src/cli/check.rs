@@ -15,7 +15,8 @@ use crate::scene::Scene;
 /// where something should be mended.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced check my-library\n  \
-                        surfaced check my-library --json > check.json")]
+                        surfaced check my-library --json > check.json\n\nTime: up to ten \
+                        models of the library; seconds for tens of trials, minutes for a thousand")]
 pub struct Args {
     /// The library: a folder of labelled trials
     library: PathBuf,

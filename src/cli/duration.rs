@@ -1,33 +1,52 @@
-//! `surfaced duration`: T* and the scan duration of each surface and source of a library.
+//! `surfaced duration`: how long to drag, and T* of each surface and source of a library.
+
+mod algorithm1;
 
 use std::path::PathBuf;
 
+use serde::Serialize;
+
+use self::algorithm1::Algorithm1Args;
 use super::figure::write;
 use super::method::at_least_one;
+use super::parse::share;
 use super::{Done, Failure, show};
 use crate::duration::{
-    CORRELATION, Estimator, PooledSettings, Question, ReportError, Rule, Settings, figure, report,
+    AccuracyCurve, CORRELATION, DurationReport, Estimator, PooledSettings, Question, ReportError,
+    Rule, figure, report,
 };
-use crate::kernel::Threshold;
+use crate::library::{Entry, Library};
+use crate::recognise::{
+    FollowOptions, Goal, LeftOutAccuracy, MethodName, MethodSpec, RecogniseError, ScanTime,
+    prepare_library,
+};
 use crate::scene::SourceId;
 
-/// Compute T*, the minimum time between independent samples, and how long a scan must last
+/// Find how long to drag, and T*, the minimum time between independent samples
+///
+/// How long: the earliest time by which the library's own trials, each left out in turn, are named
+/// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to tell
+/// what the first did not.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  surfaced duration lib --source ir\n  \
+#[command(after_help = "Examples:\n  surfaced duration lib\n  \
+                        surfaced duration lib --accuracy 0.99\n  \
                         surfaced duration lib --source ir --surface G7EPDMFoam --svg foam.svg\n  \
                         surfaced duration LMT_108_SurfaceMaterials_Database --source mi2\n  \
-                        surfaced duration lib --source ir --rule mean-ci --draws 200\n\nTime: 5 s for LMT108's 200 dragging sounds, on two cores")]
+                        surfaced duration lib --source ir --rule mean-ci --draws 200\n\nTime: 6 s for LMT108's 200 dragging sounds, on two cores")]
 pub struct Args {
     /// A library, or any recordings that `eval` reads
     lib: PathBuf,
-    /// Sources, with commas between them (default: all that are recorded while dragging; with a
-    /// published rule, those of domain `time`)
+    /// Sources, with commas between them (default: of scans all, of T* all that are recorded while
+    /// dragging; with a published rule, those of domain `time`)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
     source: Vec<SourceId>,
-    /// Surfaces, with commas between them (default: all)
+    /// The share of scans that is to be named right (default: that of whole scans, less 0.01)
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    accuracy: Option<f64>,
+    /// Surfaces that T* is found for, with commas between them (default: all)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     surface: Vec<String>,
-    /// Whose trials (default: for each surface, those of the user with the most)
+    /// Whose trials (default: all; of T*, for each surface those of the user with the most)
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
     /// Let a published rule take the named sources as series in time, whatever their domain is
@@ -48,45 +67,12 @@ pub struct Args {
     samples: usize,
     #[command(flatten)]
     algorithm1: Algorithm1Args,
-    /// Draw the curves (HSIC, κ, T*) as SVG
+    /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-}
-
-/// Settings of Algorithm 1, which its two rules share.
-#[derive(clap::Args)]
-#[command(next_help_heading = "Published rules (quantile, mean-ci)")]
-struct Algorithm1Args {
-    /// R, the draws of a start for each lag (default 500)
-    #[arg(long, value_name = "R", value_parser = at_least_one)]
-    draws: Option<usize>,
-    /// Latest start t1,max, in samples (default 20000)
-    #[arg(long, value_name = "SAMPLES", value_parser = at_least_one)]
-    latest_start: Option<usize>,
-    /// Largest lag to look at, in samples (default 1000)
-    #[arg(long, value_name = "SAMPLES", value_parser = at_least_one)]
-    largest_lag: Option<usize>,
-    /// Significance level of κ (default 0.05)
-    #[arg(long, value_name = "ALPHA")]
-    alpha: Option<f64>,
-    /// Permutations for each κ (default 100)
-    #[arg(long, value_name = "COUNT", value_parser = at_least_one)]
-    permutations: Option<usize>,
-    /// κ from the exact permutation moments instead of permutations: faster
-    #[arg(long, conflicts_with = "permutations")]
-    gamma: bool,
-    /// Look at every lag upwards instead of a coarse grid that is refined
-    #[arg(long)]
-    exhaustive: bool,
-    /// Stop at the first lag, as Algorithm 1 is printed, even if dependence returns beyond it
-    #[arg(long)]
-    first: bool,
-    /// Seed of everything that is drawn at random (default 1)
-    #[arg(long, value_name = "SEED")]
-    seed: Option<u64>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -129,42 +115,13 @@ impl Args {
     }
 }
 
-impl Algorithm1Args {
-    /// The first of these flags that was given.
-    fn given(&self) -> Option<&'static str> {
-        [
-            (self.draws.is_some(), "--draws"),
-            (self.latest_start.is_some(), "--latest-start"),
-            (self.largest_lag.is_some(), "--largest-lag"),
-            (self.alpha.is_some(), "--alpha"),
-            (self.permutations.is_some(), "--permutations"),
-            (self.gamma, "--gamma"),
-            (self.exhaustive, "--exhaustive"),
-            (self.first, "--first"),
-            (self.seed.is_some(), "--seed"),
-        ]
-        .into_iter()
-        .find_map(|(is_given, flag)| is_given.then_some(flag))
-    }
-
-    fn settings(&self, rule: Rule) -> Settings {
-        let default = Settings::default();
-        Settings {
-            rule,
-            draws: self.draws.unwrap_or(default.draws),
-            latest_start: self.latest_start.unwrap_or(default.latest_start),
-            alpha: self.alpha.unwrap_or(default.alpha),
-            threshold: match (self.gamma, self.permutations) {
-                (true, _) => Threshold::Gamma,
-                (false, Some(count)) => Threshold::Permutations(count),
-                (false, None) => default.threshold,
-            },
-            largest_lag: self.largest_lag.unwrap_or(default.largest_lag),
-            exhaustive: self.exhaustive,
-            look_beyond: !self.first,
-            seed: self.seed.unwrap_or(default.seed),
-        }
-    }
+/// What programs get.
+#[derive(Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    report: &'a DurationReport,
+    /// How long to drag.
+    answer: &'a ScanTime,
 }
 
 /// Runs the command.
@@ -172,41 +129,80 @@ pub fn run(args: &Args) -> Done {
     let question = args.question()?;
     let library = super::open(&args.lib)?;
     let steps = show::Steps::new();
-    let answer = report(&library, &question, |done, of| steps.show("surfaces", done, of));
+    let found = report(&library, &question, |done, of| steps.show("surfaces", done, of));
+    let found = found.map_err(|error| args.failure(error))?;
+    let by_time = args.by_time(&library, &steps);
     drop(steps);
-    let answer = answer.map_err(|error| match error {
-        ReportError::Library(error) => Failure::Failed(error.to_string()),
-        ReportError::Duration(error) => Failure::Usage(error.to_string()),
-        ReportError::Scene(error) => Failure::Usage(error.to_string()),
-        ReportError::NoTimeSource => Failure::Failed(format!(
-            "{}: {error}; name one with --source and --as-time to take it as a series in time",
-            super::shown(&args.lib)
-        )),
-        ReportError::NotOfTime(_) => Failure::Failed(format!(
-            "{}: {error}; --as-time takes it as a series in time all the same",
-            super::shown(&args.lib)
-        )),
-        ReportError::Nothing(problem) => {
-            Failure::Failed(format!("{}: {problem}", super::shown(&args.lib)))
-        }
-    })?;
+    let goal = args.accuracy.map_or(Goal::Loss(FollowOptions::default().loss), Goal::Accuracy);
+    // Trials that cannot be compared may have a T* all the same.
+    let (answer, points) = match &by_time {
+        Ok(found) => (found.scan_time(goal), found.points()),
+        Err(error) => (ScanTime::without_model(goal, error.to_string()), Vec::new()),
+    };
     if let Some(path) = &args.svg {
-        write(path, &figure(&answer.durations, None)?)?;
+        let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
+        write(path, &figure(&found.durations, Some(&curve))?)?;
     }
     if args.json {
-        show::json(&answer);
-    } else {
-        result!("{}", answer.table().trim_end());
-        let mut remarks: Vec<_> = answer.durations.iter().flat_map(|d| &d.remarks).collect();
-        remarks.sort();
-        remarks.dedup();
-        for remark in remarks {
-            say!("  {remark}");
-        }
-        show::next(&format!(
-            "surfaced plan {} finds out how much of a drag names your surfaces well enough",
-            show::quoted(&args.lib)
-        ));
+        show::json(&Document { report: &found, answer: &answer });
+        return Ok(());
     }
+    result!("{}", found.table().trim_end());
+    let mut remarks: Vec<_> = found.durations.iter().flat_map(|d| &d.remarks).collect();
+    remarks.sort();
+    remarks.dedup();
+    for remark in remarks {
+        say!("  {remark}");
+    }
+    result!("\n{}", answer.line());
+    result!("{}", found.in_words(answer.scan_s()).trim_end());
+    show::next(&format!(
+        "surfaced plan {} finds the cheapest sources, scan time and method for these surfaces",
+        show::quoted(&args.lib)
+    ));
     Ok(())
+}
+
+impl Args {
+    /// How many left-out trials are named right by when, by the sources and of the user that were
+    /// named.
+    fn by_time(
+        &self,
+        library: &Library,
+        steps: &show::Steps,
+    ) -> Result<LeftOutAccuracy, RecogniseError> {
+        let scene = match self.source.is_empty() {
+            true => library.scene.clone(),
+            // `report` has found them.
+            false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
+        };
+        let is_wanted = |entry: &Entry| {
+            !entry.sources.is_empty()
+                && self.user.as_ref().is_none_or(|user| *user == entry.key.user)
+        };
+        let entries: Vec<Entry> =
+            library.entries.iter().map(|e| e.clone().within(&scene)).filter(is_wanted).collect();
+        let method = MethodSpec::from(MethodName::Embedding).build(&scene);
+        let all = (0..entries.len()).collect();
+        let step = |done, of| steps.show("preparing the library", done, of);
+        let prepared = prepare_library(&*method, &entries, &all, Some(&self.lib), &step)?;
+        let model = prepared.fit_all(&*method)?;
+        Ok(model.left_out_accuracy().unwrap_or_default())
+    }
+
+    fn failure(&self, error: ReportError) -> Failure {
+        let lib = super::shown(&self.lib);
+        match error {
+            ReportError::Library(error) => Failure::Failed(error.to_string()),
+            ReportError::Duration(error) => Failure::Usage(error.to_string()),
+            ReportError::Scene(error) => Failure::Usage(error.to_string()),
+            ReportError::NoTimeSource => Failure::Failed(format!(
+                "{lib}: {error}; name one with --source and --as-time to take it as a series in time"
+            )),
+            ReportError::NotOfTime(_) => Failure::Failed(format!(
+                "{lib}: {error}; --as-time takes it as a series in time all the same"
+            )),
+            ReportError::Nothing(problem) => Failure::Failed(format!("{lib}: {problem}")),
+        }
+    }
 }

@@ -13,7 +13,8 @@ use crate::history::{CsvWriter, FOLDER, History, Precision};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced history my-library\n  \
                         surfaced history my-library --csv > scans.csv\n  \
-                        surfaced history my-library --precision")]
+                        surfaced history my-library --precision\n\nTime: a second for ten \
+                        thousand scans")]
 pub struct Args {
     /// The library that named them
     library: PathBuf,
@@ -60,7 +61,7 @@ pub fn run(args: &Args) -> Done {
         Ok::<(), Failure>(())
     })?;
     if let Some(csv) = csv {
-        csv.finish();
+        csv.finish()?;
     }
     Ok(())
 }

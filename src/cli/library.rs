@@ -22,7 +22,8 @@ use crate::trial::TrialKey;
 #[command(after_help = "Examples:\n  surfaced library list my-library\n  \
                         surfaced library rename my-library oak oak-sanded\n  \
                         surfaced library remove my-library oak/anna-03\n  \
-                        surfaced library undo my-library")]
+                        surfaced library undo my-library\n\nTime: edits take a moment; list \
+                        without --quick takes as long as surfaced check")]
 pub struct Args {
     #[command(subcommand)]
     edit: Edit,

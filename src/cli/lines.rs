@@ -84,7 +84,9 @@ impl Listener for JsonLines {
         match event {
             StationEvent::Answer(answer) => self.print(Some(&**answer)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
-            StationEvent::Warning(text) if self.warnings.len() < WARNINGS => {
+            StationEvent::Warning(text) | StationEvent::TooLittle(text)
+                if self.warnings.len() < WARNINGS =>
+            {
                 self.warnings.push(text.clone());
             }
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),

@@ -26,8 +26,8 @@ use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, Settings, Shelf};
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
-    Assembled, Command, DurationRequirements, Keep, LibraryState, Listener, Load, Recogniser,
-    ScanStore, Station, StationEvent,
+    Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
+    StationEvent,
 };
 
 /// Which station.
@@ -114,8 +114,8 @@ pub fn load(
         let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
             .map_err(|error| error.to_string())?;
         let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
-        let requirements = DurationRequirements::of(&scene, entries.clone(), state.synthetic);
-        let mut by = Recogniser::new(model, requirements, state).with_trials(&entries);
+        let mut by =
+            Recogniser::new(model, scene, state).with_trials(&entries).planned(how.planned_s());
         answers.apply(&mut by).map_err(|error| error.to_string())?;
         Ok(Arc::new(by))
     })

@@ -96,6 +96,11 @@ pub struct Comparing {
 }
 
 impl Comparing {
+    /// How long the plan lets scans last, in seconds, if there is one that says so.
+    pub fn planned_s(&self) -> Option<f64> {
+        self.plan.as_ref()?.scan_s
+    }
+
     /// The scene with the sources that are compared.
     ///
     /// # Errors
@@ -161,6 +166,9 @@ fn print(planned: &Planned) {
     result!();
     for step in &planned.steps {
         result!("{step}");
+    }
+    for warning in &planned.warnings {
+        say!("warning: {warning}");
     }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();

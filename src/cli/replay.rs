@@ -24,9 +24,7 @@ use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::{Settings, Shelf};
 use crate::station::config::StationConfig;
-use crate::station::{
-    DurationRequirements, LibraryState, Recogniser, ScanStore, Station, StationEvent,
-};
+use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent};
 use crate::trial::EXPERT;
 
 /// Play recordings as if they were live, and name their surfaces
@@ -225,9 +223,9 @@ fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
-    let needs = DurationRequirements::of(&stage.scene, compared.clone(), stage.synthetic);
-    let mut recogniser =
-        Recogniser::with_folds(models, fold_of, needs, library).with_trials(&compared);
+    let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
+        .with_trials(&compared)
+        .planned(how.planned_s());
     let applied = args.answers.apply(&mut recogniser)?;
     applied.remarks.iter().for_each(|remark| say!("{remark}"));
     Ok((recogniser, applied.follows))

@@ -13,7 +13,7 @@ pub struct Tally {
     each: bool,
     total: usize,
     /// How often each kind of remark on a source was made; only the first is shown.
-    remarks: BTreeMap<(RemarkKind, SourceId), usize>,
+    remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     answers: usize,
     with_truth: usize,
     right: usize,
@@ -23,6 +23,8 @@ pub struct Tally {
     by_then: ByThen,
     notable: Notable,
     damages: usize,
+    /// Scans that hold too little to be named.
+    too_little: usize,
     spoiled: usize,
 }
 
@@ -45,7 +47,7 @@ impl Notable {
         let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
         // A channel each may be flawed, and a source can be used all the same.
         let left_out: BTreeSet<&SourceId> = flawed
-            .map(|remark| &remark.source)
+            .filter_map(|remark| remark.source.as_ref())
             .filter(|source| !answer.sources.contains(source))
             .collect();
         for source in left_out {
@@ -106,6 +108,10 @@ impl Listener for Tally {
             }
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
+            StationEvent::TooLittle(text) => {
+                self.too_little += 1;
+                self.damage(text);
+            }
             _ => {}
         }
     }
@@ -126,6 +132,7 @@ impl Tally {
             by_then: ByThen::default(),
             notable: Notable::default(),
             damages: 0,
+            too_little: 0,
             spoiled: 0,
         }
     }
@@ -171,7 +178,7 @@ impl Tally {
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => answer.trial.map_or_else(String::new, |number| format!("(trial {number})")),
         };
-        let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
+        let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
         result!(
             "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
             self.answers,
@@ -244,7 +251,7 @@ impl Tally {
 
     /// How the command ends, after `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
-        if self.answers == 0 {
+        if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
         }
         if self.damages + self.spoiled > 0 || lost > 0 {

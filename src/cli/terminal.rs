@@ -95,7 +95,7 @@ impl Terminal {
 
     fn answer(&mut self, answer: &Answer) {
         let name = show::named(answer);
-        let longer = answer.more_s().map(|s| format!("  (T*: drag {s:.1} s more)"));
+        let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
         if !self.json {
             result!(
                 "scan {:<4} {name:<28} {:<12} {:.1} s of drag{}",
@@ -173,7 +173,7 @@ impl Listener for Terminal {
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
             StationEvent::Library(library) => self.library(library),
-            StationEvent::Warning(text) => self.warn(text),
+            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warn(text),
             StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
@@ -199,11 +199,10 @@ fn so_far(guess: &Guess) -> String {
         format!(": {} {:.0} %{settled}", best.surface, best.probability * 100.0)
     });
     let more_s = guess.needed_s.map(|needed_s| needed_s - guess.scan_s).filter(|s| *s > 0.0);
-    let more = more_s.map(|s| format!(" (T*: {s:.1} s more)"));
-    format!(
-        "dragging {:.1} s{}{}",
-        guess.scan_s,
-        best.unwrap_or_default(),
-        more.unwrap_or_default()
-    )
+    let more = match more_s {
+        _ if guess.enough => " (lift)".into(),
+        Some(s) => format!(" ({s:.1} s more)"),
+        None => String::new(),
+    };
+    format!("dragging {:.1} s{}{more}", guess.scan_s, best.unwrap_or_default())
 }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use crate::recognise::wilson;
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
@@ -206,17 +207,7 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 /// 95 % confidence interval of a share of successes (Wilson 1927, "Probable inference, the law of
 /// succession, and statistical inference"). (0, 1) without trials.
 pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
-    /// The 97.5 % quantile of the normal distribution.
-    const Z: f64 = 1.959_963_984_540_054;
-    if trials == 0 {
-        return (0.0, 1.0);
-    }
-    let n = trials as f64;
-    let p = successes as f64 / n;
-    let centre = p + Z * Z / (2.0 * n);
-    let spread = Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
-    let scale = 1.0 + Z * Z / n;
-    (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
+    wilson(successes as f64 / trials.max(1) as f64, trials as f64)
 }
 
 /// Users from whom on an interval is taken over users.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::decide::conformal::{Rejection, RejectionError};
+use super::decide::scan_time::LeftOutAccuracy;
 use super::error::RecogniseError;
 use super::follow::{Follow, FollowOptions};
 use super::prepared::Prepared;
@@ -90,6 +91,12 @@ pub trait Model: Send + Sync {
     /// Follows scans while they go on; `None` by a method that cannot. The first time, the stop
     /// rule is calibrated, which takes a while.
     fn follow(self: Arc<Self>, _options: &FollowOptions) -> Option<Box<dyn Follow>> {
+        None
+    }
+
+    /// How many left-out library trials are named right by when; `None` by a method that cannot
+    /// follow scans. The first time takes a while, unless scans were followed before.
+    fn left_out_accuracy(&self) -> Option<LeftOutAccuracy> {
         None
     }
 

@@ -182,7 +182,7 @@ impl Inner {
                 let library = self.state.library.clone();
                 self.publish(EventKind::Library, &library);
             }
-            StationEvent::Warning(_) => {
+            StationEvent::Warning(_) | StationEvent::TooLittle(_) => {
                 let warning = self.state.warnings.front().cloned();
                 self.publish(EventKind::Warning, &warning);
             }

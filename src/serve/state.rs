@@ -214,7 +214,7 @@ impl State {
             StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.into()), false);
             }
-            StationEvent::Warning(text) => self.warned(text),
+            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warned(text),
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
@@ -286,21 +286,22 @@ impl State {
     }
 
     fn advise_drag(&self) -> Advice {
-        let guess = self.guess.as_ref();
-        let settled = guess.is_some_and(|guess| guess.settled);
-        let more_s = guess.and_then(|guess| Some(guess.needed_s? - guess.scan_s));
-        match more_s {
-            // An answer that will not change any more needs no more.
-            _ if settled => Advice { what: What::Lift, more_s: None, text: "lift".into() },
-            Some(more_s) if more_s > 0.0 => {
+        let drag = |more_s, text| Advice { what: What::Drag, more_s, text };
+        let Some(guess) = &self.guess else { return drag(None, "drag".into()) };
+        if guess.enough {
+            return Advice { what: What::Lift, more_s: None, text: "lift".into() };
+        }
+        match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
+            Some(more_s) => {
                 // In tenths, rounded up: what is advised is enough. But 1.2 s are not 1.3 s for
                 // the last bit of a difference.
                 let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
-                let text = format!("{more_s:.1} s more");
-                Advice { what: What::Drag, more_s: Some(more_s), text }
+                drag(Some(more_s), format!("{more_s:.1} s more"))
             }
-            Some(_) => Advice { what: What::Lift, more_s: None, text: "lift".into() },
-            None => Advice { what: What::Drag, more_s: None, text: "drag".into() },
+            None => drag(None, "drag".into()),
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -7,6 +7,10 @@ use crate::scan::Scan;
 /// Probability below which the first surface is no more likely than all others together.
 const EVEN: f64 = 0.5;
 
+/// Share of the scan duration that T* asks for with which a scan is not yet too short: fewer samples
+/// than that many make a weaker test, not a wrong one.
+const LONG_ENOUGH: f64 = 0.5;
+
 /// What is known of an answer.
 pub(super) struct Case<'a> {
     pub verdict: &'a Verdict,
@@ -45,7 +49,7 @@ fn doubts(case: &Case<'_>) -> Vec<String> {
     let Verdict { ranking, rejection, needed_s, left_out, .. } = verdict;
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
-    match needed_s.filter(|needed_s| *needed_s > scan.scan_s) {
+    match needed_s.filter(|needed_s| scan.scan_s < LONG_ENOUGH * needed_s) {
         // An answer that would not change any more needs no longer scan.
         Some(needed_s) if settled_s.is_none() => {
             doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
@@ -121,6 +125,7 @@ mod tests {
         assert!(reason.starts_with("looks like none of 2 surfaces: p = 0.004"), "{reason}");
         assert_eq!(judged(&known, 0.2, None), (Unsure, "too short: 0.2 s of 0.9 s".into()));
         assert_eq!(judged(&known, 0.2, Some(0.1)).0, Named, "it was settled");
+        assert_eq!(judged(&known, 0.6, None).0, Named, "it is long enough");
         assert_eq!(judged(&verdict(None, false), 1.0, None).0, Nearest);
         assert_eq!(judged(&verdict(None, true), 1.0, None).0, Unsure);
         let silent = Verdict { left_out: vec!["mi2 is left out".into()], ..known.clone() };

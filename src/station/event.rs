@@ -61,7 +61,7 @@ pub struct Answer {
     pub sources: Vec<SourceId>,
     /// For people: why the scan should not be trusted, a line each.
     pub spoiled: Vec<String>,
-    /// Scan duration that 400 samples T* apart need on the named surface, in seconds.
+    /// How long the drag should have lasted, in seconds, where that is known.
     pub needed_s: Option<f64>,
     /// What is not perfect about the scan.
     pub remarks: Vec<Remark>,
@@ -118,8 +118,8 @@ impl fmt::Debug for AnsweredScan {
 pub struct Remark {
     /// What it is about.
     pub kind: RemarkKind,
-    /// The source that it is about.
-    pub source: SourceId,
+    /// The source that it is about, if it is about one.
+    pub source: Option<SourceId>,
     /// For people.
     pub text: String,
 }
@@ -129,8 +129,8 @@ pub struct Remark {
 pub enum RemarkKind {
     /// A channel has a flaw.
     Flaw,
-    /// Samples lie closer than T*.
-    CloserThanTStar,
+    /// The drag is shorter than the library asks for.
+    Short,
 }
 
 impl From<Remark> for String {
@@ -159,14 +159,18 @@ pub struct Guess {
     pub named: Vec<SurfaceProbability>,
     /// The answer will not change any more, to the stated error.
     pub settled: bool,
-    /// Scan duration that the most probable surface needs, in seconds.
+    /// How long the drag should last, in seconds, where that is known: to be named, or, where it is
+    /// to be kept, to be a good trial.
     pub needed_s: Option<f64>,
+    /// The drag may end: it is as long as it should be, or its answer is settled by a rule that the
+    /// library has enough trials to support.
+    pub enough: bool,
 }
 
 impl Guess {
     /// A scan of which nothing can be said yet.
     pub fn nothing(scan: u32, scan_s: f64) -> Self {
-        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None }
+        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None, enough: false }
     }
 }
 
@@ -294,6 +298,8 @@ pub enum StationEvent {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work continues.
     Warning(String),
+    /// For people: a scan holds too little to be named: it is silent, or shorter than a frame.
+    TooLittle(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
     /// The station has ended; the last event.

@@ -10,12 +10,13 @@ mod certainty;
 pub mod config;
 mod enroll;
 mod event;
+mod followed;
 mod orders;
 mod recogniser;
-mod requirements;
 mod run;
 mod start;
 mod store;
+mod trial_need;
 mod why;
 mod worker;
 
@@ -26,7 +27,6 @@ pub use event::{
 };
 pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};
-pub use requirements::DurationRequirements;
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

@@ -98,6 +98,12 @@ impl Orders {
         self.forget();
     }
 
+    /// What the scan `number`, which is in progress, is to become, if it is to be kept.
+    pub fn covering(&self, number: u32) -> Option<&Enrolment> {
+        let mut all = self.given.iter().rev().chain(&self.own);
+        all.find(|o| o.covers(number) && o.to_come() != Some(0)).map(|order| &order.enrolment)
+    }
+
     /// What the scan `number`, which has just ended, is to become, if it is to be kept. Scans end
     /// in the order of their numbers.
     pub fn claim(&mut self, number: u32) -> Option<Enrolment> {

@@ -4,15 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::event::{LibraryState, Remark, RemarkKind};
-use super::requirements::DurationRequirements;
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, Model, Prepared, Ranking, RecogniseError, Rejection, RejectionError,
-    Settling, without_flawed,
+    Follow, FollowOptions, Goal, LOOK_S, Model, Prepared, Ranking, RecogniseError, Rejection,
+    RejectionError, ScanTime, Settling, without_flawed,
 };
 use crate::scan::Scan;
-use crate::scene::SourceId;
+use crate::scene::{Scene, SourceId};
 use crate::trial::{Signal, TrialKey, flaws};
 
 /// What a scan was named.
@@ -24,7 +23,7 @@ pub struct Verdict {
     pub rejection: Option<Rejection>,
     /// For people: sources that were not compared, and why, a line each.
     pub left_out: Vec<String>,
-    /// Scan duration that 400 samples T* apart need on the first one, in seconds.
+    /// How long the drag should last, in seconds, where that is known.
     pub needed_s: Option<f64>,
     /// What is not perfect about the scan.
     pub remarks: Vec<Remark>,
@@ -47,19 +46,19 @@ pub struct Recogniser {
     model_of: BTreeMap<TrialKey, usize>,
     /// How scans are followed with each model.
     following: Vec<FollowOptions>,
-    requirements: DurationRequirements,
+    /// How long scans must last with each model, where that is known.
+    scan_times: Vec<Option<ScanTime>>,
+    /// The same by a plan, which then holds instead.
+    planned_s: Option<f64>,
+    scene: Scene,
     library: LibraryState,
     trials: BTreeMap<TrialKey, Entry>,
 }
 
 impl Recogniser {
-    /// Names scans by one model.
-    pub fn new(
-        model: Arc<dyn Model>,
-        requirements: DurationRequirements,
-        library: LibraryState,
-    ) -> Self {
-        Self::with_folds(vec![model], BTreeMap::new(), requirements, library)
+    /// Names scans of a scene by one model.
+    pub fn new(model: Arc<dyn Model>, scene: Scene, library: LibraryState) -> Self {
+        Self::with_folds(vec![model], BTreeMap::new(), scene, library)
     }
 
     /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
@@ -69,13 +68,18 @@ impl Recogniser {
     pub fn with_folds(
         models: Vec<Arc<dyn Model>>,
         model_of: BTreeMap<TrialKey, usize>,
-        requirements: DurationRequirements,
+        scene: Scene,
         library: LibraryState,
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        let trials = BTreeMap::new();
-        Self { models, model_of, following, requirements, library, trials }
+        let (scan_times, planned_s, trials) = (vec![None; models.len()], None, BTreeMap::new());
+        Self { models, model_of, following, scan_times, planned_s, scene, library, trials }
+    }
+
+    /// Lets scans last as long as a plan says, if it says so.
+    pub fn planned(self, scan_s: Option<f64>) -> Self {
+        Self { planned_s: scan_s, ..self }
     }
 
     /// Remembers where the trials are that scans are compared with, to show the nearest one.
@@ -99,13 +103,19 @@ impl Recogniser {
         Ok(rejections)
     }
 
-    /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
-    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
-    pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
+    /// Finds when answers are settled with each model and how long scans must last, for a stated
+    /// loss of accuracy, so that no scan waits for it. Gives what was found; nothing, if the method
+    /// cannot follow scans.
+    pub fn calibrate(&mut self, loss: f64) -> Vec<(Settling, Option<ScanTime>)> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
-        let followers = with_options.filter_map(|(model, options)| model.clone().follow(options));
-        followers.map(|follower| follower.settling().clone()).collect()
+        let followers = with_options.map(|(model, options)| model.clone().follow(options));
+        let settling: Vec<Option<Settling>> =
+            followers.map(|follower| Some(follower?.settling().clone())).collect();
+        let by_time = self.models.iter().map(|model| model.left_out_accuracy());
+        self.scan_times = by_time.map(|found| Some(found?.scan_time(Goal::Loss(loss)))).collect();
+        let both = settling.into_iter().zip(&self.scan_times);
+        both.filter_map(|(settling, scan_time)| Some((settling?, scan_time.clone()))).collect()
     }
 
     /// Adds remarks on what answers rest on to those of the library.
@@ -118,24 +128,34 @@ impl Recogniser {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
 
-    /// Flaws of the scan's channels, and samples closer than T*.
+    /// Flaws of the scan's channels, and that it is short.
     fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, signal) in &scan.trial.signals {
             // A source with a fixed length scale is a switch, and rests most of the time.
             if let Signal::Series(series) = signal
-                && !self.requirements.is_switch(id)
+                && self.scene.get(id.as_str()).is_none_or(|spec| spec.sigma.is_none())
             {
                 let left_out =
                     if ranking.sources.contains(id) { "" } else { "; the source is left out" };
                 remarks.extend(flaws(series).iter().map(|flaw| Remark {
                     kind: RemarkKind::Flaw,
-                    source: id.clone(),
+                    source: Some(id.clone()),
                     text: format!("{id}: {flaw}{left_out}"),
                 }));
             }
         }
-        remarks.extend(self.requirements.remarks(ranking, scan.scan_s));
+        let needed_s = self.needed_s(scan.truth.as_ref());
+        remarks.extend(needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S).map(|needed_s| {
+            Remark {
+                kind: RemarkKind::Short,
+                source: None,
+                text: format!(
+                    "{:.1} s of drag are short: with this library it takes {needed_s:.1} s",
+                    scan.scan_s
+                ),
+            }
+        }));
         remarks
     }
 
@@ -152,8 +172,7 @@ impl Recogniser {
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
         let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
-        let (trial, left_out) =
-            without_flawed(scan.trial.clone(), self.requirements.scene(), moves);
+        let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
     }
@@ -183,7 +202,7 @@ impl Recogniser {
     /// What a scan's ranking says.
     pub fn verdict(&self, scan: &Scan, ranking: Ranking) -> Verdict {
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
-        let needed_s = self.requirements.scan_s(ranking.surface(), &ranking.sources);
+        let needed_s = self.needed_s(scan.truth.as_ref());
         let remarks = self.remarks(scan, &ranking);
         let left_out = self.left_out(scan, &ranking, &remarks);
         Verdict { needed_s, rejection, left_out, remarks, ranking }
@@ -195,7 +214,9 @@ impl Recogniser {
         let not_compared = held.filter(|id| !ranking.sources.contains(id));
         let why = |id: &SourceId| {
             let mut flaws = remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-            let flaw = flaws.find(|remark| remark.source == *id).map(|remark| remark.text.clone());
+            let flaw = flaws
+                .find(|remark| remark.source.as_ref() == Some(id))
+                .map(|remark| remark.text.clone());
             flaw.unwrap_or_else(|| format!("{id} was not compared"))
         };
         not_compared.map(why).collect()
@@ -207,9 +228,11 @@ impl Recogniser {
         self.models[at].clone().follow(&self.following[at])
     }
 
-    /// Scan duration that 400 samples T* apart need on a surface, in seconds.
-    pub fn needed_s(&self, surface: &str) -> Option<f64> {
-        self.requirements.scan_s(surface, &self.library.sources)
+    /// How long the drag of a scan should last, in seconds, where that is known; `truth` as in
+    /// [`Scan::truth`].
+    pub fn needed_s(&self, truth: Option<&TrialKey>) -> Option<f64> {
+        let found = || self.scan_times[self.model(truth)].as_ref()?.scan_s();
+        self.planned_s.or_else(found)
     }
 
     /// For people: what scans are compared with.

@@ -8,12 +8,14 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, at, never, select};
 
-use super::event::{Command, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent};
+use super::event::{Command, EnrolledOutcome, Enrolling, Listener, StationEvent};
 use super::orders::{Keep, Orders};
 use super::recogniser::{Load, Recogniser};
 use super::store::{RecordingThread, Stored};
+use super::trial_need::Purpose;
 use super::worker::{Job, Work, Worker, WorkerEvent};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
+use crate::scene::SourceId;
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
@@ -36,6 +38,8 @@ pub(super) struct Parts {
     pub session: Session,
     pub worker: Worker,
     pub recording: Option<RecordingThread>,
+    /// Sources of which a good trial holds enough independent samples.
+    pub by_t_star: Vec<SourceId>,
     /// Whether all devices can wait.
     pub waits: bool,
     pub load: Option<Load>,
@@ -48,6 +52,7 @@ pub(super) struct Run<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
+    by_t_star: Vec<SourceId>,
     waits: bool,
     load: Option<Load>,
     naming: Naming,
@@ -69,13 +74,14 @@ pub(super) struct Run<'a> {
 impl<'a> Run<'a> {
     /// A station that knows no library yet.
     pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
-        let Parts { session, worker, recording, waits, load, keep } = parts;
+        let Parts { session, worker, recording, by_t_star, waits, load, keep } = parts;
         let mut orders = Orders::default();
         keep.into_iter().for_each(|keep| orders.set_own(keep));
         Self {
             session,
             worker,
             recording,
+            by_t_star,
             waits,
             load,
             naming: Naming::None("no library was given".into()),
@@ -227,30 +233,38 @@ impl<'a> Run<'a> {
     /// Hands work to the worker, as far as it takes it.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
-            match (&self.naming, job) {
-                (Naming::Loading, job) => return self.pending.push_front(job),
-                (Naming::None(why), Job::Scan(scan)) => {
-                    let text = format!("scan {} was not named: {why}", scan.number);
-                    self.warn(text);
+            let by = match &self.naming {
+                Naming::Loading => return self.pending.push_front(job),
+                Naming::Ready(by) => Ok(by.clone()),
+                Naming::None(why) => Err(why.clone()),
+            };
+            let (work, number) = match (job, by) {
+                (Job::Scan(scan), Ok(by)) => {
+                    let number = scan.number;
+                    (Work::Scan(scan, by), Some(number))
                 }
-                (Naming::None(_), Job::Progress(progress)) => {
-                    self.emit(StationEvent::Guess(Guess::nothing(
-                        progress.number,
-                        progress.scan_s,
-                    )));
+                (Job::Scan(scan), Err(why)) => {
+                    self.warn(format!("scan {} was not named: {why}", scan.number));
+                    continue;
                 }
-                (Naming::Ready(by), job) => {
-                    let number = match &job {
-                        Job::Scan(scan) => Some(scan.number),
-                        Job::Progress(_) => None,
-                    };
-                    let work = Work { job, by: by.clone() };
-                    if let Err(back) = self.worker.work.try_send(work) {
-                        return self.pending.push_front(back.into_inner().job);
-                    }
-                    self.in_hand.push_back(number);
+                (Job::Progress(progress), by) => {
+                    let purpose = self.purpose(progress.number);
+                    (Work::Progress(progress, purpose, by.ok()), None)
                 }
+            };
+            if let Err(back) = self.worker.work.try_send(work) {
+                return self.pending.push_front(back.into_inner().into_job());
             }
+            self.in_hand.push_back(number);
+        }
+    }
+
+    /// What a scan in progress is for.
+    fn purpose(&self, number: u32) -> Purpose {
+        match self.orders.covering(number) {
+            Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
+            Some(_) => Purpose::Keep(Vec::new()),
+            None => Purpose::Name,
         }
     }
 
@@ -262,7 +276,10 @@ impl<'a> Run<'a> {
                 self.emit(StationEvent::Answer(scan.answer.clone()));
                 self.emit(StationEvent::Scan(scan));
             }
-            WorkerEvent::Named(Err(problem)) => self.warn(problem),
+            WorkerEvent::Named(Err(unnamed)) if unnamed.too_little => {
+                self.emit(StationEvent::TooLittle(unnamed.why));
+            }
+            WorkerEvent::Named(Err(unnamed)) => self.warn(unnamed.why),
             WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
         }
     }

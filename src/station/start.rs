@@ -100,12 +100,14 @@ impl<'a> Station<'a> {
         };
         let waits = self.devices.iter().all(|device| device.waits());
         let worker = Worker::start(waits).map_err(thread("recognition"))?;
+        let by_t_star = self.store.as_ref().map_or_else(Vec::new, |store| store.by_t_star.clone());
         let recording = match self.store {
             Some(store) => Some(RecordingThread::start(store).map_err(thread("recording"))?),
             None => None,
         };
         let session = Session::start(self.devices, self.options)?;
-        let parts = Parts { session, worker, recording, waits, load: self.load, keep: self.keep };
+        let (load, keep) = (self.load, self.keep);
+        let parts = Parts { session, worker, recording, by_t_star, waits, load, keep };
         let mut run = Run::new(parts, self.listeners);
         run.announce();
         match self.recogniser {

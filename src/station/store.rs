@@ -6,6 +6,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime};
 
@@ -56,6 +57,7 @@ type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 pub(super) struct RecordingThread {
     scans: Sender<ToStore>,
     pub stored: Receiver<Stored>,
+    ending: Arc<AtomicBool>,
     thread: JoinHandle<()>,
 }
 
@@ -68,13 +70,15 @@ impl RecordingThread {
         // Unbounded, but emptied at once: what cannot be written waits within limits of its own.
         let (scans, to_store) = crossbeam_channel::unbounded();
         let (send, stored) = crossbeam_channel::unbounded();
-        let mut writer = Writer { store, waiting: VecDeque::new(), next: Numbers::new(), send };
+        let ending = Arc::<AtomicBool>::default();
+        let (waiting, next) = (VecDeque::new(), Numbers::new());
+        let mut writer = Writer { store, waiting, next, send, ending: ending.clone() };
         let run = move || writer.run(&to_store);
         let thread = std::thread::Builder::new().name("record".into()).spawn(run)?;
-        Ok(Self { scans, stored, thread })
+        Ok(Self { scans, stored, ending, thread })
     }
 
-    /// Stores a scan, and says what `by` would have named it.
+    /// Stores a scan, and says what `by` would have named it, unless the end cannot wait for that.
     pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         // Fails only if the thread has panicked, and then nothing is reported as stored either.
         let _ = self.scans.send((scan, enrolment, by));
@@ -82,6 +86,7 @@ impl RecordingThread {
 
     /// Gives what is still to come, after a last attempt to write what waits.
     pub fn finish(self) -> impl Iterator<Item = Stored> {
+        self.ending.store(true, Ordering::Release);
         drop(self.scans);
         let _ = self.thread.join();
         self.stored.into_iter()
@@ -106,6 +111,8 @@ struct Writer {
     /// The next numbers when the library was last readable.
     next: Numbers,
     send: Sender<Stored>,
+    /// Whether there is no time left for names.
+    ending: Arc<AtomicBool>,
 }
 
 impl Writer {
@@ -126,9 +133,12 @@ impl Writer {
             self.read_numbers();
         }
         while let Some(mut last) = self.waiting.pop_front() {
-            if let Err(error) = self.write(&last) {
-                last.remarks.push(error.to_string());
-                self.report(&last, EnrolledOutcome::Lost, None);
+            match self.write(&last) {
+                Ok(stored) => self.report(&last, EnrolledOutcome::Kept, Some(stored)),
+                Err(error) => {
+                    last.remarks.push(error.to_string());
+                    self.report(&last, EnrolledOutcome::Lost, None);
+                }
             }
         }
     }
@@ -137,21 +147,27 @@ impl Writer {
     fn accept(&mut self, (scan, enrolment, by): ToStore) {
         let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
         let refused = enrolment.good_only && !remarks.is_empty();
-        let nearest = by.filter(|_| !refused).and_then(|by| nearest(&by, &scan));
-        let mut new = Waiting { scan, enrolment, remarks, nearest };
+        let mut new = Waiting { scan, enrolment, remarks, nearest: None };
         if refused {
             return self.report(&new, EnrolledOutcome::Refused, None);
         }
         // Each time, since others may write into the same library.
         self.read_numbers();
-        if let Err(error) = self.write(&new) {
-            let full = self.waiting.len() >= MAX_WAITING;
-            let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
-            new.remarks.push(error.to_string());
-            self.report(&new, outcome, None);
-            new.remarks.pop();
-            if !full {
-                self.waiting.push_back(new);
+        let stored = self.write(&new);
+        // After that, since it may take long.
+        let by = by.filter(|_| !self.ending.load(Ordering::Acquire));
+        new.nearest = by.and_then(|by| nearest(&by, &new.scan));
+        match stored {
+            Ok(stored) => self.report(&new, EnrolledOutcome::Kept, Some(stored)),
+            Err(error) => {
+                let full = self.waiting.len() >= MAX_WAITING;
+                let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
+                new.remarks.push(error.to_string());
+                self.report(&new, outcome, None);
+                new.remarks.pop();
+                if !full {
+                    self.waiting.push_back(new);
+                }
             }
         }
     }
@@ -160,14 +176,15 @@ impl Writer {
     fn retry(&mut self) {
         self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
-            if self.write(&first).is_err() {
-                return self.waiting.push_back(first);
+            match self.write(&first) {
+                Ok(stored) => self.report(&first, EnrolledOutcome::Kept, Some(stored)),
+                Err(_) => return self.waiting.push_back(first),
             }
         }
     }
 
-    /// Writes a scan, and reports it.
-    fn write(&mut self, waiting: &Waiting) -> Result<(), LibraryError> {
+    /// Writes a scan; gives its number and its folder.
+    fn write(&mut self, waiting: &Waiting) -> Result<(u32, PathBuf), LibraryError> {
         let Waiting { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
         let number = self.next.get(&of).copied().unwrap_or(1);
@@ -187,8 +204,7 @@ impl Writer {
         let options = TrialOptions { about, durable: true };
         let stored = append_trial(&self.store.folder, &trial, &self.store.scene, &options)?;
         self.next.insert(of, stored.0.saturating_add(1));
-        self.report(waiting, EnrolledOutcome::Kept, Some(stored));
-        Ok(())
+        Ok(stored)
     }
 
     fn report(&self, of: &Waiting, outcome: EnrolledOutcome, stored: Option<(u32, PathBuf)>) {
@@ -241,111 +257,4 @@ fn nearest(by: &Recogniser, scan: &Scan) -> Option<String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::time::Instant;
-
-    use super::*;
-    use crate::trial::{Series, Signal};
-
-    fn scan(number: u32) -> Box<Scan> {
-        scan_at(number, 0.0)
-    }
-
-    /// One whose sources all have this level.
-    fn scan_at(number: u32, level: f32) -> Box<Scan> {
-        let signal = |channels: usize| {
-            let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
-            Signal::Series(Series::new(10_000.0, channels, samples).unwrap())
-        };
-        let signals = [("ir", 1), ("fr", 2), ("ac", 3)]
-            .map(|(id, channels)| (SourceId::new(id).unwrap(), signal(channels)));
-        Box::new(Scan {
-            number,
-            trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
-            truth: None,
-            synthetic: false,
-            scan_s: 0.01,
-            lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
-            spoiled: Vec::new(),
-            ended_at: Instant::now(),
-        })
-    }
-
-    fn enrolment() -> Enrolment {
-        Enrolment { order: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
-    }
-
-    #[test]
-    fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
-        let dir = tempfile::tempdir().unwrap();
-        // Where the library's folder should be lies a file.
-        let folder = dir.path().join("library");
-        std::fs::write(&folder, "").unwrap();
-        let thread =
-            RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
-        let outcomes = |n: usize| -> Vec<_> {
-            (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
-        };
-        (1..=2).for_each(|number| thread.store(scan(number), enrolment(), None));
-        use EnrolledOutcome::{Kept, Lost, Waiting};
-        assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
-        std::fs::remove_file(&folder).unwrap();
-        assert_eq!(outcomes(2), [(1, Kept), (2, Kept)]);
-        assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
-        std::fs::remove_dir_all(&folder).unwrap();
-        std::fs::write(&folder, "").unwrap();
-        thread.store(scan(3), enrolment(), None);
-        assert_eq!(outcomes(1), [(3, Waiting)]);
-        let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
-        assert_eq!(last, [(3, Lost)]);
-    }
-
-    #[test]
-    fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
-        let dir = tempfile::tempdir().unwrap();
-        let start = || {
-            let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-            RecordingThread::start(store).unwrap()
-        };
-        let both = [start(), start()];
-        // Of one process, so with one process number, as in two containers.
-        for number in 1..=8 {
-            for (thread, level) in both.iter().zip([0.0, 0.5]) {
-                thread.store(scan_at(number, level), enrolment(), None);
-            }
-        }
-        for thread in both {
-            assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
-        }
-        let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
-        assert_eq!(library.entries.len(), 16);
-        let level = |signal: &Signal| match signal {
-            Signal::Series(series) => series.samples()[0],
-            Signal::Image(_) => f32::NAN,
-        };
-        let mut of_each = [0, 0];
-        for entry in library.entries {
-            let levels: Vec<f32> = entry.load().unwrap().signals.values().map(level).collect();
-            assert!(levels.len() == 3 && levels.iter().all(|x| *x == levels[0]), "{levels:?}");
-            of_each[usize::from(levels[0] > 0.25)] += 1;
-        }
-        assert_eq!(of_each, [8, 8]);
-    }
-
-    #[test]
-    fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-        let thread = RecordingThread::start(store).unwrap();
-        let number = || thread.stored.recv().unwrap().1.trial;
-        thread.store(scan(1), enrolment(), None);
-        assert_eq!(number(), Some(1));
-        let script = dir.path().join("oak/trial2");
-        std::fs::create_dir(&script).unwrap();
-        std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
-        std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
-        thread.store(scan(2), enrolment(), None);
-        assert_eq!(number(), Some(3));
-    }
-}
+mod tests;

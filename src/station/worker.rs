@@ -1,6 +1,5 @@
 //! The thread that follows and names scans, so that nothing holds up the reading of events.
 
-use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -8,10 +7,12 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::certainty::{Case, judge};
 use super::event::{Answer, AnswerState, AnsweredScan, Guess};
+use super::followed::{Followed, caught};
 use super::recogniser::{Recogniser, Verdict};
-use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
+use super::trial_need::Purpose;
+use crate::recognise::{Ranking, RecogniseError};
 use crate::record::utc;
-use crate::scan::{Fresh, Progress, Scan};
+use crate::scan::{Progress, Scan};
 
 /// What is to be recognised.
 pub(super) enum Job {
@@ -22,9 +23,21 @@ pub(super) enum Job {
 }
 
 /// What is to be recognised, and by what.
-pub(super) struct Work {
-    pub job: Job,
-    pub by: Arc<Recogniser>,
+pub(super) enum Work {
+    /// A scan to be named.
+    Scan(Box<Scan>, Arc<Recogniser>),
+    /// What is new in the scan in progress, what it is for, and what names it, if anything can.
+    Progress(Progress, Purpose, Option<Arc<Recogniser>>),
+}
+
+impl Work {
+    /// The job without the rest.
+    pub fn into_job(self) -> Job {
+        match self {
+            Self::Scan(scan, _) => Job::Scan(scan),
+            Self::Progress(progress, ..) => Job::Progress(progress),
+        }
+    }
 }
 
 /// What the thread has done.
@@ -36,7 +49,14 @@ pub(super) enum WorkerEvent {
 }
 
 /// A scan with its answer, or why it has none.
-pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, String>;
+pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, Unnamed>;
+
+/// Why a scan has no answer, for people.
+pub(super) struct Unnamed {
+    pub why: String,
+    /// It holds too little.
+    pub too_little: bool,
+}
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
 /// the first is dropped, it ends with what it has in hand, and nobody waits for it.
@@ -57,16 +77,18 @@ impl Worker {
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
-            for Work { job, by } in to_do {
-                let event = match job {
-                    Job::Scan(scan) => {
+            for work in to_do {
+                let event = match work {
+                    Work::Scan(scan, by) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
                         let ranking = followed.finish(&scan, &by);
                         WorkerEvent::Named(name(scan, by, ranking, from, settled_s))
                     }
-                    Job::Progress(progress) => WorkerEvent::Guess(followed.guess(&progress, &by)),
+                    Work::Progress(progress, purpose, by) => {
+                        WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
+                    }
                 };
                 if send.send(event).is_err() {
                     return;
@@ -79,84 +101,6 @@ impl Worker {
     }
 }
 
-/// The scan in progress, as far as it was followed.
-#[derive(Default)]
-struct Followed {
-    scan: u32,
-    /// With what it is followed by.
-    follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
-    last: Option<GuessSoFar>,
-}
-
-impl Followed {
-    /// Adds what is new, and gives the scan's first answers.
-    fn guess(&mut self, progress: &Progress, by: &Arc<Recogniser>) -> Guess {
-        if self.scan != progress.number {
-            let follower = caught(|| by.follow(progress.truth.as_ref())).flatten();
-            let follower = follower.map(|follower| (by.clone(), follower));
-            *self = Self { scan: progress.number, follower, last: None };
-        }
-        if let Some((_, follower)) = &mut self.follower {
-            // A scan that cannot be compared is followed no longer; its answer will say why.
-            match caught(|| look(&mut **follower, progress)) {
-                Some(Ok(guess)) => self.last = guess.or(self.last.take()),
-                Some(Err(_)) | None => self.follower = None,
-            }
-        }
-        let mut news = Guess::nothing(progress.number, progress.scan_s);
-        if let Some(guess) = &self.last {
-            let name = |(surface, probability): &(String, f64)| super::event::SurfaceProbability {
-                surface: surface.clone(),
-                probability: *probability,
-            };
-            news.named = guess.named.iter().map(name).collect();
-            news.settled = guess.settled.is_some();
-            let first = guess.named.first();
-            news.needed_s =
-                first.and_then(|(surface, _)| caught(|| by.needed_s(surface)).flatten());
-        }
-        news
-    }
-
-    /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
-    /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
-    /// another library was read since it began.
-    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranking> {
-        let (followed_by, follower) =
-            self.follower.as_mut().filter(|_| self.scan == scan.number)?;
-        let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
-        if !whole || !Arc::ptr_eq(followed_by, by) {
-            return None;
-        }
-        caught(|| follower.finish(&scan.trial)).flatten()
-    }
-
-    /// When the answer of a scan was settled, in seconds of scan time.
-    fn settled_s(&self, scan: u32) -> Option<f64> {
-        let last = self.last.as_ref().filter(|_| self.scan == scan)?;
-        last.settled.as_ref().map(|(_, at)| *at)
-    }
-}
-
-/// What `work` gives; `None` if it panicked. One scan must not take the station with it.
-fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
-    std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
-}
-
-fn look(
-    follower: &mut dyn Follow,
-    progress: &Progress,
-) -> Result<Option<GuessSoFar>, RecogniseError> {
-    for Fresh { source, rate_hz, channels, samples, .. } in &progress.fresh {
-        let (rate_hz, channels) = (*rate_hz, *channels);
-        follower.add(FreshFrames { source, rate_hz, channels, samples })?;
-    }
-    for (source, picture) in &progress.images {
-        follower.add_picture(source, picture)?;
-    }
-    follower.look(progress.scan_s)
-}
-
 fn name(
     scan: Box<Scan>,
     by: Arc<Recogniser>,
@@ -165,10 +109,13 @@ fn name(
     settled_s: Option<f64>,
 ) -> ScanAnswer {
     let ranked = || ranking.map_or_else(|| by.rank(&scan), Ok);
+    let unnamed = |why: String, too_little| Unnamed {
+        why: format!("scan {}: {why}", scan.number),
+        too_little,
+    };
     let verdict = caught(|| ranked().map(|ranking| by.verdict(&scan, ranking)))
-        .ok_or_else(|| "the method panicked; please report this".to_string())
-        .and_then(|verdict| verdict.map_err(|error| error.to_string()))
-        .map_err(|problem| format!("scan {}: {problem}", scan.number))?;
+        .ok_or_else(|| unnamed("the method panicked; please report this".into(), false))?
+        .map_err(|error| unnamed(error.to_string(), matches!(error, RecogniseError::TooLittle)))?;
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
     let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
     let Verdict { ranking, needed_s, remarks, .. } = verdict;
@@ -217,9 +164,12 @@ mod tests {
     use super::*;
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
-    use crate::recognise::{FollowOptions, Model, Prepared, RankedSurface, Ranking, Settling};
+    use crate::recognise::{
+        Follow, FollowOptions, FreshFrames, GuessSoFar, Model, Prepared, RankedSurface,
+        RecogniseError, Settling,
+    };
     use crate::scene::{Scene, SourceId};
-    use crate::station::{DurationRequirements, LibraryState};
+    use crate::station::LibraryState;
     use crate::trial::{Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
@@ -276,7 +226,8 @@ mod tests {
         fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
             self.by.reach("look");
             let named = vec![("oak".into(), 1.0)];
-            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled: None }))
+            let settled = Some(("oak".into(), 0.1));
+            Ok(Some(GuessSoFar { scan_s, named, p_value: None, settled }))
         }
 
         fn finish(&mut self, _: &Trial) -> Option<Ranking> {
@@ -319,9 +270,8 @@ mod tests {
             ("rank", true, false),
         ] {
             let worker = Worker::start(false).unwrap();
-            let needs = DurationRequirements::of(&Scene::lmt108(), Vec::new(), false);
             let model = Arc::new(PanicsIn(part));
-            let by = Arc::new(Recogniser::new(model, needs, LibraryState::default()));
+            let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
                 let progress = Progress {
                     number,
@@ -330,21 +280,23 @@ mod tests {
                     fresh: Vec::new(),
                     images: Vec::new(),
                 };
-                for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
-                    worker.work.send(Work { job, by: by.clone() }).unwrap();
+                let progress = Work::Progress(progress, Purpose::Name, Some(by.clone()));
+                for work in [progress, Work::Scan(Box::new(scan(number)), by.clone())] {
+                    worker.work.send(work).unwrap();
                 }
                 let Ok(WorkerEvent::Guess(guess)) = worker.done.recv() else {
                     panic!("{part}: no guess")
                 };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
-                assert_eq!(!guess.named.is_empty(), guesses, "{part}");
+                assert_eq!((!guess.named.is_empty(), guess.settled), (guesses, guesses), "{part}");
+                assert!(!guess.enough, "a stop rule that rests on no trial");
                 let Ok(WorkerEvent::Named(named)) = worker.done.recv() else {
                     panic!("{part}: no name")
                 };
                 match named {
                     Ok(named) => assert!(names && named.answer.scan == number, "{part}"),
-                    Err(problem) => {
-                        assert!(!names && problem.contains("panicked"), "{part}: {problem}");
+                    Err(Unnamed { why, too_little }) => {
+                        assert!(!names && !too_little && why.contains("panicked"), "{part}: {why}");
                     }
                 }
             }

@@ -191,6 +191,7 @@ pub fn session() -> Vec<StationEvent> {
         ],
         settled: false,
         needed_s: Some(2.7),
+        enough: false,
     };
     vec![
         StationEvent::Streams(meters),

@@ -16,7 +16,7 @@ from data import folds, load
 from evaluation import interval, wilson
 from hydra import Hydra, transform_plainly
 from mmd import Mmd, amplitudes, sigma_of
-from peers import join
+from peers import POINT_KEYS, join
 
 
 def hydra_agrees_with_plain_numpy() -> None:
@@ -123,9 +123,8 @@ def intervals_are_over_users_from_five_on() -> None:
 
 def joining_a_chart_twice_changes_nothing() -> None:
     ours = {"method": "svm", "setting": "", "query_seconds": None}
-    result = dict.fromkeys(
-        ("sources", "accuracy", "accuracy_low", "accuracy_high", "query_ms_p50", "query_ms_p99"), 0
-    ) | {"method": "lda", "setting": "", "query_seconds": None, "queries": 1, "users": []}
+    result = dict.fromkeys((*POINT_KEYS, "query_cpu_ms_p50", "query_cpu_ms_p99"), 0)
+    result |= {"method": "lda", "setting": "", "query_seconds": None}
     chart = {"points": [ours], "other": 1}
     join(chart, [result])
     join(chart, [result])

@@ -1,6 +1,7 @@
 """Hydra: Dempster, Schmidt, Webb, "Hydra: competing convolutional kernels for fast and accurate
-time series classification", Data Mining and Knowledge Discovery 37, 2023, written here after
-the paper; details such as the scaling were looked up in the authors' published code, none of which is copied.
+time series classification", Data Mining and Knowledge Discovery 37, 2023, written here after the
+paper; details such as the scaling were looked up in the authors' published code, none of which is
+copied.
 
 Random kernels of length 9 come in g groups of k for each dilation 1, 2, 4, …; half of the groups
 see the series, half its first difference. At each time the kernel of a group with the largest

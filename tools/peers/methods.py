@@ -86,10 +86,16 @@ def at_length(series: np.ndarray, length: int) -> np.ndarray:
     return np.stack([np.interp(at, held, channel) for channel in series]).astype(np.float32)
 
 
+def normalised(series: np.ndarray) -> np.ndarray:
+    """Channels without their mean and scale, as the series of the UCR archive are."""
+    centred = series - series.mean(1, keepdims=True)
+    return (centred / (series.std(1, keepdims=True) + 1e-8)).astype(np.float32)
+
+
 class Series(Method):
     """What convolutions see: every channel of every source at one length, which is the longest
-    source's median, its mean and scale taken out, as in the archives that they were made for. Sounds
-    are thinned to about 14.7 kHz."""
+    source's median, its mean and scale taken out, as in the archives that they were made for.
+    Sounds are thinned to about 14.7 kHz."""
 
     def prepare(self, rates_hz, lengths):
         self.steps = [max(1, round(rate_hz / SERIES_RATE_HZ)) for rate_hz in rates_hz]
@@ -103,8 +109,7 @@ class Series(Method):
                 for x, step in zip(signals, self.steps, strict=True)
             ]
         )
-        centred = channels - channels.mean(1, keepdims=True)
-        return (centred / (channels.std(1, keepdims=True) + 1e-8)).astype(np.float32)
+        return normalised(channels)
 
     def fit_ridge(self, features, labels, scaler):
         self.scaler = scaler.fit(features)
@@ -164,8 +169,8 @@ class HydraMethod(Series):
 
 class MultiRocketHydra(MiniRocket):
     """Tan, Dempster, Bergmeir, Webb, "MultiRocket: multiple pooling operators and transformations
-    for fast and effective time series classification", Data Mining and Knowledge Discovery 36, 2022,
-    as in aeon, and Hydra beside it: all features of both go to one ridge."""
+    for fast and effective time series classification", Data Mining and Knowledge Discovery 36,
+    2022, as in aeon, and Hydra beside it: all features of both go to one ridge."""
 
     name = "multirocket+hydra"
     setting = "49,728 features and Hydra's, ridge"
@@ -207,9 +212,9 @@ class Beside:
 
 
 class Quant(Method):
-    """QUANT's features of each source at its own rate and median length, levels and scales left
-    in, as in the paper; its classifier: 200 extremely randomised trees, entropy, a tenth of all
-    features at each split."""
+    """QUANT's features of each source at its own rate and median length, mean and scale taken out;
+    its classifier: 200 extremely randomised trees, entropy, a tenth of all features at each
+    split."""
 
     name = "quant"
     setting = "depth 6, v=4, 200 trees"
@@ -222,7 +227,8 @@ class Quant(Method):
 
     def features(self, signals):
         sources = zip(signals, self.lengths, strict=True)
-        return np.concatenate([quant.transform(at_length(x, length)) for x, length in sources])
+        series = (normalised(at_length(x, length)) for x, length in sources)
+        return np.concatenate([quant.transform(x) for x in series])
 
     def fit(self, features, labels):
         self.model = ExtraTreesClassifier(

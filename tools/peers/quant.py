@@ -24,8 +24,8 @@ def representations(series: np.ndarray) -> list[np.ndarray]:
 
 
 def intervals(length: int) -> list[tuple[int, int]]:
-    """1, 2, 4, … intervals that cover a series, down to depth 6 or to single samples, and the same
-    shifted by half of an interval."""
+    """1, 2, 4, … intervals that cover a series, down to depth 6 or to single samples, and the
+    same shifted by half of an interval."""
     found = []
     for depth in range(min(DEPTH, int(np.log2(length)) + 1)):
         edges = np.linspace(0, length, 2**depth + 1).astype(int)

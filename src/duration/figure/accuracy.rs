@@ -4,25 +4,13 @@ use plotters::prelude::*;
 
 use crate::draw::{Area, COLOURS, Drawn, drawing};
 use crate::duration::need::Second;
-
-/// How many left-out scans are named right by a time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AccuracyPoint {
-    /// Scan time.
-    pub scan_s: Second,
-    /// Share named right by then.
-    pub accuracy: f64,
-    /// Lower end of its 95 % interval.
-    pub low: f64,
-    /// Upper end.
-    pub high: f64,
-}
+use crate::recognise::AccuracyAt;
 
 /// Accuracy over the scan time, and the answer read from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyCurve {
     /// By scan time, upwards.
-    pub points: Vec<AccuracyPoint>,
+    pub points: Vec<AccuracyAt>,
     /// The share that is aimed at.
     pub target: f64,
     /// How long to drag for it.
@@ -33,7 +21,7 @@ pub struct AccuracyCurve {
 pub(super) fn panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let colour = COLOURS[2];
     let end = curve.points.last().map_or(1.0, |p| p.scan_s) * 1.05;
-    let low = curve.points.iter().map(|p| p.low).fold(curve.target, f64::min);
+    let low = curve.points.iter().map(|p| p.accuracy_low).fold(curve.target, f64::min);
     let bottom = (10.0 * low).floor() / 10.0;
     let mut chart = ChartBuilder::on(area)
         .caption("scans named right", ("sans-serif", 20))
@@ -54,9 +42,9 @@ pub(super) fn panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         .draw()
         .map_err(drawing)?;
     let line =
-        |f: fn(&AccuracyPoint) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
-    let mut band: Vec<(f64, f64)> = line(|p| p.high).collect();
-    band.extend(line(|p| p.low).collect::<Vec<_>>().into_iter().rev());
+        |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
+    let mut band: Vec<(f64, f64)> = line(|p| p.accuracy_high).collect();
+    band.extend(line(|p| p.accuracy_low).collect::<Vec<_>>().into_iter().rev());
     chart.draw_series([Polygon::new(band, colour.mix(0.2))]).map_err(drawing)?;
     chart
         .draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))

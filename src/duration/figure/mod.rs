@@ -4,7 +4,7 @@ mod accuracy;
 mod algorithm1;
 mod dependence;
 
-pub use accuracy::{AccuracyCurve, AccuracyPoint};
+pub use accuracy::AccuracyCurve;
 
 use super::report::{ByRule, SourceDuration};
 use crate::draw::{Area, Drawn, FigureError, svg};
@@ -59,6 +59,7 @@ mod tests {
     use super::super::{PooledSettings, Settings, simulate};
     use super::*;
     use crate::kernel::Threshold;
+    use crate::recognise::AccuracyAt;
 
     fn row(surface: &str, tau: f64, estimator: Estimator) -> SourceDuration {
         let mut rng = crate::seed::rng(1, &[b"figure"]);
@@ -81,7 +82,12 @@ mod tests {
         let svg = figure(&rows, None).unwrap();
         assert!(svg.contains("width=\"640\"") && svg.contains("mesh"), "{svg}");
         let points = [0.2, 0.5, 1.0]
-            .map(|s| AccuracyPoint { scan_s: s, accuracy: 0.9, low: 0.8, high: 0.95 })
+            .map(|scan_s| AccuracyAt {
+                scan_s,
+                accuracy: 0.9,
+                accuracy_low: 0.8,
+                accuracy_high: 0.95,
+            })
             .to_vec();
         let curve = AccuracyCurve { points, target: 0.99, enough_s: Some(0.5) };
         let both = figure(&rows, Some(&curve)).unwrap();

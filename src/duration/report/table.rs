@@ -8,7 +8,7 @@ use crate::duration::need::Second;
 use crate::scene::SourceId;
 
 impl DurationReport {
-    /// A table for people, and what it means.
+    /// A table for people.
     pub fn table(&self) -> String {
         let columns: Vec<Column> = match self.settings {
             Estimator::Pooled(_) => {
@@ -17,11 +17,9 @@ impl DurationReport {
             Estimator::Algorithm1(_) => vec![T_STAR, SAMPLES, SCAN],
         };
         let mut out = self.rows(&columns);
-        // Writing to a String cannot fail.
-        let _ = match &self.settings {
-            Estimator::Pooled(_) => write!(out, "\n{}", self.in_words()),
-            Estimator::Algorithm1(settings) => write!(out, "{}", self.longest(settings)),
-        };
+        if let Estimator::Algorithm1(settings) = &self.settings {
+            out.push_str(&self.longest(settings));
+        }
         out
     }
 
@@ -48,16 +46,21 @@ impl DurationReport {
         out
     }
 
-    /// What T* by `pooled` means, a line for each source.
-    fn in_words(&self) -> String {
+    /// What T* by `pooled` means for people, a line for each source: how far apart two moments must
+    /// lie, and how many of them a scan of `scan_s` seconds and a whole trial hold. The published
+    /// rules say nothing of it.
+    pub fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
-        for scene in &self.scene {
-            let _ = writeln!(out, "{}", self.source_in_words(&scene.source));
+        if matches!(self.settings, Estimator::Pooled(_)) {
+            for scene in &self.scene {
+                // Writing to a String cannot fail.
+                let _ = writeln!(out, "{}", self.source_in_words(&scene.source, scan_s));
+            }
         }
         out
     }
 
-    fn source_in_words(&self, source: &SourceId) -> String {
+    fn source_in_words(&self, source: &SourceId, scan_s: Option<Second>) -> String {
         let rows = || {
             self.durations.iter().filter(|d| d.source == *source).filter_map(|d| {
                 let ByRule::Pooled(row) = &d.by_rule else { return None };
@@ -88,10 +91,19 @@ impl DurationReport {
         if let Some((effective, row)) = fewest {
             let trial_s = row.trial_s.unwrap_or_default();
             let n = self.samples;
-            let _ = write!(
-                text,
-                "; a trial of {trial_s:.1} s holds {effective:.0} independent samples or more"
-            );
+            let _ = match scan_s.filter(|s| *s < trial_s - 0.05) {
+                Some(s) => write!(
+                    text,
+                    "; a scan of {s:.1} s holds {:.0} independent samples or more, a whole trial \
+                     of {trial_s:.1} s {effective:.0}",
+                    effective * s / trial_s
+                ),
+                None => write!(
+                    text,
+                    "; a whole trial of {trial_s:.1} s holds {effective:.0} independent samples or \
+                     more"
+                ),
+            };
             if let Some(worth) = row.effective_of_n.filter(|worth| *worth < 0.9 * n as f64) {
                 let _ = write!(text, ", so that {n} samples of it are worth {worth:.0}");
             }

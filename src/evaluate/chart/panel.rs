@@ -123,10 +123,10 @@ pub(super) fn bar<X: Ranged<ValueType = f64>>(
     colour: RGBColor,
 ) -> Drawn {
     let ends = [point.accuracy_low, point.accuracy_high].map(|y| place(area, panel, x, y));
-    area.draw(&PathElement::new(ends, colour.mix(0.45).stroke_width(1))).map_err(drawing)?;
+    area.draw(&PathElement::new(ends, colour.mix(0.5).stroke_width(2))).map_err(drawing)?;
     for user in &point.users {
         let (x, y) = place(area, panel, x, user.accuracy);
-        let tick = PathElement::new([(x - 7, y), (x + 7, y)], colour.mix(0.7).stroke_width(1));
+        let tick = PathElement::new([(x - 6, y), (x + 6, y)], colour.mix(0.7).stroke_width(1));
         area.draw(&tick).map_err(drawing)?;
     }
     Ok(())

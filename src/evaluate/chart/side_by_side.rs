@@ -11,7 +11,7 @@ use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, put, svg};
 const WIDTH: u32 = 960;
 const HEAD: u32 = 62;
 const COLUMNS: usize = 2;
-const PANEL: (u32, u32) = (WIDTH / COLUMNS as u32, 320);
+const PANEL: (u32, u32) = (WIDTH / COLUMNS as u32, 350);
 /// Height of a row of the table.
 const ROW: i32 = 22;
 const MARGIN: i32 = 16;
@@ -36,7 +36,7 @@ pub fn side_by_side(charts: &[Chart]) -> Result<String, FigureError> {
     let axes = Axes::of(charts);
     let panels = HEAD + charts.len().div_ceil(COLUMNS) as u32 * PANEL.1;
     let controls = charts.iter().map(|chart| chart.controls().count()).max().unwrap_or(0);
-    let table = (rows.len() + controls + 2) as i32 * ROW + MARGIN;
+    let table = (rows.len() + controls + 2) as i32 * ROW + 2 * MARGIN;
     svg((WIDTH, panels + table as u32), |root| {
         head(root, charts)?;
         for (i, chart) in charts.iter().enumerate() {
@@ -44,7 +44,7 @@ pub fn side_by_side(charts: &[Chart]) -> Result<String, FigureError> {
             let area = root.clone().shrink((column * PANEL.0, HEAD + row * PANEL.1), PANEL);
             panel(&area, chart, &axes, &rows)?;
         }
-        numbers(root, charts, &rows, panels as i32)
+        numbers(root, charts, &rows, panels as i32 + MARGIN)
     })
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, Progress};
 use crate::library::Entry;
-use crate::recognise::{MethodName, MethodSpec, ReferenceOptions};
+use crate::recognise::{Goal, MethodName, MethodSpec, ReferenceOptions, prepare_library};
 use crate::scene::Scene;
 
 /// Settings of `reference` that may take the place of `embedding`, n and R, the cheapest first.
@@ -38,6 +38,36 @@ pub(super) struct Trying<'a> {
     pub cache: Option<&'a Path>,
 }
 
+impl<'a> Trying<'a> {
+    /// Of whole scans.
+    pub fn new(
+        scene: &'a Scene,
+        entries: &'a [Entry],
+        folds: &'a [Fold],
+        cache: Option<&'a Path>,
+    ) -> Self {
+        Self { scene, entries, folds, scan_s: None, cache }
+    }
+
+    /// What `embedding` makes of it.
+    pub fn embedded(self, progress: Progress<'_>) -> Result<Outcome, EvaluateError> {
+        run(&embedding(), self, progress)
+    }
+}
+
+/// How long scans must last for an accuracy, in seconds, by the left-out trials of the library;
+/// `None` where that is not known.
+pub(super) fn needed_s(on: Trying<'_>, target: f64, progress: Progress<'_>) -> Option<f64> {
+    let within = on.entries.iter().map(|entry| entry.clone().within(on.scene));
+    let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
+    let method = embedding().build(on.scene);
+    let all = (0..entries.len()).collect();
+    let step = |done, of| progress("finding the scan time", done, of);
+    let prepared = prepare_library(&*method, &entries, &all, on.cache, &step).ok()?;
+    let model = prepared.fit_all(&*method).ok()?;
+    model.left_out_accuracy()?.scan_time(Goal::Accuracy(target)).scan_s()
+}
+
 /// The choice of a method, once sources and scan time are chosen.
 pub(super) struct ChoosingMethod<'a> {
     pub on: Trying<'a>,
@@ -49,9 +79,8 @@ pub(super) struct ChoosingMethod<'a> {
 }
 
 impl ChoosingMethod<'_> {
-    /// The setting, and what it does.
-    pub fn choose(mut self) -> Result<(MethodSpec, Outcome), EvaluateError> {
-        let embedded = run(&embedding(), self.on, self.progress)?;
+    /// The setting, and what it does; `embedded` is what `embedding` does.
+    pub fn choose(mut self, embedded: Outcome) -> Result<(MethodSpec, Outcome), EvaluateError> {
         match self.cheaper(&embedded)? {
             Some(cheaper) => Ok(cheaper),
             None if (self.reaches)(embedded.right()) => Ok((embedding(), embedded)),

@@ -5,11 +5,12 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::file::{Expected, Plan};
-use super::method::{ChoosingMethod, Trying};
+use super::method::{ChoosingMethod, Trying, needed_s};
 use super::study::Study;
+use super::worth::too_close;
 use crate::evaluate::{EvaluateError, Outcome, Progress, Protocol, folds, wilson_interval};
 use crate::library::{Entry, Library};
-use crate::recognise::jeffreys_quantile;
+use crate::recognise::{can_show, reaches};
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
@@ -48,19 +49,22 @@ pub struct Planned {
     pub sources: Vec<SourceCost>,
     /// For people: what was done, a line each.
     pub steps: Vec<String>,
+    /// For people: sources of which it compares more samples than its scans are worth, a line each.
+    pub warnings: Vec<String>,
 }
 
-/// Sources and scan time, by their places in the study, and the queries that they name right.
+/// Sources, by their places in the study, and the queries that their whole scans name right.
 #[derive(Clone, Debug, PartialEq)]
 struct Choice {
     sources: Vec<usize>,
-    time: usize,
     right: usize,
 }
 
 struct Search<'a> {
     study: &'a Study,
     target: f64,
+    /// How long sources must be dragged for the target, in seconds, where that is known.
+    needed_s: &'a dyn Fn(&[usize]) -> Option<f64>,
     /// Places of the sources, the cheapest first.
     by_cost: Vec<usize>,
     steps: Vec<String>,
@@ -80,76 +84,58 @@ pub fn search(
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = folds(options.protocol, &keys)?;
     let study = Study::new(&library.scene, &entries, &folds, progress)?;
-    let mut search = Search::new(&study, options.target);
-    let choice = search.choose();
-    let ids: Vec<SourceId> = choice.sources.iter().map(|&s| study.sources[s].id.clone()).collect();
-    let scene = library.scene.clone().only(&ids)?;
-    let dragged = choice.sources.iter().any(|&s| search.is_dragged(s));
-    let on = Trying {
-        scene: &scene,
-        entries: &entries,
-        folds: &folds,
-        scan_s: study.times[choice.time].filter(|_| dragged),
-        cache: options.cache,
+    let ids = |sources: &[usize]| -> Vec<SourceId> {
+        sources.iter().map(|&s| study.sources[s].id.clone()).collect()
     };
+    let needed_s = |sources: &[usize]| -> Option<f64> {
+        let scene = library.scene.clone().only(&ids(sources)).ok()?;
+        let on = Trying::new(&scene, &entries, &folds, options.cache);
+        needed_s(on, options.target, progress)
+    };
+    let mut search = Search::new(&study, options.target, &needed_s);
+    let choice = search.choose();
+    let scene = library.scene.clone().only(&ids(&choice.sources))?;
+    let whole = Trying::new(&scene, &entries, &folds, options.cache);
+    let (on, embedded) = search.shortened(&choice, whole, progress)?;
     let mut steps = Vec::new();
     let reaches = |right| search.reaches(right);
-    let (method, outcome) =
-        ChoosingMethod { on, reaches: &reaches, steps: &mut steps, progress }.choose()?;
+    let choosing = ChoosingMethod { on, reaches: &reaches, steps: &mut steps, progress };
+    let (method, outcome) = choosing.choose(embedded)?;
     search.steps.extend(steps);
-    let expected = search.expected(&outcome, &choice, options.protocol);
+    let expected = search.expected(&outcome, &choice, on.scan_s, options.protocol);
     let plan = Plan {
         library: library.name.clone(),
         synthetic: library.synthetic,
-        sources: ids,
+        sources: ids(&choice.sources),
         method,
         scan_s: on.scan_s,
         expected,
     };
+    let warnings = too_close(library, &plan);
     let sources = search.costs();
-    Ok(Planned { plan, sources, steps: search.steps })
+    Ok(Planned { plan, sources, steps: search.steps, warnings })
 }
 
 impl<'a> Search<'a> {
-    fn new(study: &'a Study, target: f64) -> Self {
-        let mut search = Self { study, target, by_cost: Vec::new(), steps: Vec::new() };
-        let whole = study.times.len() - 1;
+    fn new(study: &'a Study, target: f64, needed_s: &'a dyn Fn(&[usize]) -> Option<f64>) -> Self {
+        let mut search = Self { study, target, needed_s, by_cost: Vec::new(), steps: Vec::new() };
         let mut by_cost: Vec<usize> = (0..study.sources.len()).collect();
-        by_cost.sort_by(|&a, &b| search.compare_costs(&[a], whole, &[b], whole));
+        let cost = |s: usize| (search.scan_s(&[s], None), study.sources[s].values);
+        by_cost.sort_by(|&a, &b| compare(cost(a), cost(b)));
         search.by_cost = by_cost;
         search
     }
 
-    fn is_dragged(&self, source: usize) -> bool {
-        self.study.sources[source].phase == Phase::Drag
+    fn is_dragged(&self, sources: &[usize]) -> bool {
+        sources.iter().any(|&s| self.study.sources[s].phase == Phase::Drag)
     }
 
-    fn scan_s(&self, sources: &[usize], time: usize) -> f64 {
-        let time = self.study.times[time];
-        sources.iter().map(|&s| self.study.sources[s].scan_s(time)).fold(0.0, f64::max)
+    fn scan_s(&self, sources: &[usize], drag_s: Option<f64>) -> f64 {
+        sources.iter().map(|&s| self.study.sources[s].scan_s(drag_s)).fold(0.0, f64::max)
     }
 
-    fn work(&self, sources: &[usize], time: usize) -> f64 {
-        let time = self.study.times[time];
-        sources.iter().map(|&s| self.study.sources[s].work(time)).sum()
-    }
-
-    /// Fewest sources, then least scan time, then least work.
-    fn compare_costs(
-        &self,
-        a: &[usize],
-        time_a: usize,
-        b: &[usize],
-        time_b: usize,
-    ) -> std::cmp::Ordering {
-        (a.len().cmp(&b.len()))
-            .then(self.scan_s(a, time_a).total_cmp(&self.scan_s(b, time_b)))
-            .then(self.work(a, time_a).total_cmp(&self.work(b, time_b)))
-    }
-
-    fn choice(&self, sources: &[usize], time: usize) -> Choice {
-        let right = self.study.right(sources, time);
-        Choice { sources: sources.to_vec(), time, right }
+    fn choice(&self, sources: &[usize]) -> Choice {
+        Choice { sources: sources.to_vec(), right: self.study.right(sources) }
     }
 
     fn reaches(&self, right: usize) -> bool {
@@ -162,37 +148,67 @@ impl<'a> Search<'a> {
             return single;
         }
         let grown = self.grow();
-        let reached = self.reaches(grown.right);
-        let least = if reached { None } else { Some(grown.right) };
-        let pruned = self.prune(grown, least);
-        self.shorten(pruned, least)
+        let least = if self.reaches(grown.right) { None } else { Some(grown.right) };
+        self.prune(grown, least)
     }
 
-    /// The cheapest source and scan time that reach the target alone.
+    /// Of the sources that reach the target alone, the one with the least scan time, then the least
+    /// work.
     fn cheapest_single(&self) -> Option<Choice> {
-        let last = self.study.times.len() - 1;
-        let mut all: Vec<(usize, usize)> = Vec::new();
-        for s in 0..self.study.sources.len() {
-            let first = if self.is_dragged(s) { 0 } else { last };
-            all.extend((first..=last).map(|time| (s, time)));
+        let all = self.by_cost.iter().map(|&s| self.choice(&[s]));
+        let enough = all.filter(|choice| self.reaches(choice.right));
+        let cost = |choice: &Choice| {
+            let drag_s = if self.is_dragged(&choice.sources) {
+                (self.needed_s)(&choice.sources)
+            } else {
+                None
+            };
+            let source = &self.study.sources[choice.sources[0]];
+            (self.scan_s(&choice.sources, drag_s), source.work(drag_s))
+        };
+        let costs: Vec<((f64, f64), Choice)> =
+            enough.map(|choice| (cost(&choice), choice)).collect();
+        costs.into_iter().min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
+    }
+
+    /// Scans as long as left-out trials ask for, and what `embedding` makes of them; whole scans
+    /// where the target is missed, or nothing shorter is known to be enough.
+    fn shortened<'t>(
+        &mut self,
+        choice: &Choice,
+        whole: Trying<'t>,
+        progress: Progress<'_>,
+    ) -> Result<(Trying<'t>, Outcome), EvaluateError> {
+        let whole_s = self.scan_s(&choice.sources, None);
+        let wanted = self.reaches(choice.right) && self.is_dragged(&choice.sources);
+        let needed_s = if wanted { (self.needed_s)(&choice.sources) } else { None };
+        if let Some(scan_s) = needed_s.filter(|scan_s| *scan_s < whole_s - 1e-9) {
+            let on = Trying { scan_s: Some(scan_s), ..whole };
+            let outcome = on.embedded(progress)?;
+            let right = outcome.right();
+            let enough = self.reaches(right);
+            let what = if enough { "is enough" } else { "is not enough here" };
+            self.steps.push(format!(
+                "a scan of {scan_s:.1} s {what}: {right} of {} right",
+                self.study.queries()
+            ));
+            if enough {
+                return Ok((on, outcome));
+            }
         }
-        all.sort_by(|a, b| self.compare_costs(&[a.0], a.1, &[b.0], b.1));
-        all.iter()
-            .map(|&(s, time)| self.choice(&[s], time))
-            .find(|choice| self.reaches(choice.right))
+        Ok((whole, whole.embedded(progress)?))
     }
 
     /// Adds, one at a time, the source that helps most (of equals the cheapest), until the target
     /// is reached or none helps; all sources together if they do better than that.
     fn grow(&mut self) -> Choice {
-        let whole = self.study.times.len() - 1;
-        let mut chosen = Choice { sources: Vec::new(), time: whole, right: 0 };
+        let mut chosen = Choice { sources: Vec::new(), right: 0 };
         while !self.reaches(chosen.right) {
             let mut best: Option<Choice> = None;
             for &s in self.by_cost.iter().filter(|s| !chosen.sources.contains(s)) {
                 let mut sources = chosen.sources.clone();
                 sources.push(s);
-                let tried = self.choice(&sources, whole);
+                let tried = self.choice(&sources);
                 if best.as_ref().is_none_or(|best| tried.right > best.right) {
                     best = Some(tried);
                 }
@@ -207,7 +223,7 @@ impl<'a> Search<'a> {
             }
         }
         if !self.reaches(chosen.right) {
-            let all = self.choice(&self.by_cost, whole);
+            let all = self.choice(&self.by_cost);
             if all.right > chosen.right {
                 self.note(&all, "all sources together do better:");
                 return all;
@@ -223,22 +239,10 @@ impl<'a> Search<'a> {
             if others.is_empty() || others.len() == chosen.sources.len() {
                 continue;
             }
-            let tried = self.choice(&others, chosen.time);
+            let tried = self.choice(&others);
             if self.is_enough(tried.right, least) {
                 self.note(&tried, &format!("{} is not needed:", self.study.sources[s].id));
                 chosen = tried;
-            }
-        }
-        chosen
-    }
-
-    /// The shortest scan that is enough.
-    fn shorten(&mut self, chosen: Choice, least: Option<usize>) -> Choice {
-        for time in 0..chosen.time {
-            let tried = self.choice(&chosen.sources, time);
-            if self.is_enough(tried.right, least) {
-                self.note(&tried, "a shorter scan is enough:");
-                return tried;
             }
         }
         chosen
@@ -249,13 +253,19 @@ impl<'a> Search<'a> {
         least.map_or_else(|| self.reaches(right), |least| right >= least)
     }
 
-    fn expected(&self, outcome: &Outcome, choice: &Choice, protocol: Protocol) -> Expected {
+    fn expected(
+        &self,
+        outcome: &Outcome,
+        choice: &Choice,
+        drag_s: Option<f64>,
+        protocol: Protocol,
+    ) -> Expected {
         let (right, queries) = (outcome.right(), outcome.queries);
         let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
         Expected {
             target: self.target,
             reached: reaches(right, queries, self.target),
-            shown: shown(queries, self.target),
+            shown: can_show(queries, self.target),
             accuracy: right as f64 / queries as f64,
             accuracy_low,
             accuracy_high,
@@ -263,12 +273,11 @@ impl<'a> Search<'a> {
             surfaces: outcome.classes,
             protocol: protocol.name().into(),
             latency_ms: outcome.query_ms_p50,
-            scan_s: self.scan_s(&choice.sources, choice.time),
+            scan_s: self.scan_s(&choice.sources, drag_s),
         }
     }
 
     fn costs(&self) -> Vec<SourceCost> {
-        let whole = self.study.times.len() - 1;
         let cost = |&s: &usize| {
             let source = &self.study.sources[s];
             SourceCost {
@@ -276,7 +285,7 @@ impl<'a> Search<'a> {
                 latency_ms: source.latency_ms,
                 scan_s: source.whole_s,
                 values: source.values,
-                accuracy: self.study.right(&[s], whole) as f64 / self.study.queries() as f64,
+                accuracy: self.study.right(&[s]) as f64 / self.study.queries() as f64,
             }
         };
         self.by_cost.iter().map(cost).collect()
@@ -288,34 +297,14 @@ impl<'a> Search<'a> {
         self.steps.push(format!(
             "{what} {}, {:.1} s of scan: {} of {} right",
             names.join(" + "),
-            self.scan_s(&choice.sources, choice.time),
+            self.scan_s(&choice.sources, None),
             choice.right,
             self.study.queries()
         ));
     }
 }
 
-/// Whether this number of queries can show the target at all.
-fn shown(queries: usize, target: f64) -> bool {
-    jeffreys_quantile(queries, queries, 0.5) >= target
-}
-
-fn reaches(right: usize, queries: usize, target: f64) -> bool {
-    queries > 0
-        && (right == queries && !shown(queries, target)
-            || jeffreys_quantile(right, queries, 0.5) >= target)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_target_asks_for_a_margin_and_few_queries_for_perfection() {
-        assert!(!reaches(990, 1000, 0.99) || jeffreys_quantile(990, 1000, 0.5) >= 0.99);
-        assert!(reaches(991, 1000, 0.99) && !reaches(989, 1000, 0.99));
-        assert!(reaches(20, 20, 0.99) && !reaches(19, 20, 0.99) && !shown(20, 0.99));
-        assert!(shown(200, 0.99) && reaches(199, 200, 0.99) && !reaches(197, 200, 0.99));
-        assert!(!reaches(0, 0, 0.5));
-    }
+/// Least scan time, then least work.
+fn compare(a: (f64, f64), b: (f64, f64)) -> std::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
 }

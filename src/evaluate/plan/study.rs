@@ -1,5 +1,5 @@
-//! Every query of every fold, ready to be named by any subset of its sources at any of the scan times,
-//! without embedding a trial again.
+//! Every query of every fold, ready to be named by any subset of its sources, without embedding a
+//! trial again.
 
 use std::sync::Arc;
 
@@ -10,9 +10,6 @@ use crate::library::Entry;
 use crate::recognise::{BySources, MethodName, MethodSpec, Model, RecogniseError};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
-
-/// Scan times that are tried, in seconds, beside the whole drag.
-const TIMES_S: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// Queries that a source's latency is the median of, at most.
 const TIMED: usize = 15;
@@ -49,10 +46,11 @@ impl StudiedSource {
     }
 }
 
-/// One query: what it is, and for each scan time how it is named by some of its sources.
+/// One query: what it is, and what names it by some of its sources; none for one with too little in
+/// it.
 struct Query {
     truth: String,
-    times: Vec<Option<Box<dyn BySources>>>,
+    by_sources: Option<Box<dyn BySources>>,
 }
 
 impl Query {
@@ -60,26 +58,19 @@ impl Query {
         run: &Run<'_, '_>,
         model: &Arc<dyn Model>,
         trial: &Trial,
-        times: &[Option<f64>],
     ) -> Result<Self, RecogniseError> {
-        let at_time = |&time: &Option<f64>| {
-            let query = run.query_of(&**model, trial.clone(), time)?;
-            match Arc::clone(model).by_sources(&query.prepared) {
-                // Such a query is not named by any of its sources.
-                Err(RecogniseError::TooLittle) => Ok(None),
-                other => other,
-            }
+        let query = run.query_of(&**model, trial.clone(), None)?;
+        let by_sources = match Arc::clone(model).by_sources(&query.prepared) {
+            Err(RecogniseError::TooLittle) => None,
+            other => other?,
         };
-        let times = times.iter().map(at_time).collect::<Result<_, RecogniseError>>()?;
-        Ok(Self { truth: trial.key.surface.clone(), times })
+        Ok(Self { truth: trial.key.surface.clone(), by_sources })
     }
 }
 
 /// See the module.
 pub(super) struct Study {
     pub sources: Vec<StudiedSource>,
-    /// Scan times; none stands for the whole drag and comes last.
-    pub times: Vec<Option<f64>>,
     queries: Vec<Query>,
 }
 
@@ -94,10 +85,6 @@ impl Study {
         let evaluation = Evaluation { progress, ..Evaluation::new(scene, entries, folds) };
         let run = evaluation.prepare(&*method)?;
         let mut sources = studied(scene, entries)?;
-        let longest =
-            sources.iter().filter(|s| s.phase == Phase::Drag).fold(0.0, |t, s| s.whole_s.max(t));
-        let times = TIMES_S.into_iter().filter(|t| *t < longest - 0.05).map(Some);
-        let times: Vec<Option<f64>> = times.chain([None]).collect();
         let total = folds.iter().map(|fold| fold.queries.len()).sum();
         let mut queries = Vec::with_capacity(total);
         let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
@@ -105,7 +92,7 @@ impl Study {
             let model = run.fit(&fold.library)?;
             for &i in &fold.queries {
                 let trial = run.recording(i)?;
-                queries.push(Query::new(&run, &model, &trial, &times)?);
+                queries.push(Query::new(&run, &model, &trial)?);
                 if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
                         latencies.extend(time_alone(&run, &*model, &trial, &source.id));
@@ -118,7 +105,7 @@ impl Study {
             latencies.sort_by(f64::total_cmp);
             source.latency_ms = latencies.get(latencies.len() / 2).copied().unwrap_or(0.0);
         }
-        Ok(Self { sources, times, queries })
+        Ok(Self { sources, queries })
     }
 
     /// Number of queries.
@@ -126,12 +113,12 @@ impl Study {
         self.queries.len()
     }
 
-    /// How many queries some sources, by their places, name right at a scan time, by its place: as
+    /// How many queries some sources, by their places, name right by their whole scans: as
     /// `embedding` does with these sources alone.
-    pub fn right(&self, sources: &[usize], time: usize) -> usize {
+    pub fn right(&self, sources: &[usize]) -> usize {
         let ids: Vec<&SourceId> = sources.iter().map(|&s| &self.sources[s].id).collect();
         let is_right = |query: &&Query| {
-            let named = query.times[time].as_ref().and_then(|query| query.surface(&ids));
+            let named = query.by_sources.as_ref().and_then(|query| query.surface(&ids));
             named == Some(query.truth.as_str())
         };
         self.queries.par_iter().filter(is_right).count()

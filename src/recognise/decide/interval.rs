@@ -1,6 +1,9 @@
 //! How sure a share is: what k of n tells of the rate behind it.
 
-use statrs::distribution::{Beta, ContinuousCDF};
+use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
+
+/// The 97.5 % quantile of the normal distribution.
+const Z: f64 = 1.959_963_984_540_054;
 
 /// Quantile of the Beta distribution; the parameters are positive.
 pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
@@ -18,9 +21,85 @@ pub fn jeffreys_quantile(successes: usize, trials: usize, level: f64) -> f64 {
     beta_quantile(successes as f64 + 0.5, (trials - successes) as f64 + 0.5, level)
 }
 
+/// 95 % confidence interval of a share found in `trials` trials, which need not be a whole number
+/// (Wilson 1927, "Probable inference, the law of succession, and statistical inference"). (0, 1)
+/// without trials.
+pub fn wilson(share: f64, trials: f64) -> (f64, f64) {
+    if trials <= 0.0 {
+        return (0.0, 1.0);
+    }
+    let centre = share + Z * Z / (2.0 * trials);
+    let spread = Z * (share * (1.0 - share) / trials + Z * Z / (4.0 * trials * trials)).sqrt();
+    let scale = 1.0 + Z * Z / trials;
+    (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
+}
+
+/// 95 % confidence interval of a share, from successes and trials of several groups that differ,
+/// such as people: Wilson's, for as many trials as vary as much, and for so few groups (Korn &
+/// Graubard 1998, "Confidence intervals for proportions with small expected number of positive
+/// counts estimated from survey data").
+pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
+    let count = groups.len() as f64;
+    let (right, all) = groups.iter().fold((0, 0), |(r, n), group| (r + group.0, n + group.1));
+    if count < 2.0 || all == 0 {
+        return (0.0, 1.0);
+    }
+    let n = all as f64;
+    let share = right as f64 / n;
+    let residual = |&(right, all): &(usize, usize)| (right as f64 - share * all as f64).powi(2);
+    let variance = groups.iter().map(residual).sum::<f64>() * count / (count - 1.0) / (n * n);
+    let binomial = share * (1.0 - share) / n;
+    // Groups that happen to be more alike than chance makes them are no better evidence.
+    let effect = if binomial > 0.0 { (variance / binomial).max(1.0) } else { 1.0 };
+    // At least one degree of freedom makes a distribution.
+    let t = StudentsT::new(0.0, 1.0, count - 1.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
+    wilson(share, n / effect * (Z / t).powi(2))
+}
+
+/// Whether `right` of `trials` reach a share: by the median of the posterior under Jeffreys' prior,
+/// which asks for a little more than the share itself. Where there are too few trials to show the
+/// share even without a mistake, none at all is accepted.
+pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
+    trials > 0
+        && (right == trials && !can_show(trials, share)
+            || jeffreys_quantile(right, trials, 0.5) >= share)
+}
+
+/// Whether so many trials, all of them right, show a share as [`reaches`] wants it.
+pub fn can_show(trials: usize, share: f64) -> bool {
+    jeffreys_quantile(trials, trials, 0.5) >= share
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn groups_that_differ_widen_the_interval_and_so_do_few_groups() {
+        let width = |groups: &[(usize, usize)]| {
+            let (low, high) = wilson_of_groups(groups);
+            high - low
+        };
+        let (low, high) = wilson(0.9, 400.0);
+        let alike = [(90, 100); 4];
+        let differ = [(80, 100), (100, 100), (82, 100), (98, 100)];
+        assert!(width(&alike) > high - low && width(&differ) > 1.5 * width(&alike));
+        assert!(width(&[(180, 200); 2]) > width(&alike));
+        // With very many groups that are alike it is Wilson's own.
+        let (many_low, many_high) = wilson_of_groups(&[(9, 10); 4000]);
+        let (low, high) = wilson(0.9, 40_000.0);
+        assert!((many_low - low).abs() < 1e-5 && (many_high - high).abs() < 1e-5);
+        assert_eq!(wilson_of_groups(&[(9, 10)]), (0.0, 1.0), "one person says nothing of another");
+    }
+
+    #[test]
+    fn a_share_asks_for_a_margin_and_few_trials_for_perfection() {
+        assert!(!reaches(990, 1000, 0.99) || jeffreys_quantile(990, 1000, 0.5) >= 0.99);
+        assert!(reaches(991, 1000, 0.99) && !reaches(989, 1000, 0.99));
+        assert!(reaches(20, 20, 0.99) && !reaches(19, 20, 0.99) && !can_show(20, 0.99));
+        assert!(can_show(200, 0.99) && reaches(199, 200, 0.99) && !reaches(197, 200, 0.99));
+        assert!(!reaches(0, 0, 0.5));
+    }
 
     #[test]
     fn quantiles_of_jeffreys_are_those_of_the_beta_distribution() {

@@ -1,7 +1,8 @@
-//! What a ranking is taken for: when an answer is settled, whether a surface is unknown, which
-//! sources no comparison should see.
+//! What a ranking is taken for: when an answer is settled, how long a scan must last, whether a
+//! surface is unknown, which sources no comparison should see.
 
 pub mod conformal;
 pub mod dead_sensor;
 pub mod interval;
+pub mod scan_time;
 pub mod settle;

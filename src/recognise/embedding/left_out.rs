@@ -13,6 +13,9 @@ use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;
 use super::training::Training;
 use crate::recognise::decide::conformal::{Conformity, nonconformity};
+use crate::recognise::decide::scan_time::{
+    LeftOutAccuracy, LeftOutScan, LibraryCounts, looked_after,
+};
 use crate::recognise::decide::settle::{Look, Settling, Stops};
 use crate::recognise::features::frame_features::FrameFeatures;
 use crate::recognise::follow::{FollowOptions, LOOK_S};
@@ -119,24 +122,47 @@ fn evenly(trials: usize) -> Vec<usize> {
     (0..used).map(|i| i * trials / used).collect()
 }
 
+/// What following left-out trials showed.
+#[derive(Clone)]
+pub(super) struct Followed {
+    settling: Settling,
+    accuracy: LeftOutAccuracy,
+}
+
 impl EmbeddingModel {
     /// The stop rule, found but once.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
-        let (found_for, settling) =
-            self.settling.get_or_init(|| (options.clone(), self.calibrate(options)));
-        if found_for == options { settling.clone() } else { self.calibrate(options) }
+        let (found_for, followed) = self.followed_first_by(options);
+        if found_for == options {
+            followed.settling.clone()
+        } else {
+            self.follow_left_out(options).settling
+        }
+    }
+
+    /// How many left-out trials are named right by when, which no option changes.
+    pub(super) fn accuracy_by_time(&self) -> LeftOutAccuracy {
+        self.followed_first_by(&FollowOptions::default()).1.accuracy.clone()
+    }
+
+    /// What was found first, or now by these options.
+    fn followed_first_by(&self, options: &FollowOptions) -> &(FollowOptions, Followed) {
+        self.followed.get_or_init(|| (options.clone(), self.follow_left_out(options)))
     }
 
     /// Looks at library trials as [`crate::recognise::Follow`] would, with models trained without
     /// them.
-    fn calibrate(&self, options: &FollowOptions) -> Settling {
+    fn follow_left_out(&self, options: &FollowOptions) -> Followed {
         let trials = evenly(self.library.len());
-        let stops: Vec<Stops> =
-            trials.into_par_iter().filter_map(|i| self.stops(i, options)).collect();
-        Settling::choose(&stops, options.loss)
+        let (stops, scans): (Vec<Stops>, Vec<LeftOutScan>) =
+            trials.into_par_iter().filter_map(|i| self.follow_one(i, options)).unzip();
+        Followed {
+            settling: Settling::choose(&stops, options.loss),
+            accuracy: LeftOutAccuracy::new(&scans, self.counts()),
+        }
     }
 
-    fn stops(&self, trial: usize, options: &FollowOptions) -> Option<Stops> {
+    fn follow_one(&self, trial: usize, options: &FollowOptions) -> Option<(Stops, LeftOutScan)> {
         let LeftOut { without, .. } = &self.left_out;
         let trained = LeftOut::trained(without, &self.labels, &self.training, trial)?;
         let drag_s = self.joint.drag_s(&self.library[trial])?;
@@ -144,19 +170,40 @@ impl EmbeddingModel {
         let excerpts: Vec<Excerpt> =
             (1..=steps).map(|step| Excerpt::beginning(step as f64 * LOOK_S)).collect();
         let (vectors, present) = self.joint.embed(&self.library[trial], &excerpts);
-        let look = |(step, vector): (usize, &Vec<f32>)| {
-            let scan_s = (step + 1) as f64 * LOOK_S;
-            let distances = trained.distances(vector[..].into());
-            let posterior = self.posterior_of(distances, &present, scan_s);
+        let posterior = |vector: &[f32], scan_s: f64| {
+            self.posterior_of(trained.distances(vector.into()), &present, scan_s)
+        };
+        let at = |step: usize| posterior(&vectors[step - 1], step as f64 * LOOK_S);
+        let look = |step: usize| {
+            let posterior = at(step);
             let fits = posterior.p_value.is_none_or(|p_value| {
                 options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(p_value))
             });
             let label = posterior.best();
-            Look { scan_s, label, probability: posterior.log_posterior[label].exp(), fits }
+            let probability = posterior.log_posterior[label].exp();
+            Look { scan_s: step as f64 * LOOK_S, label, probability, fits }
         };
+        let truth = self.labels.class[trial];
         let whole = trained.distances(self.training.whole(trial));
         let whole = self.posterior_of(whole, &present, drag_s).best();
-        let looks = vectors.iter().enumerate().map(look);
-        Some(Stops::new(looks, self.labels.class[trial], whole, drag_s))
+        let scan = LeftOutScan {
+            group: self.labels.group[trial],
+            scan_s: drag_s,
+            right: looked_after(drag_s).map(|step| at(step).best() == truth).collect(),
+            right_whole: whole == truth,
+        };
+        Some((Stops::new((1..=steps).map(look), truth, whole, drag_s), scan))
+    }
+
+    /// What the library holds.
+    fn counts(&self) -> LibraryCounts {
+        let mut trials = vec![0; self.labels.classes];
+        self.labels.class.iter().for_each(|&class| trials[class] += 1);
+        let people: BTreeSet<&str> = self.library.iter().map(|t| t.key.user.as_str()).collect();
+        LibraryCounts {
+            people: people.len(),
+            across_people: self.labels.across_users,
+            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
+        }
     }
 }

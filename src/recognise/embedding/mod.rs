@@ -39,12 +39,12 @@ use self::discriminant::Discriminant;
 use self::follower::Follower;
 use self::joint::{Excerpt, JointEmbedder, Present};
 use self::labels::Labels;
-use self::left_out::LeftOut;
+use self::left_out::{Followed, LeftOut};
 use self::posterior::QueryVector;
 use self::training::Training;
 use super::checks::{check_surfaces, nothing_in_common};
 use super::decide::conformal::{Rejection, RejectionError};
-use super::decide::settle::Settling;
+use super::decide::scan_time::LeftOutAccuracy;
 use super::error::RecogniseError;
 use super::features::FrameFeatures;
 use super::follow::{Follow, FollowOptions};
@@ -119,7 +119,7 @@ impl Embedding {
             training,
             left_out,
             discriminants: Mutex::default(),
-            settling: OnceLock::new(),
+            followed: OnceLock::new(),
             remarks,
         })
     }
@@ -136,8 +136,9 @@ pub struct EmbeddingModel {
     left_out: LeftOut,
     /// By the sources of the queries so far.
     discriminants: Mutex<HashMap<Present, Arc<Discriminant>>>,
-    /// The stop rule that was wanted first: scans are followed by one again and again.
-    settling: OnceLock<(FollowOptions, Settling)>,
+    /// What following left-out trials showed, by the options that were wanted first: scans are
+    /// followed by them again and again.
+    followed: OnceLock<(FollowOptions, Followed)>,
     /// For people: what the library was too small for.
     remarks: Vec<String>,
 }
@@ -238,6 +239,10 @@ impl Model for EmbeddingModel {
 
     fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {
         Some(Box::new(Follower::new(&self, options)))
+    }
+
+    fn left_out_accuracy(&self) -> Option<LeftOutAccuracy> {
+        Some(self.accuracy_by_time())
     }
 
     fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {

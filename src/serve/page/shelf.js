@@ -1,6 +1,6 @@
 // The library, opened: its trials, how they do when they are left out, and edits that can be undone.
 
-import { $, ask, button, fill, hide, make, many, percent, say } from "./dom.js";
+import { $, ask, button, fill, hide, make, many, percent, printable, say } from "./dom.js";
 
 const dialog = $("shelf");
 let listed = { trials: [], removed: [], undo: null };
@@ -87,7 +87,7 @@ function matrix({ labels, counts }) {
   const head = make("tr");
   head.append(make("th", ""), ...labels.map((label, i) => {
     const cell = make("th", i + 1);
-    cell.title = label;
+    cell.title = printable(label);
     return cell;
   }));
   table.append(head);
@@ -98,7 +98,7 @@ function matrix({ labels, counts }) {
     counts[truth].forEach((count, answer) => {
       const cell = make("td", count || "");
       if (count) cell.className = truth === answer ? "hit" : "miss";
-      cell.title = `${label}: ${count} of ${all} named ${labels[answer]}`;
+      cell.title = printable(`${label}: ${count} of ${all} named ${labels[answer]}`);
       line.append(cell);
     });
     table.append(line);

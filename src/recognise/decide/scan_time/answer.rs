@@ -1,0 +1,235 @@
+//! The answer: how long to drag, or why that cannot be said.
+
+use super::{AccuracyAt, Goal, LeftOutAccuracy};
+
+/// Why there is no scan time.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shortfall {
+    /// No trial can be left out.
+    NothingLeftOut {
+        /// the surfaces that have too few, and how many they lack
+        lacking: Vec<(String, usize)>,
+    },
+    /// So few trials could not show the share even if all were named right.
+    TooFewTrials {
+        /// the share
+        share: f64,
+        /// trials to record of each surface
+        of_each: usize,
+        /// number of surfaces
+        surfaces: usize,
+    },
+    /// Not even whole trials reach the target.
+    NotReached,
+    /// The trials cannot be compared with each other: why.
+    NoModel(String),
+}
+
+/// How long a scan must last, or why that cannot be said.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(into = "Document")]
+pub struct ScanTime {
+    /// The share that is to be named right.
+    pub target: f64,
+    /// How long to drag, and the share that is named right by then.
+    pub enough: Option<AccuracyAt>,
+    /// The same by the whole length of the trials.
+    pub whole: Option<AccuracyAt>,
+    /// Left-out trials that this rests on.
+    pub trials: usize,
+    /// People in the library.
+    pub people: usize,
+    /// Whether the promise holds for other people: each of these was left out.
+    pub across_people: bool,
+    /// Why `enough` is none.
+    pub shortfall: Option<Shortfall>,
+}
+
+/// As programs get it.
+#[derive(serde::Serialize)]
+struct Document {
+    /// The share that is to be named right.
+    target: f64,
+    /// How long to drag, in seconds; null where `reason` says why.
+    scan_s: Option<f64>,
+    /// The share that is named right by then, and its 95 % interval.
+    accuracy: Option<f64>,
+    accuracy_low: Option<f64>,
+    accuracy_high: Option<f64>,
+    /// Median length of the library's trials, and the share that is named right by theirs.
+    whole_s: Option<f64>,
+    accuracy_whole: Option<f64>,
+    /// Left-out trials that this rests on.
+    trials: usize,
+    /// People in the library, and whether each was left out in turn.
+    people: usize,
+    across_people: bool,
+    reason: Option<String>,
+    /// Trials that are lacking, about, where they are.
+    more_trials: Option<usize>,
+}
+
+impl From<ScanTime> for Document {
+    fn from(answer: ScanTime) -> Self {
+        let (at, whole) = (answer.enough, answer.whole);
+        Self {
+            target: answer.target,
+            scan_s: answer.scan_s(),
+            accuracy: at.map(|at| at.accuracy),
+            accuracy_low: at.map(|at| at.accuracy_low),
+            accuracy_high: at.map(|at| at.accuracy_high),
+            whole_s: whole.map(|whole| whole.scan_s),
+            accuracy_whole: whole.map(|whole| whole.accuracy),
+            trials: answer.trials,
+            people: answer.people,
+            across_people: answer.across_people,
+            reason: answer.reason(),
+            more_trials: answer.more_trials(),
+        }
+    }
+}
+
+impl ScanTime {
+    /// For trials that cannot be compared with each other.
+    pub fn without_model(goal: Goal, why: String) -> Self {
+        let shortfall = Some(Shortfall::NoModel(why));
+        Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
+    }
+
+    /// How long to drag, in seconds, where that is known.
+    pub fn scan_s(&self) -> Option<f64> {
+        self.enough.map(|at| at.scan_s)
+    }
+
+    /// For people: the answer in one line.
+    pub fn line(&self) -> String {
+        let Some(at) = self.enough else {
+            let why = self.reason().unwrap_or_default();
+            return format!("how long to drag is not known: {why}");
+        };
+        format!(
+            "drag for at least {:.1} s: {} of left-out scans ({} to {}) are named right by then, \
+             and {} at full length ({})",
+            at.scan_s,
+            percent(at.accuracy),
+            number(at.accuracy_low),
+            number(at.accuracy_high),
+            self.whole_percent(),
+            self.for_whom()
+        )
+    }
+
+    fn whole_percent(&self) -> String {
+        self.whole.map_or_else(String::new, |whole| percent(whole.accuracy))
+    }
+
+    /// For people: why there is no scan time.
+    pub fn reason(&self) -> Option<String> {
+        self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
+    }
+
+    /// Trials that are lacking, about, where it is for too few that there is no scan time.
+    pub fn more_trials(&self) -> Option<usize> {
+        match self.shortfall.as_ref()? {
+            Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
+            Shortfall::TooFewTrials { of_each, surfaces, .. } => Some(of_each * surfaces),
+            Shortfall::NotReached | Shortfall::NoModel(_) => None,
+        }
+    }
+
+    fn for_whom(&self) -> &'static str {
+        match (self.people, self.across_people) {
+            (_, true) => "for other people, too: each was left out in turn",
+            (0 | 1, _) => "for this person",
+            _ => "for the people in the library",
+        }
+    }
+
+    fn why(&self, shortfall: &Shortfall) -> String {
+        match shortfall {
+            Shortfall::NothingLeftOut { lacking } => {
+                let lacking: Vec<String> =
+                    lacking.iter().map(|(surface, n)| format!("{n} more of {surface}")).collect();
+                match lacking.is_empty() {
+                    true => "no trial with a drag can be left out".into(),
+                    false => format!(
+                        "it is found by leaving trials out, which takes two of each surface: \
+                         record {}",
+                        lacking.join(", ")
+                    ),
+                }
+            }
+            Shortfall::TooFewTrials { share, of_each, surfaces } => format!(
+                "{} trials could not show {} even without a mistake: record {of_each} more of each \
+                 of the {surfaces} surfaces",
+                self.trials,
+                percent(*share)
+            ),
+            Shortfall::NoModel(why) => why.clone(),
+            Shortfall::NotReached => format!(
+                "no scan time reaches {}; at full length {} of left-out scans are named right ({}): \
+                 add a source, or record more trials",
+                percent(self.target),
+                self.whole_percent(),
+                self.for_whom()
+            ),
+        }
+    }
+}
+
+fn number(share: f64) -> String {
+    format!("{:.1}", 100.0 * share)
+}
+
+fn percent(share: f64) -> String {
+    format!("{} %", number(share))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer() -> ScanTime {
+        let at = |scan_s, accuracy, accuracy_low, accuracy_high| AccuracyAt {
+            scan_s,
+            accuracy,
+            accuracy_low,
+            accuracy_high,
+        };
+        ScanTime {
+            target: 0.985,
+            enough: Some(at(0.9, 0.99, 0.972, 0.997)),
+            whole: Some(at(4.8, 0.995, 0.97, 0.999)),
+            trials: 200,
+            people: 1,
+            across_people: false,
+            shortfall: None,
+        }
+    }
+
+    #[test]
+    fn one_line_says_how_long_how_surely_and_for_whom() {
+        assert_eq!(
+            answer().line(),
+            "drag for at least 0.9 s: 99.0 % of left-out scans (97.2 to 99.7) are named right by \
+             then, and 99.5 % at full length (for this person)"
+        );
+        let others = ScanTime { people: 4, across_people: true, ..answer() };
+        assert!(others.line().ends_with("(for other people, too: each was left out in turn)"));
+    }
+
+    #[test]
+    fn without_a_scan_time_the_line_says_why_and_what_to_record() {
+        let none = |shortfall| ScanTime { enough: None, shortfall: Some(shortfall), ..answer() };
+        let few = none(Shortfall::TooFewTrials { share: 0.99, of_each: 2, surfaces: 3 });
+        assert!(few.line().ends_with("record 2 more of each of the 3 surfaces"), "{}", few.line());
+        assert_eq!(few.more_trials(), Some(6));
+        let lacking = vec![("ash".into(), 1), ("oak".into(), 2)];
+        let nothing = none(Shortfall::NothingLeftOut { lacking });
+        assert!(nothing.line().ends_with("record 1 more of ash, 2 more of oak"));
+        let poor = none(Shortfall::NotReached);
+        assert!(poor.line().contains("no scan time reaches 98.5 %; at full length 99.5 %"));
+        let json = serde_json::to_value(&poor).unwrap();
+        assert!(json["scan_s"].is_null() && json["reason"].is_string() && json["trials"] == 200);
+    }
+}

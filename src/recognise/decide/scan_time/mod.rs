@@ -1,0 +1,306 @@
+//! How long a scan must last: the earliest time from which on left-out library trials are named as
+//! well as is wanted.
+//!
+//! Every trial is left out in turn, with its whole person where the library has several, and named
+//! after each of some scan times. [`LeftOutAccuracy`] holds the shares that are named right by
+//! then; [`LeftOutAccuracy::scan_time`] reads the answer from them. This is the one number behind
+//! `surfaced duration`, the countdowns, and a plan's scan time.
+//!
+//! The time is chosen and its accuracy stated from the same trials, which alone would flatter it.
+//! So the accuracy is cross-fitted: the time is chosen by all groups of trials but one, the group is
+//! counted at that time, and so on round the groups. With several people a group is a person, and
+//! the interval is that of people, not of trials.
+
+mod answer;
+
+pub use answer::{ScanTime, Shortfall};
+
+use super::interval::{can_show, wilson, wilson_of_groups};
+use crate::recognise::follow::LOOK_S;
+
+/// Ratio of a later scan time to the one before it, at most; the first ones are a look apart.
+const RATIO: f64 = 1.15;
+
+/// Looks after which a trial of `scan_s` seconds is named, counted from 1.
+pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
+    let last = (scan_s / LOOK_S + 1e-9).floor() as usize;
+    let next = |&look: &usize| Some((look + 1).max((look as f64 * RATIO) as usize));
+    std::iter::successors(Some(1), next).take_while(move |look| *look <= last)
+}
+
+/// A left-out trial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LeftOutScan {
+    /// Trials of one group were left out together.
+    pub group: usize,
+    /// How long its drag lasts, in seconds.
+    pub scan_s: f64,
+    /// Whether it was named right after each time of [`looked_after`].
+    pub right: Vec<bool>,
+    /// Whether it was named right by its whole length.
+    pub right_whole: bool,
+}
+
+/// What a library's trials say of whom a promise holds for, and of what is lacking.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LibraryCounts {
+    /// Its people.
+    pub people: usize,
+    /// Whether they were left out, one after the other.
+    pub across_people: bool,
+    /// Its surfaces, with the number of trials of each.
+    pub surfaces: Vec<(String, usize)>,
+}
+
+/// How well scans are to be named.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// This share of them.
+    Accuracy(f64),
+    /// Their accuracy by the whole length, less this share.
+    Loss(f64),
+}
+
+/// A share of left-out trials that are named right by a time.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct AccuracyAt {
+    /// Scan time in seconds.
+    pub scan_s: f64,
+    /// The share.
+    pub accuracy: f64,
+    /// Lower end of its 95 % interval.
+    pub accuracy_low: f64,
+    /// Upper end.
+    pub accuracy_high: f64,
+}
+
+/// Trials that were left out together: how many there are, and how many are named right by each
+/// time, the last of which is their whole length.
+#[derive(Clone, Debug, PartialEq)]
+struct Group {
+    trials: usize,
+    right: Vec<usize>,
+}
+
+/// How many left-out trials are named right by when.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LeftOutAccuracy {
+    /// In seconds, rising; the median length of the trials comes last and stands for their whole
+    /// length.
+    times: Vec<f64>,
+    groups: Vec<Group>,
+    library: LibraryCounts,
+}
+
+impl LeftOutAccuracy {
+    /// Counts. A trial that is shorter than a time is named by its whole length.
+    pub fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
+        let mut lengths: Vec<f64> = scans.iter().map(|scan| scan.scan_s).collect();
+        lengths.sort_by(f64::total_cmp);
+        let Some(&whole_s) = lengths.get(lengths.len() / 2) else {
+            return Self { library, ..Self::default() };
+        };
+        let mut times: Vec<f64> = looked_after(whole_s).map(|look| look as f64 * LOOK_S).collect();
+        times.retain(|time| *time < whole_s - 1e-9);
+        let shorter = times.len();
+        times.push(whole_s);
+        let count = scans.iter().map(|scan| scan.group + 1).max().unwrap_or(0);
+        let mut groups = vec![Group { trials: 0, right: vec![0; times.len()] }; count];
+        for scan in scans {
+            let group = &mut groups[scan.group];
+            group.trials += 1;
+            let by = |at: usize| scan.right.get(at).filter(|_| at < shorter);
+            for (at, right) in group.right.iter_mut().enumerate() {
+                *right += usize::from(*by(at).unwrap_or(&scan.right_whole));
+            }
+        }
+        groups.retain(|group| group.trials > 0);
+        Self { times, groups, library }
+    }
+
+    /// Left-out trials.
+    pub fn trials(&self) -> usize {
+        self.groups.iter().map(|group| group.trials).sum()
+    }
+
+    /// Median length of the trials, in seconds.
+    pub fn whole_s(&self) -> Option<f64> {
+        self.times.last().copied()
+    }
+
+    /// Accuracy by each time; the last is that by the whole length.
+    pub fn points(&self) -> Vec<AccuracyAt> {
+        (0..self.times.len()).map(|at| self.point(self.times[at], |_| at)).collect()
+    }
+
+    /// Accuracy where group g is counted at time number `at(g)`.
+    fn point(&self, scan_s: f64, at: impl Fn(usize) -> usize) -> AccuracyAt {
+        let counts: Vec<(usize, usize)> = self
+            .groups
+            .iter()
+            .enumerate()
+            .map(|(g, group)| (group.right[at(g)], group.trials))
+            .collect();
+        let share = counts.iter().map(|count| count.0).sum::<usize>() as f64 / self.trials() as f64;
+        let (accuracy_low, accuracy_high) = match self.library.across_people {
+            true => wilson_of_groups(&counts),
+            false => wilson(share, self.trials() as f64),
+        };
+        AccuracyAt { scan_s, accuracy: share, accuracy_low, accuracy_high }
+    }
+
+    /// Number of the earliest time from which on the groups but `without` reach the goal; none if
+    /// even their whole length does not.
+    fn earliest(&self, goal: Goal, without: Option<usize>) -> Option<usize> {
+        let kept = || self.groups.iter().enumerate().filter(|(g, _)| Some(*g) != without);
+        let trials: usize = kept().map(|(_, group)| group.trials).sum();
+        let right = |at: usize| kept().map(|(_, group)| group.right[at]).sum::<usize>();
+        let last = self.times.len() - 1;
+        let share = |at: usize| right(at) as f64 / f64::max(trials as f64, 1.0);
+        let target = match goal {
+            Goal::Accuracy(target) => target,
+            Goal::Loss(loss) => share(last) - loss,
+        };
+        let enough = |at: &usize| share(*at) >= target - 1e-9;
+        (0..self.times.len()).rev().take_while(enough).last()
+    }
+
+    /// The answer for a goal.
+    pub fn scan_time(&self, goal: Goal) -> ScanTime {
+        let whole = self.points().last().copied();
+        let trials = self.trials();
+        let target = match goal {
+            Goal::Accuracy(share) => share,
+            Goal::Loss(loss) => whole.map_or(1.0, |whole| whole.accuracy) - loss,
+        };
+        let mut answer = ScanTime {
+            target,
+            enough: None,
+            whole,
+            trials,
+            people: self.library.people,
+            across_people: self.library.across_people,
+            shortfall: None,
+        };
+        let to_show = match goal {
+            Goal::Accuracy(share) => share,
+            Goal::Loss(loss) => 1.0 - loss,
+        };
+        if trials == 0 {
+            answer.shortfall = Some(Shortfall::NothingLeftOut { lacking: self.lacking() });
+        } else if !can_show(trials, to_show) {
+            let needed = (trials..).find(|&n| can_show(n, to_show)).unwrap_or(trials);
+            let surfaces = self.library.surfaces.len().max(1);
+            let of_each = (needed - trials).div_ceil(surfaces);
+            answer.shortfall = Some(Shortfall::TooFewTrials { share: to_show, of_each, surfaces });
+        } else if let Some(at) = self.earliest(goal, None) {
+            let last = self.times.len() - 1;
+            let without = |g: usize| self.earliest(goal, Some(g)).unwrap_or(last);
+            let chosen: Vec<usize> = (0..self.groups.len()).map(without).collect();
+            answer.enough = Some(self.point(self.times[at], |g| chosen[g]));
+        } else {
+            answer.shortfall = Some(Shortfall::NotReached);
+        }
+        answer
+    }
+
+    /// Surfaces that have too few trials for one to be left out, with the number that they lack.
+    fn lacking(&self) -> Vec<(String, usize)> {
+        let lacks = |(surface, trials): &(String, usize)| {
+            (surface.clone(), 2_usize.saturating_sub(*trials))
+        };
+        self.library.surfaces.iter().map(lacks).filter(|(_, lacks)| *lacks > 0).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `trials` trials of 2 s, ten groups, each named right from `right_from(i)` seconds on.
+    fn accuracy(trials: usize, right_from: impl Fn(usize) -> f64) -> LeftOutAccuracy {
+        let scan = |i: usize| LeftOutScan {
+            group: i % 10,
+            scan_s: 2.0,
+            right: looked_after(2.0)
+                .map(|look| look as f64 * LOOK_S >= right_from(i) - 1e-9)
+                .collect(),
+            right_whole: right_from(i) <= 2.0,
+        };
+        let scans: Vec<LeftOutScan> = (0..trials).map(scan).collect();
+        let surfaces = vec![("ash".into(), trials / 2), ("oak".into(), trials / 2)];
+        LeftOutAccuracy::new(&scans, LibraryCounts { people: 1, across_people: false, surfaces })
+    }
+
+    #[test]
+    fn looks_are_a_step_apart_at_first_and_then_a_share_of_the_time() {
+        let all: Vec<usize> = looked_after(4.8).collect();
+        assert_eq!(all[..10], [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
+        assert!(all.windows(2).all(|w| w[0] < w[1] && w[1] as f64 <= 1.15 * w[0] as f64 + 1.0));
+        assert_eq!(looked_after(0.05).count(), 0);
+        assert_eq!(looked_after(0.3).count(), 3);
+    }
+
+    #[test]
+    fn the_scan_time_is_the_earliest_from_which_on_the_goal_is_kept() {
+        let mostly = accuracy(200, |i| if i % 51 == 0 { 1.0 } else { 0.5 });
+        let found = |goal| mostly.scan_time(goal).enough.unwrap();
+        assert!((found(Goal::Accuracy(0.95)).scan_s - 0.5).abs() < 1e-9);
+        let all = found(Goal::Loss(0.01));
+        assert!((all.scan_s - 1.0).abs() < 1e-9 && all.accuracy == 1.0 && all.accuracy_low < 1.0);
+        // Right at 0.5 s and wrong again at 0.8 s: later times decide.
+        let mut relapse = mostly;
+        relapse.groups.iter_mut().for_each(|group| group.right[7] = 0);
+        let found = relapse.scan_time(Goal::Accuracy(0.95)).enough.unwrap();
+        assert!((found.scan_s - 0.9).abs() < 1e-9, "{found:?}");
+    }
+
+    #[test]
+    fn the_stated_accuracy_is_of_trials_that_did_not_choose_the_time() {
+        // One group alone needs longer: without it the others would stop early, and lose it.
+        let late = accuracy(200, |i| if i % 10 == 3 { 1.5 } else { 0.5 });
+        let found = late.scan_time(Goal::Loss(0.01)).enough.unwrap();
+        assert!((found.scan_s - 1.6).abs() < 0.11 && found.accuracy == 0.9, "{found:?}");
+    }
+
+    #[test]
+    fn a_goal_that_whole_trials_miss_has_no_scan_time() {
+        let poor = accuracy(200, |i| if i % 5 == 0 { 9.0 } else { 0.5 });
+        let answer = poor.scan_time(Goal::Accuracy(0.9));
+        assert_eq!((answer.enough, answer.shortfall.clone()), (None, Some(Shortfall::NotReached)));
+        assert_eq!(answer.scan_s(), None);
+        assert!((poor.scan_time(Goal::Loss(0.01)).enough.unwrap().accuracy - 0.8).abs() < 1e-9);
+    }
+
+    #[test]
+    fn too_few_trials_say_how_many_more() {
+        let few = accuracy(10, |_| 0.1).scan_time(Goal::Loss(0.01));
+        let Some(Shortfall::TooFewTrials { of_each, surfaces, .. }) = few.shortfall else {
+            panic!("{few:?}")
+        };
+        assert!(
+            can_show(10 + of_each * surfaces, 0.99)
+                && !can_show(10 + (of_each - 1) * surfaces, 0.99)
+        );
+        let surfaces = vec![("ash".to_string(), 1), ("oak".to_string(), 2)];
+        let counts = LibraryCounts { people: 1, across_people: false, surfaces };
+        let none = LeftOutAccuracy::new(&[], counts).scan_time(Goal::Loss(0.01));
+        let lacking = vec![("ash".to_string(), 1)];
+        assert_eq!(none.shortfall, Some(Shortfall::NothingLeftOut { lacking }));
+    }
+
+    #[test]
+    fn short_trials_count_by_their_whole_length() {
+        let scan = |scan_s: f64, right: bool| LeftOutScan {
+            group: 0,
+            scan_s,
+            right: looked_after(scan_s).map(|_| !right).collect(),
+            right_whole: right,
+        };
+        let scans = [scan(0.3, true), scan(1.0, false), scan(1.0, false)];
+        let points = LeftOutAccuracy::new(&scans, LibraryCounts::default()).points();
+        assert!((points[0].accuracy - 2.0 / 3.0).abs() < 1e-9, "{points:?}");
+        assert_eq!(points[3].accuracy, 1.0, "the short one is right by now");
+        assert!((points.last().unwrap().accuracy - 1.0 / 3.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,96 @@
+//! The scan in progress, followed as its samples come.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+
+use super::event::{Guess, SurfaceProbability};
+use super::recogniser::Recogniser;
+use super::trial_need::{Purpose, TrialNeed};
+use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
+use crate::scan::{Fresh, Progress, Scan};
+
+/// The scan in progress, as far as it was followed.
+#[derive(Default)]
+pub(super) struct Followed {
+    scan: u32,
+    /// With what it is followed by.
+    follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
+    last: Option<GuessSoFar>,
+    trial: TrialNeed,
+}
+
+impl Followed {
+    /// Adds what is new, and gives the scan's first answers and whether it may end.
+    pub fn guess(
+        &mut self,
+        progress: &Progress,
+        purpose: &Purpose,
+        by: Option<&Arc<Recogniser>>,
+    ) -> Guess {
+        let truth = progress.truth.as_ref();
+        if self.scan != progress.number {
+            let followed_by = |by: &Arc<Recogniser>| {
+                let follower = caught(|| by.follow(truth)).flatten()?;
+                Some((by.clone(), follower))
+            };
+            let follower = by.and_then(followed_by);
+            *self = Self { scan: progress.number, follower, ..Self::default() };
+        }
+        if let Some((_, follower)) = &mut self.follower {
+            // A scan that cannot be compared is followed no longer; its answer will say why.
+            match caught(|| look(&mut **follower, progress)) {
+                Some(Ok(guess)) => self.last = guess.or(self.last.take()),
+                Some(Err(_)) | None => self.follower = None,
+            }
+        }
+        let mut news = Guess::nothing(progress.number, progress.scan_s);
+        if let Some(guess) = &self.last {
+            let named = guess.named.iter().cloned();
+            let name = |(surface, probability)| SurfaceProbability { surface, probability };
+            news.named = named.map(name).collect();
+            news.settled = guess.settled.is_some();
+        }
+        news.needed_s = by.and_then(|by| by.needed_s(truth));
+        let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
+        self.trial.judge(&mut news, progress, purpose, supported);
+        news
+    }
+
+    /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
+    /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
+    /// another library was read since it began.
+    pub fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranking> {
+        let (followed_by, follower) =
+            self.follower.as_mut().filter(|_| self.scan == scan.number)?;
+        let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
+        if !whole || !Arc::ptr_eq(followed_by, by) {
+            return None;
+        }
+        caught(|| follower.finish(&scan.trial)).flatten()
+    }
+
+    /// When the answer of a scan was settled, in seconds of scan time.
+    pub fn settled_s(&self, scan: u32) -> Option<f64> {
+        let last = self.last.as_ref().filter(|_| self.scan == scan)?;
+        last.settled.as_ref().map(|(_, at)| *at)
+    }
+}
+
+/// What `work` gives; `None` if it panicked. One scan must not take the station with it.
+pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
+    std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
+}
+
+fn look(
+    follower: &mut dyn Follow,
+    progress: &Progress,
+) -> Result<Option<GuessSoFar>, RecogniseError> {
+    for Fresh { source, rate_hz, channels, samples, .. } in &progress.fresh {
+        let (rate_hz, channels) = (*rate_hz, *channels);
+        follower.add(FreshFrames { source, rate_hz, channels, samples })?;
+    }
+    for (source, picture) in &progress.images {
+        follower.add_picture(source, picture)?;
+    }
+    follower.look(progress.scan_s)
+}

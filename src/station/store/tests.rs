@@ -1,0 +1,105 @@
+use std::time::Instant;
+
+use super::*;
+use crate::trial::{Series, Signal};
+
+fn scan(number: u32) -> Box<Scan> {
+    scan_at(number, 0.0)
+}
+
+/// One whose sources all have this level.
+fn scan_at(number: u32, level: f32) -> Box<Scan> {
+    let signal = |channels: usize| {
+        let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
+        Signal::Series(Series::new(10_000.0, channels, samples).unwrap())
+    };
+    let signals = [("ir", 1), ("fr", 2), ("ac", 3)]
+        .map(|(id, channels)| (SourceId::new(id).unwrap(), signal(channels)));
+    Box::new(Scan {
+        number,
+        trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
+        truth: None,
+        synthetic: false,
+        scan_s: 0.01,
+        lost_samples: 0,
+        lost_by_source: BTreeMap::new(),
+        spoiled: Vec::new(),
+        ended_at: Instant::now(),
+    })
+}
+
+fn enrolment() -> Enrolment {
+    Enrolment { order: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
+}
+
+#[test]
+fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
+    let dir = tempfile::tempdir().unwrap();
+    // Where the library's folder should be lies a file.
+    let folder = dir.path().join("library");
+    std::fs::write(&folder, "").unwrap();
+    let thread = RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
+    let outcomes = |n: usize| -> Vec<_> {
+        (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
+    };
+    (1..=2).for_each(|number| thread.store(scan(number), enrolment(), None));
+    use EnrolledOutcome::{Kept, Lost, Waiting};
+    assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
+    std::fs::remove_file(&folder).unwrap();
+    assert_eq!(outcomes(2), [(1, Kept), (2, Kept)]);
+    assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
+    std::fs::remove_dir_all(&folder).unwrap();
+    std::fs::write(&folder, "").unwrap();
+    thread.store(scan(3), enrolment(), None);
+    assert_eq!(outcomes(1), [(3, Waiting)]);
+    let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
+    assert_eq!(last, [(3, Lost)]);
+}
+
+#[test]
+fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let start = || {
+        let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+        RecordingThread::start(store).unwrap()
+    };
+    let both = [start(), start()];
+    // Of one process, so with one process number, as in two containers.
+    for number in 1..=8 {
+        for (thread, level) in both.iter().zip([0.0, 0.5]) {
+            thread.store(scan_at(number, level), enrolment(), None);
+        }
+    }
+    for thread in both {
+        assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
+    }
+    let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(library.entries.len(), 16);
+    let level = |signal: &Signal| match signal {
+        Signal::Series(series) => series.samples()[0],
+        Signal::Image(_) => f32::NAN,
+    };
+    let mut of_each = [0, 0];
+    for entry in library.entries {
+        let levels: Vec<f32> = entry.load().unwrap().signals.values().map(level).collect();
+        assert!(levels.len() == 3 && levels.iter().all(|x| *x == levels[0]), "{levels:?}");
+        of_each[usize::from(levels[0] > 0.25)] += 1;
+    }
+    assert_eq!(of_each, [8, 8]);
+}
+
+#[test]
+fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+    let thread = RecordingThread::start(store).unwrap();
+    let number = || thread.stored.recv().unwrap().1.trial;
+    thread.store(scan(1), enrolment(), None);
+    assert_eq!(number(), Some(1));
+    let script = dir.path().join("oak/trial2");
+    std::fs::create_dir(&script).unwrap();
+    std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
+    std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
+    thread.store(scan(2), enrolment(), None);
+    assert_eq!(number(), Some(3));
+}

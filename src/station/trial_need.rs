@@ -1,0 +1,127 @@
+//! Whether a scan in progress may end: for its name, or, by the T* of its own sources, as a trial.
+
+use std::collections::BTreeMap;
+
+use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
+use crate::scan::{Fresh, Progress};
+use crate::scene::SourceId;
+use crate::station::event::Guess;
+
+/// A source that has rested this long, in seconds of drag, will: it asks for nothing.
+const RESTS_S: f64 = 1.0;
+
+/// What a scan in progress is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// To be named.
+    Name,
+    /// To be kept as a trial, which must hold enough independent samples of these sources.
+    Keep(Vec<SourceId>),
+}
+
+/// What the sources by which trials are judged ask for, as far as their T* is known by now.
+#[derive(Default)]
+pub(super) struct TrialNeed {
+    of_source: BTreeMap<SourceId, SourceNeed>,
+}
+
+struct SourceNeed {
+    online: OnlineDuration,
+    first: Vec<f32>,
+    moves: bool,
+    /// By the upper bound of T*: the trial is judged by T* itself.
+    needed_s: Option<f64>,
+}
+
+impl TrialNeed {
+    /// Says in `news`, which holds how long the drag must last to be named, how long it must last for
+    /// its purpose, and whether it may end. A settled answer counts where its rule is `supported`.
+    pub fn judge(
+        &mut self,
+        news: &mut Guess,
+        progress: &Progress,
+        purpose: &Purpose,
+        supported: bool,
+    ) {
+        let mut settled = news.settled && supported;
+        if let Purpose::Keep(by_t_star) = purpose {
+            let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
+            progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
+            news.needed_s = self.needed_s(progress.scan_s, news.needed_s);
+            // A name is not what such a scan is for.
+            settled = false;
+        }
+        news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
+    }
+
+    /// Takes the next frames of a source.
+    fn add(&mut self, fresh: &Fresh) {
+        let begin = || SourceNeed {
+            online: OnlineDuration::new(
+                fresh.rate_hz,
+                fresh.channels,
+                OnlineSettings { window_s: f64::INFINITY, ..OnlineSettings::default() },
+            ),
+            first: fresh.samples.iter().take(fresh.channels).copied().collect(),
+            moves: false,
+            needed_s: None,
+        };
+        let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
+        let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
+        source.moves |= frames.into_iter().any(|frame| frame != source.first);
+        // Frames with samples that are not numbers make no good trial, and are no part of T*.
+        if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
+            let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
+            source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());
+        }
+    }
+
+    /// How long the drag must last, in seconds, at least `least_s`; none while that is not known.
+    fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
+        let mut needed_s = least_s;
+        for source in self.of_source.values() {
+            match source.needed_s {
+                Some(its_s) => needed_s = Some(needed_s.unwrap_or(0.0).max(its_s)),
+                None if !source.moves && scan_s >= RESTS_S => {}
+                None => return None,
+            }
+        }
+        needed_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::duration::simulate;
+
+    fn fresh(samples: Vec<f32>) -> Fresh {
+        let source = SourceId::new("ir").unwrap();
+        Fresh { source, rate_hz: 1e4, channels: 1, start: 0, samples }
+    }
+
+    #[test]
+    fn what_is_needed_is_known_after_a_second_and_is_more_for_a_slower_source() {
+        let after_2_s = |tau: f64| {
+            let mut rng = crate::seed::rng(1, &[b"need"]);
+            let mut need = TrialNeed::default();
+            need.add(&fresh(simulate::ar1(9_000, tau, &mut rng)));
+            assert_eq!(need.needed_s(0.9, Some(0.5)), None);
+            need.add(&fresh(simulate::ar1(11_000, tau, &mut rng)));
+            need.needed_s(2.0, Some(0.5)).unwrap()
+        };
+        let (fast, slow) = (after_2_s(2.0), after_2_s(20.0));
+        assert!((0.5..1.0).contains(&fast) && slow > 3.0 * fast, "{fast} {slow}");
+    }
+
+    #[test]
+    fn a_source_that_rests_asks_for_nothing_and_without_sources_the_least_is_enough() {
+        let mut need = TrialNeed::default();
+        assert_eq!((need.needed_s(0.1, Some(0.7)), need.needed_s(0.1, None)), (Some(0.7), None));
+        need.add(&fresh(vec![0.5; 12_000]));
+        assert_eq!(
+            (need.needed_s(0.5, Some(0.7)), need.needed_s(1.2, Some(0.7))),
+            (None, Some(0.7))
+        );
+    }
+}

@@ -1,0 +1,102 @@
+//! `surfaced library`, `check` and `history` as a person types them.
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn surfaced(arguments: &[&str]) -> Output {
+    Command::cargo_bin("surfaced").unwrap().args(arguments).output().unwrap()
+}
+
+fn done(arguments: &[&str]) -> String {
+    let output = surfaced(arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A synthetic library of three surfaces, four trials each.
+fn library(dir: &Path) -> String {
+    let path = dir.join("library").to_str().unwrap().to_string();
+    let size = ["--surfaces", "3", "--trials", "4", "--users", "0", "--seconds", "1"];
+    done(&[&["synth", path.as_str()], &size[..]].concat());
+    path
+}
+
+fn trials(library: &str) -> Vec<(String, String)> {
+    let rows: Value =
+        serde_json::from_str(&done(&["library", "list", library, "--quick", "--json"])).unwrap();
+    let text = |row: &Value, key: &str| row[key].as_str().unwrap().to_string();
+    rows.as_array().unwrap().iter().map(|row| (text(row, "trial"), text(row, "surface"))).collect()
+}
+
+#[test]
+fn a_library_is_edited_and_every_edit_is_taken_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let before = trials(&library);
+    assert_eq!(before.len(), 12);
+    let (first, surface) = before[0].clone();
+    done(&["library", "rename", &library, &surface, "slate"]);
+    assert_eq!(trials(&library).iter().filter(|(_, s)| s == "slate").count(), 4);
+    done(&["library", "undo", &library]);
+    assert_eq!(trials(&library), before);
+    done(&["library", "remove", &library, &first]);
+    assert_eq!(trials(&library).len(), 11);
+    assert!(done(&["library", "list", &library, "--removed"]).contains(&first));
+    done(&["library", "restore", &library, &first]);
+    done(&["library", "move", &library, &first, "--to", "elm"]);
+    assert_eq!(trials(&library).iter().filter(|(_, s)| s == "elm").count(), 1);
+    (0..3).for_each(|_| drop(done(&["library", "undo", &library])));
+    assert_eq!(trials(&library), before);
+    for wrong in [&["library", "remove", &library, "nothing"][..], &["library", "undo", &library]] {
+        let output = surfaced(wrong);
+        assert_eq!(output.status.code(), Some(1), "{wrong:?}: {}", said(&output));
+    }
+}
+
+#[test]
+fn a_check_names_what_to_mend_and_one_bad_file_does_not_stop_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let all = trials(&library);
+    // A copy of a trial under another number, and a file that is cut short.
+    let source = Path::new(&library).join(&all[0].0);
+    let copy = source.with_file_name("copy-09");
+    std::fs::create_dir(&copy).unwrap();
+    for file in std::fs::read_dir(&source).unwrap().flatten() {
+        if file.file_name() != "trial.toml" {
+            std::fs::copy(file.path(), copy.join(file.file_name())).unwrap();
+        }
+    }
+    let bad = Path::new(&library).join(&all[5].0).join("ir.wav");
+    let bytes = std::fs::read(&bad).unwrap();
+    std::fs::write(&bad, &bytes[..bytes.len() / 2]).unwrap();
+    let output = surfaced(&["check", &library, "--json"]);
+    assert_eq!(output.status.code(), Some(3), "{}", said(&output));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mend = report["mend"].to_string();
+    assert!(mend.contains("is a copy of") && mend.contains("ir.wav"), "{mend}");
+    assert_eq!(report["trials"], 13);
+    assert!(report["accuracy"].as_f64().unwrap() > 0.5, "{report}");
+    let counted: u64 =
+        report["surfaces"].as_array().unwrap().iter().map(|s| s["queries"].as_u64().unwrap()).sum();
+    assert_eq!(counted, 13);
+    let text = surfaced(&["check", &library]);
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("left out and named right") && text.contains("to mend:"), "{text}");
+}
+
+#[test]
+fn a_library_without_past_scans_says_how_to_keep_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let output = surfaced(&["history", dir.path().to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(said(&output).contains("surfaced run --library"), "{}", said(&output));
+}
