@@ -7,7 +7,7 @@
 //!     trial.toml                 optional: see [`About`]
 //!     mi2.wav  ac.wav  …         one WAV or FLAC a source
 //!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             without trial folders: a trial a file, see [`super::loose`]
+//!   SURFACE/NAME.wav             without trial folders: a trial a file
 //! ```
 
 use std::collections::BTreeMap;
@@ -62,10 +62,7 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     opening.library()
 }
 
-/// Opens a single WAV or FLAC file as a library of one unlabelled trial.
-///
-/// # Errors
-/// As [`open`].
+/// Opens a single WAV or FLAC file as a library of one unlabelled trial; errors are as of [`open`].
 pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let path = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
     let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {

@@ -1,5 +1,5 @@
 //! Any request: no panic, and nothing is ordered that is not allowed. `tools/fuzz` runs it for a
-//! moment; for longer, with nightly Rust and `cargo install cargo-fuzz`,
+//! moment; for longer, with nightly Rust and `cargo install --locked cargo-fuzz`,
 //!
 //!     mkdir -p tests/fuzz/corpus
 //!     cargo +nightly fuzz run --dev --fuzz-dir tests/fuzz request \
