@@ -16,7 +16,8 @@ const FEWEST_FRAMES: usize = 500;
 pub struct OnlineSettings {
     /// Correlation of a Gaussian process whose dependence is small enough.
     pub dependence: f64,
-    /// Values of each channel that are looked at.
+    /// Values of each channel that are looked at where there are one or two; of more channels, whose
+    /// pairs are many, fewer of each.
     pub values: usize,
     /// A new estimate this often.
     pub every_s: Second,
@@ -121,6 +122,7 @@ impl OnlineDuration {
         // Whole finite frames at a rate that is the caller's to get right.
         let series = [Series::new(self.rate_hz, self.channels, window).ok()?];
         let OnlineSettings { dependence, values, .. } = self.settings;
+        let values = (2 * values / self.channels.max(2)).max(1);
         let found = at_needed_rate(&series, frames, dependence, values);
         let found = found.as_ref();
         let t_star_samples = found.and_then(|found| found.t_star_samples());
