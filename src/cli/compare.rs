@@ -15,7 +15,8 @@ use crate::trial::Trial;
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
                         surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
 pub struct Args {
-    /// The query: the folder of a trial, or DATA:SURFACE:NUMBER[:USER]; with --samples, a CSV file
+    /// The query: the folder of a trial, or DATA:SURFACE:NUMBER and, if need be, :USER; with
+    /// --samples, a CSV file
     a: PathBuf,
     /// The library trial, in the same form
     b: PathBuf,

@@ -17,7 +17,7 @@ pub enum Protocol {
     LeaveOneTrialOut,
     /// Each user is a fold; the library is everybody else (10 vs 1).
     AllVsOneUser,
-    /// [`HALVES`] folds, person by person in turn: a half of that person's trials of each surface,
+    /// `HALVES` folds, person by person in turn: a half of that person's trials of each surface,
     /// drawn at random, against the other half.
     RandomHalves,
 }

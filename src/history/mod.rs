@@ -185,7 +185,7 @@ impl History {
         inner.make_room()
     }
 
-    /// Notes that the signals of a scan are on disk, in its [`History::folder_for`]; older ones make
+    /// Notes that the signals of a scan are on disk, in its `History::folder_for`; older ones make
     /// room for them.
     ///
     /// # Errors

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
-//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`reference`]
+//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`reference`](mod@reference)
 //! is the paper's method, exactly; [`embedding`] the default; [`classify`] are the paper's
 //! comparison classifiers.
 

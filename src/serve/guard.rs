@@ -250,7 +250,7 @@ fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
-/// Whether a `Host` names this machine by itself: `localhost`, 127.x.x.x or [::1], any port, since
+/// Whether a `Host` names this machine by itself: `localhost`, 127.x.x.x or `[::1]`, any port, since
 /// a tunnel may change it.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {

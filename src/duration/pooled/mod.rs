@@ -5,8 +5,8 @@
 //!                                 └► echo                              └► effective
 //! ```
 //!
-//! [`normal_scores`] makes values Gaussian by their ranks, [`features`] takes Hermite polynomials of
-//! them, [`covariance`] their covariance at two moments for each of the [`lags`], [`correction`]
+//! [`normal_scores`] makes values Gaussian by their ranks, `features` takes Hermite polynomials of
+//! them, [`covariance`] their covariance at two moments for each of the `lags`, [`correction`]
 //! undoes what centring each trial did, [`size`] measures it without bias, and [`crossing`] says
 //! where it falls below the threshold for good ([`antitonic`]). [`echo`] looks at single lags,
 //! [`effective`] at what a scan is worth, and [`estimate`] chooses the rate that a source is looked

@@ -5,7 +5,7 @@
 //! parts of a run split by query ─► merge ─► report, figures
 //! ```
 //!
-//! [`work`] does one shard; [`merge`] joins shards. A run in one piece is a single shard, so both
+//! [`work()`] does one shard; [`merge`] joins shards. A run in one piece is a single shard, so both
 //! ways give the same report, byte for byte: it holds no timings.
 
 mod figure;

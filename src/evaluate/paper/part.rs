@@ -84,7 +84,7 @@ pub struct Part {
     pub shard: Shard,
     /// Surface, user and number of every trial.
     pub trials: Vec<(String, String, u32)>,
-    /// Setting by setting, in the order of [`super::rows`].
+    /// Setting by setting, in the order of `rows`.
     pub rows: Vec<RowPart>,
 }
 

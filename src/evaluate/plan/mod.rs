@@ -1,6 +1,6 @@
 //! The plan of a scene: the cheapest setting that names its surfaces well enough.
 //!
-//! A scene of five surfaces does not need what one of a hundred needs. [`search`] cross-validates
+//! A scene of five surfaces does not need what one of a hundred needs. [`search()`] cross-validates
 //! inside the library (nothing else is looked at) and gives a [`Plan`]: sources, method, n, R and
 //! scan time. Cheapest means: fewest sources, then least scan time, then fewest samples to work
 //! through; these are counted, not timed, so that the same library gives the same plan. Sources are

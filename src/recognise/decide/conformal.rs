@@ -130,7 +130,7 @@ impl Rejection {
     /// show.
     ///
     /// # Errors
-    /// With fewer than [`FEWEST`] trials: one scan in ten and more would be rejected wrongly.
+    /// With fewer than `FEWEST` trials: one scan in ten and more would be rejected wrongly.
     pub fn usual(trials: usize) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;

@@ -1,12 +1,12 @@
 //! The method `embedding` (method §9): all sources of a trial in one vector, a shrinkage
 //! discriminant on it.
 //!
-//! The vector holds kernel mean embeddings: Fourier features of log-band frames ([`fourier`]),
+//! The vector holds kernel mean embeddings: Fourier features of log-band frames (`fourier`),
 //! whose squared distance is an MMD², the moments and the lag covariance of each series
-//! ([`series`]), and the same for neighbouring pixels ([`picture`]). A discriminant is trained when
-//! the library is loaded, from whole trials and random excerpts ([`training`]). Probabilities, the
+//! (`series`), and the same for neighbouring pixels (`picture`). A discriminant is trained when
+//! the library is loaded, from whole trials and random excerpts (`training`). Probabilities, the
 //! stop rule and the threshold of `unknown` come from leaving library trials out, by user where
-//! there are several ([`left_out`]). Missing sources cost their own columns: a discriminant of
+//! there are several (`left_out`). Missing sources cost their own columns: a discriminant of
 //! those that are there is made of the same sums.
 //!
 //! The score of a surface is 1/posterior, so that, as everywhere, smaller is more alike, and the

@@ -43,7 +43,7 @@ pub struct PreparedTrial {
 
 impl PreparedTrial {
     /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
-    /// says that [`PreparedTrial::content`] will be asked for.
+    /// says that `PreparedTrial::content` will be asked for.
     pub fn new(
         entry: &Entry,
         trial: &Trial,
