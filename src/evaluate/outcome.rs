@@ -2,9 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use statrs::distribution::{ContinuousCDF, StudentsT};
-
-use crate::recognise::wilson;
+use crate::recognise::{wilson, wilson_of_groups};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
@@ -213,26 +211,18 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
 /// Users from whom on an interval is taken over users.
 const LEAST_USERS: usize = 5;
 
-/// 95 % confidence interval of the share of all queries named right. Where there are five users or
-/// more it is taken over users, as queries of one person are no independent evidence of another:
-/// Student's t on the ratio of right answers to queries, users being the clusters (Cochran 1977,
-/// "Sampling techniques", §6.4). Below, and where that one is narrower, [`wilson_interval`] over
-/// queries.
+/// 95 % confidence interval of the share of all queries named right: over users where there are five
+/// or more ([`wilson_of_groups`]), as queries of one person are no independent evidence of another,
+/// else over queries ([`wilson_interval`]).
 pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
-    let queries: usize = users.iter().map(|user| user.queries).sum();
-    let right: f64 = users.iter().map(|user| user.accuracy * user.queries as f64).sum();
-    let (low, high) = wilson_interval(right.round() as usize, queries);
-    if !is_over_users(users) {
-        return (low, high);
+    let right = |user: &FoldAccuracy| (user.accuracy * user.queries as f64).round() as usize;
+    let counts: Vec<(usize, usize)> =
+        users.iter().map(|user| (right(user), user.queries)).collect();
+    if is_over_users(users) {
+        return wilson_of_groups(&counts);
     }
-    let (count, share) = (users.len() as f64, right / queries as f64);
-    let surplus = |user: &FoldAccuracy| user.queries as f64 * (user.accuracy - share);
-    let squares: f64 = users.iter().map(|user| surplus(user).powi(2)).sum();
-    let error = (squares * count / (count - 1.0)).sqrt() / queries as f64;
-    // Five users or more, so four degrees of freedom or more, and the other two are constants.
-    let student = StudentsT::new(0.0, 1.0, count - 1.0).expect("a Student-t distribution");
-    let half = student.inverse_cdf(0.975) * error;
-    (low.min((share - half).max(0.0)), high.max((share + half).min(1.0)))
+    let (right, queries) = counts.iter().fold((0, 0), |sum, user| (sum.0 + user.0, sum.1 + user.1));
+    wilson_interval(right, queries)
 }
 
 /// Whether [`interval_over_users`] is over users, rather than over queries.
@@ -292,13 +282,10 @@ mod tests {
     fn an_interval_is_over_users_from_five_on() {
         let user = |accuracy| FoldAccuracy { name: String::new(), accuracy, queries: 10 };
         let users = [0.2, 0.4, 0.5, 0.6, 0.8].map(user);
-        // The 97.5 % quantile for four degrees of freedom, times the standard error of the mean.
-        let half = 2.776_445 * (0.05f64 / 5.0).sqrt();
         let (low, high) = interval_over_users(&users);
-        assert!((low - (0.5 - half)).abs() < 1e-6 && (high - (0.5 + half)).abs() < 1e-6);
+        let (low_of_queries, high_of_queries) = wilson_interval(25, 50);
+        assert!(low < low_of_queries && high > high_of_queries);
         assert_eq!(interval_over_users(&users[..4]), wilson_interval(17, 40));
-        // Users who agree more than chance would have it make nothing surer.
-        assert_eq!(interval_over_users(&[1.0; 5].map(user)), wilson_interval(50, 50));
     }
 
     #[test]

@@ -31,7 +31,7 @@ pub use combine::{log_discrepancy, medians};
 pub use compare::{Comparison, SourceComparison, TestOptions, compare};
 pub use decide::conformal::{Conformity, Rejection, RejectionError, nonconformity};
 pub use decide::dead_sensor::without_flawed;
-pub use decide::interval::{can_show, reaches, wilson};
+pub use decide::interval::{can_show, reaches, wilson, wilson_of_groups};
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
 pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions};

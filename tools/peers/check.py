@@ -110,15 +110,16 @@ def a_recorded_library_is_read() -> None:
 
 
 def wilson_interval_is_the_known_one() -> None:
-    np.testing.assert_allclose(wilson(10, 10), (0.7224672, 1.0), atol=1e-6)
-    np.testing.assert_allclose(wilson(5, 10), (0.2365931, 0.7634069), atol=1e-6)
+    np.testing.assert_allclose(wilson(1.0, 10), (0.7224672, 1.0), atol=1e-6)
+    np.testing.assert_allclose(wilson(0.5, 10), (0.2365931, 0.7634069), atol=1e-6)
 
 
 def intervals_are_over_users_from_five_on() -> None:
     users = [{"accuracy": a, "queries": 10} for a in (0.2, 0.4, 0.5, 0.6, 0.8)]
-    half = 2.7764451 * np.std([0.2, 0.4, 0.5, 0.6, 0.8], ddof=1) / np.sqrt(5)
-    np.testing.assert_allclose(interval(25, 50, users), (0.5 - half, 0.5 + half), atol=1e-6)
-    assert interval(20, 40, users[:4]) == wilson(20, 40)
+    effect = 0.05 / 5 / (0.25 / 50)  # variance between users over that of 50 queries
+    equivalent = 50 / effect * (1.9599640 / 2.7764451) ** 2
+    np.testing.assert_allclose(interval(25, 50, users), wilson(0.5, equivalent), atol=1e-6)
+    assert interval(20, 40, users[:4]) == wilson(0.5, 40)
 
 
 def joining_a_chart_twice_changes_nothing() -> None:

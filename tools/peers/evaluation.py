@@ -134,23 +134,22 @@ def summary(answers: list[Answer], names: list[str], folds_are_users: bool) -> d
 
 
 def interval(right: int, queries: int, users: list[dict]) -> tuple[float, float]:
-    """95 % interval of the share of all queries, as in `surfaced chart`: over users (Student's t on
-    what each user's right answers deviate from that share) where there are five or more and it is
-    the wider one, else Wilson's over queries."""
-    low, high = wilson(right, queries)
+    """95 % interval of the share of all queries, as in `surfaced chart`: over users where there are
+    five or more, else over queries. Over users it is Wilson's for as many queries as vary as much,
+    and for so few users (Korn & Graubard 1998)."""
     n = len(users)
-    if n >= LEAST_USERS:
-        share = right / queries
-        squares = sum((user["queries"] * (user["accuracy"] - share)) ** 2 for user in users)
-        error = math.sqrt(squares * n / (n - 1)) / queries
-        half = stats.t.ppf(0.975, n - 1) * error
-        low, high = min(low, max(0.0, share - half)), max(high, min(1.0, share + half))
-    return low, high
+    if n < LEAST_USERS:
+        return wilson(right / queries, queries)
+    share = right / queries
+    squares = sum((user["queries"] * (user["accuracy"] - share)) ** 2 for user in users)
+    binomial = share * (1 - share) * queries
+    effect = max(1.0, squares * n / (n - 1) / binomial) if binomial > 0 else 1.0
+    return wilson(share, queries / effect * (Z_95 / stats.t.ppf(0.975, n - 1)) ** 2)
 
 
-def wilson(right: int, queries: int) -> tuple[float, float]:
+def wilson(share: float, queries: float) -> tuple[float, float]:
     """95 % Wilson interval."""
-    share, z2 = right / queries, Z_95**2
+    z2 = Z_95**2
     centre = share + z2 / (2 * queries)
     half = Z_95 * math.sqrt(share * (1 - share) / queries + z2 / (4 * queries**2))
     scale = 1 + z2 / queries

@@ -101,12 +101,11 @@ fn head(root: &Area<'_>, charts: &[Chart]) -> Drawn {
     bars.sort_unstable();
     bars.dedup();
     let ticks = if charts.iter().any(Chart::has_users) { "ticks: each user's share; " } else { "" };
-    let key =
-        format!("bars: {}; {ticks}squares: programs of others; {}", bars.join(" or "), DASHED);
+    let is_controlled = charts.iter().any(|chart| chart.controls().next().is_some());
+    let dashed = if is_controlled { "; dashed: negative controls" } else { "" };
+    let key = format!("bars: {}; {ticks}squares: programs of others{dashed}", bars.join(" or "));
     put(root, key, (MARGIN, 38), 13)
 }
-
-const DASHED: &str = "dashed: negative controls";
 
 fn panel(area: &Area<'_>, chart: &Chart, axes: &Axes, rows: &[&Point]) -> Drawn {
     let kind = if chart.synthetic { "SYNTHETIC " } else { "" };
