@@ -257,7 +257,7 @@ fn a_folder_with_nothing_in_it() {
     says(
         &refusal(&path),
         &[
-            "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .png or .jpg",
+            "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg",
             "ac, ca1, ca2, fr, ir, me, mi1, mi2",
             "LMT108",
         ],

@@ -126,7 +126,9 @@ fn tell(report: &Report, alpha: f64) {
         );
     }
     result!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
-    show::next("surfaced eval my-library says how well whole libraries are told apart");
+    show::next(
+        "surfaced eval my-library says how well the surfaces of a library are distinguished",
+    );
 }
 
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.

@@ -18,7 +18,7 @@ use crate::history::{CsvWriter, FOLDER, History, Precision};
 pub struct Args {
     /// The library that named them
     library: PathBuf,
-    /// The newest scans alone, at most so many
+    /// Show the newest scans alone, at most this many
     #[arg(long, value_name = "N")]
     last: Option<usize>,
     /// How often answers were right, surface by surface, of the scans that somebody corrected

@@ -150,8 +150,8 @@ impl Device for Camera {
             stop.request();
             drop(orders);
             // It gives the camera back at its next frame. One that hangs is left to itself.
-            let farewell = Instant::now() + STOP_TIMEOUT;
-            while news.recv_deadline(farewell).is_ok() {}
+            let until = Instant::now() + STOP_TIMEOUT;
+            while news.recv_deadline(until).is_ok() {}
             match end {
                 End::Stop => break,
                 End::Failed(error) => {

@@ -36,7 +36,7 @@ impl Disk {
         Ok(Self { root: root.to_path_buf(), log, most_bytes, _lock: Some(lock) })
     }
 
-    /// Opens a folder to be read, whoever writes there.
+    /// Opens a folder to be read, while another process may write there.
     pub fn read_only(root: &Path) -> Result<Self, HistoryError> {
         let log = Log::open(&root.join(LOG), true)?;
         Ok(Self { root: root.to_path_buf(), log, most_bytes: u64::MAX, _lock: None })

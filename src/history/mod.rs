@@ -8,7 +8,7 @@
 //!     .why.json                  why it was named as it was, and its outline beside the nearest trial's
 //!     .nearest-ca1.jpg           pictures of the nearest trial
 //! ```
-//! [`Keeper`] listens to a station and writes; [`History`] is read by whoever shows it. Nothing here
+//! [`Keeper`] listens to a station and writes; [`History`] is read by what shows it. Nothing here
 //! knows of the network.
 
 mod bands;
@@ -98,7 +98,7 @@ pub struct Extent {
     pub with_signals: usize,
     /// Bytes on disk.
     pub bytes: u64,
-    /// At most so many; `None` where nothing is written to disk.
+    /// At most this many bytes; `None` where nothing is written to disk.
     pub most_bytes: Option<u64>,
     /// For people: why scans are not kept, if so.
     pub problem: Option<String>,

@@ -32,7 +32,7 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
     }
 }
 
-/// Answers a scan, and writes signals of so many bytes for it.
+/// Answers a scan, and writes signals of a number of bytes for it.
 fn keep(history: &History, scan: u32, bytes: usize) -> String {
     let answer = answer(scan, Some("oak"));
     history.answered(&answer).unwrap();

@@ -1,5 +1,5 @@
 //! The lock of a library: it is read by many at a time, or edited by one. It is the system's own
-//! (`flock` of the folder), so that it ends with whoever holds it.
+//! (`flock` of the folder), so that it ends with the process that holds it.
 
 use std::fs::File;
 use std::path::Path;

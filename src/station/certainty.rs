@@ -1,6 +1,6 @@
 //! Whether an answer stands, and if not, why: the states of an answer and their reasons.
 
-use super::event::AnswerState;
+use super::answer::AnswerState;
 use super::recogniser::Verdict;
 use crate::scan::Scan;
 

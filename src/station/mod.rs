@@ -5,6 +5,7 @@
 //! or the interface for programs sends a [`Command`]. Neither knows of the other, and none of them
 //! can hold up a device.
 
+mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
@@ -20,10 +21,11 @@ mod trial_need;
 mod why;
 mod worker;
 
+pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind};
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Answer, AnswerState, AnsweredScan, Command, Enrolled, EnrolledOutcome, Enrolling, Guess,
-    LibraryState, Listener, Remark, RemarkKind, StationEvent, SurfaceProbability,
+    Command, Enrolled, EnrolledOutcome, Enrolling, Guess, LibraryState, Listener, StationEvent,
+    SurfaceProbability,
 };
 pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::event::{LibraryState, Remark, RemarkKind};
+use super::answer::{Remark, RemarkKind};
+use super::event::LibraryState;
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{

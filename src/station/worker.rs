@@ -5,8 +5,9 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::answer::{Answer, AnswerState, AnsweredScan};
 use super::certainty::{Case, judge};
-use super::event::{Answer, AnswerState, AnsweredScan, Guess};
+use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Recogniser, Verdict};
 use super::trial_need::Purpose;

@@ -82,7 +82,7 @@ impl LoadTrial for MatTrial {
     }
 }
 
-/// Frames of a matrix that holds so many channels, and whether they are its columns: a row where a
+/// Frames of a matrix with a given number of channels, and whether they are its columns: a row where a
 /// column was expected is no harm.
 fn frames_of(dims: &[usize], channels: usize) -> Option<(usize, bool)> {
     match *dims {

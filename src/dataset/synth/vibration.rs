@@ -12,7 +12,7 @@ use super::parameters::Difficulty;
 const BUMPS: u32 = 4;
 /// Width of a bump, as the standard deviation of the ln of the frequency.
 const BUMP_WIDTH: f64 = 0.25;
-/// The microphone hears nothing above.
+/// The microphone picks up nothing above.
 pub(super) const MICROPHONE_END_HZ: f64 = 12_000.0;
 /// The accelerometer feels nothing above.
 const ACCELEROMETER_END_HZ: f64 = 1_600.0;

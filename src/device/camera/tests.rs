@@ -106,7 +106,7 @@ fn start(mut camera: Camera) -> Running {
 }
 
 impl Running {
-    /// The next state that is told, and why; warnings on the way are passed over.
+    /// The next state that is reported, and why; warnings on the way are passed over.
     fn state(&self) -> (DeviceState, String) {
         loop {
             let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();

@@ -14,9 +14,9 @@ enum Act {
     Play(f32),
     /// The same, but at once.
     Rush,
-    /// So many milliseconds of nothing.
+    /// This many milliseconds of nothing.
     Pause(u64),
-    /// An overrun that lost so many milliseconds.
+    /// An overrun that lost this many milliseconds.
     Overrun(u64),
     Gone,
 }

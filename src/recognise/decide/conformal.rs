@@ -16,8 +16,8 @@
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; four surfaces at a time are left
 //! out of the library, at a stated 1 % of false rejections. `surfaced eval
 //! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
-//! --leave-surfaces-out 5` prints: 80.0 % of 200 unknown ones caught (95 % interval 73.9 to 85.0),
-//! 0.5 % of 800 known ones rejected (0.2 to 1.3).
+//! --leave-surfaces-out 5` prints: 81.0 % of 200 unknown ones caught (95 % interval 75.0 to 85.8),
+//! 0.4 % of 800 known ones rejected (0.1 to 1.1).
 //!
 //! Known ones are rejected less often than stated, since the query's model knows one trial more of
 //! each surface than those of the left-out trials. Unknown surfaces are somebody's near twins here:
@@ -126,7 +126,7 @@ pub struct Rejection {
 }
 
 impl Rejection {
-    /// The threshold for the usual rate by `trials` left-out trials: 1 %, or as low as so many can
+    /// The threshold for the usual rate by `trials` left-out trials: 1 %, or as low as these can
     /// show.
     ///
     /// # Errors

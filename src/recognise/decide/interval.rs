@@ -65,7 +65,7 @@ pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
             || jeffreys_quantile(right, trials, 0.5) >= share)
 }
 
-/// Whether so many trials, all of them right, show a share as [`reaches`] wants it.
+/// Whether a number of trials, all of them right, show a share as [`reaches`] wants it.
 pub fn can_show(trials: usize, share: f64) -> bool {
     jeffreys_quantile(trials, trials, 0.5) >= share
 }

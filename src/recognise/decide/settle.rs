@@ -11,12 +11,11 @@
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
 //! trial out; whole scans last 4.80 s and are all named right. `surfaced eval
 //! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
-//! --settle`, and the same with `--settle-loss 0.05`, print
+//! --settle` prints
 //!
 //! | stated loss | named right when settled (95 % interval) | lost | scan time, mean | median |
 //! |---|---|---|---|---|
-//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.75 s | 0.60 s |
-//! | 5 % | 97.0 % (93.6 to 98.6) | 6 of 200 | 0.51 s | 0.40 s |
+//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 1.06 s | 0.70 s |
 //!
 //! Following a scan, ten looks a second, takes 0.1 % of one core (processor time over scan time).
 

@@ -3,7 +3,7 @@
 //! A posterior is softmax(−d/(2τ)). Windows of one trial are not independent, so distances are too
 //! sure of themselves, the more so the shorter the scan; τ(T) makes up for it (Guo et al. 2017,
 //! "On calibration of modern neural networks", for a τ by likelihood on held-out data). It is never
-//! below 1, and no probability is stated beyond what so many left-out trials can show.
+//! below 1, and no probability is stated beyond what the left-out trials can show.
 
 /// Highest τ that is tried.
 const HIGHEST: f64 = 200.0;
@@ -38,7 +38,7 @@ impl Temperature {
         Self { points }
     }
 
-    /// τ for a scan of so many seconds, interpolated.
+    /// τ for a scan of this length, interpolated.
     pub fn at(&self, seconds: f64) -> f64 {
         let after = self.points.partition_point(|(t, _)| *t < seconds);
         match (after.checked_sub(1).map(|i| self.points[i]), self.points.get(after)) {

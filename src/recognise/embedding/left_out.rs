@@ -116,7 +116,7 @@ impl LeftOut {
     }
 }
 
-/// At most [`MOST_BEGUN`] of so many trials, evenly spread.
+/// At most [`MOST_BEGUN`] of some trials, evenly spread.
 fn evenly(trials: usize) -> Vec<usize> {
     let used = trials.min(MOST_BEGUN);
     (0..used).map(|i| i * trials / used).collect()

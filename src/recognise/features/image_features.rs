@@ -107,7 +107,7 @@ impl PixelGrid {
     }
 }
 
-/// The samples of a group: `each` is told first and second coordinate, and saturation.
+/// The samples of a group: `each` gets first and second coordinate, and saturation.
 pub fn pixel_pairs(cells: &[HsvCell], group: PixelGroup, mut each: impl FnMut(f32, f32, f32)) {
     for cell in cells {
         let pixel = cell[0];

@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 
 use crate::recognise::rank::{Candidate, RankedSurface, Ranking};
 
-/// After so many repetitions, so many trials stay.
+/// After these many repetitions, this many trials stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {

@@ -229,7 +229,7 @@ impl<'a> Comparing<'a> {
         library.iter().map(scored).collect()
     }
 
-    /// The same trials after so many repetitions.
+    /// The same trials after a number of repetitions.
     fn go_on(&self, trials: Vec<Scored>, until: usize) -> Result<Vec<Scored>, RecogniseError> {
         let add = |Scored { trial, sums, repetitions }: Scored| {
             let sums = self.add_scores(&trial, &sums, repetitions..until)?;

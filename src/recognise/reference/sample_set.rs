@@ -8,7 +8,7 @@ use crate::kernel::{
     length_scale,
 };
 
-/// Sets of at most so many distinct samples (the metal detector has two) are summed over these.
+/// Sets of at most this many distinct samples (the metal detector has two) are summed over these.
 const MOST_DISTINCT: usize = 8;
 
 /// Error of n·MMD² that rounding coordinates to f32 may cause; more, and f64 takes over.

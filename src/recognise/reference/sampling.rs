@@ -25,9 +25,9 @@ pub struct Positions(pub Vec<usize>);
 /// What positions are drawn from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
-    /// A time series of so many frames.
+    /// A time series of a number of frames.
     Time(usize),
-    /// A spectrum of so many bins.
+    /// A spectrum of a number of bins.
     Spectrum(usize),
     /// An image; positions are row · [`Image::COLS`] + column.
     Image,

@@ -8,16 +8,17 @@
 
 mod list;
 mod relocate;
+mod steps;
 
 pub use list::{Listed, list, list_removed};
+pub use steps::{Move, Step, last_step};
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use serde::{Deserialize, Serialize};
-
 use self::relocate::{relocate, replace};
+use self::steps::{MOST_STEPS, STEPS, steps};
 use super::{failed, trial_folder, utc};
 use crate::library::lock::LibraryLock;
 use crate::library::{Entry, LibraryError, recording};
@@ -26,35 +27,6 @@ use crate::trial::TrialKey;
 
 /// The folder of what was removed.
 const REMOVED: &str = ".removed";
-/// The list of steps in it.
-const STEPS: &str = "steps.jsonl";
-/// Steps that are remembered.
-const MOST_STEPS: usize = 1000;
-
-/// One edit.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Step {
-    /// For people: what was done.
-    pub what: String,
-    /// When, in UTC.
-    pub at: String,
-    /// Which trials went where.
-    pub moves: Vec<Move>,
-}
-
-/// A trial that went from one folder of a library to another.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Move {
-    /// The folder before, `SURFACE/TRIAL`, within the library.
-    pub from: String,
-    /// The folder after.
-    pub to: String,
-    /// What it was called; `None` for a trial that cannot be read.
-    pub was: Option<TrialKey>,
-    /// What it is called now.
-    pub is: Option<TrialKey>,
-}
-
 /// A library that is being edited; nobody reads it meanwhile.
 pub struct Editor {
     root: PathBuf,
@@ -101,25 +73,6 @@ fn trials(folder: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
         Err(LibraryError::NothingFound { .. }) => Ok(Vec::new()),
         Err(error) => Err(error),
     }
-}
-
-/// The last step that can be undone.
-///
-/// # Errors
-/// If the list of steps cannot be read.
-pub fn last_step(library: &Path) -> Result<Option<Step>, LibraryError> {
-    Ok(steps(library)?.pop())
-}
-
-fn steps(library: &Path) -> Result<Vec<Step>, LibraryError> {
-    let path = library.join(REMOVED).join(STEPS);
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(LibraryError::io(&path, error)),
-    };
-    // A line that a crash cut short is no step: it is written before anything moves.
-    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
 impl Editor {

@@ -5,7 +5,7 @@ use crate::scene::SourceSpec;
 use crate::seed::uniform;
 use crate::trial::{Image, Signal, Trial};
 
-/// So many sensors give nothing: series of zeros, black pictures.
+/// A number of sensors give nothing: series of zeros, black pictures.
 pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, sensed) {
         match signal {
@@ -20,7 +20,7 @@ pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     }
 }
 
-/// So many sensors hold the value that they began with.
+/// A number of sensors hold the value that they began with.
 pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, analog) {
         if let Signal::Series(series) = signal {

@@ -1,0 +1,143 @@
+//! What a station says of a scan that it has named.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::recogniser::Recogniser;
+use crate::recognise::RankedSurface;
+use crate::scan::Scan;
+use crate::scene::SourceId;
+
+/// A scan that has ended, and its name: one line of JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Answer {
+    /// Names the answer for good: when it was given (UTC), and the number of its scan.
+    pub id: String,
+    /// Where the page shows it, on whatever address it is served.
+    pub link: String,
+    /// When it was given, in milliseconds since 1970.
+    pub unix_ms: u64,
+    /// Number of the scan in its session, counted from 1.
+    pub scan: u32,
+    /// Whether the name stands.
+    pub state: AnswerState,
+    /// For people: why it does not, a line each; empty for [`AnswerState::Named`].
+    pub reasons: Vec<String>,
+    /// The surface; `None` when it is none of the library's.
+    pub surface: Option<String>,
+    /// What it truly was, where a recording says so; likewise the next two.
+    pub truth: Option<String>,
+    /// The person who dragged.
+    pub user: Option<String>,
+    /// Number of the trial.
+    pub trial: Option<u32>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// All surfaces of the library, the most alike first.
+    pub ranked: Vec<RankedSurface>,
+    /// ln of the ratio of the second score to the first.
+    pub margin: f64,
+    /// Probability of the first surface, by a method that gives one.
+    pub confidence: Option<f64>,
+    /// Share of left-out library trials that fit their surface no better than this one fits the
+    /// first (a conformal p-value), where the library is large enough.
+    pub fit: Option<f64>,
+    /// From the end of the scan to its answer, in milliseconds.
+    pub latency_ms: f64,
+    /// How long the scan lasted, in seconds.
+    pub scan_s: f64,
+    /// The scan time after which the answer was settled, in seconds; `None` if it never was, or
+    /// the scan was not followed.
+    pub settled_s: Option<f64>,
+    /// Frames (and pictures) lost within the scan.
+    pub lost_samples: u64,
+    /// The sources that were compared.
+    pub sources: Vec<SourceId>,
+    /// For people: why the scan should not be trusted, a line each.
+    pub spoiled: Vec<String>,
+    /// How long the drag should have lasted, in seconds, where that is known.
+    pub needed_s: Option<f64>,
+    /// What is not perfect about the scan.
+    pub remarks: Vec<Remark>,
+}
+
+/// Whether the name of an answer stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AnswerState {
+    /// It does.
+    Named,
+    /// It is the nearest surface of the library; there is no threshold that tells unknown ones.
+    Nearest,
+    /// It is the nearest surface, and there are reasons for doubt.
+    Unsure,
+    /// The scan fits no surface of the library.
+    Unknown,
+}
+
+impl AnswerState {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Named, Self::Nearest, Self::Unsure, Self::Unknown];
+
+    /// The name as text, the same everywhere.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Named => "named",
+            Self::Nearest => "nearest",
+            Self::Unsure => "unsure",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// A scan that was named, whole, and what named it.
+pub struct AnsweredScan {
+    /// The scan.
+    pub scan: Box<Scan>,
+    /// Its answer.
+    pub answer: Arc<Answer>,
+    /// The library that it was compared with.
+    pub by: Arc<Recogniser>,
+}
+
+impl fmt::Debug for AnsweredScan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("AnsweredScan").field(&self.answer.id).finish()
+    }
+}
+
+/// Something that is not perfect about a scan; in JSON, its text.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub struct Remark {
+    /// What it is about.
+    pub kind: RemarkKind,
+    /// The source that it is about, if it is about one.
+    pub source: Option<SourceId>,
+    /// For people.
+    pub text: String,
+}
+
+/// The kinds of remark about a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RemarkKind {
+    /// A channel has a flaw.
+    Flaw,
+    /// The drag is shorter than the library asks for.
+    Short,
+}
+
+impl From<Remark> for String {
+    fn from(remark: Remark) -> Self {
+        remark.text
+    }
+}
+
+impl Answer {
+    /// How much longer the drag should have been, in seconds, if so.
+    pub fn more_s(&self) -> Option<f64> {
+        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
+    }
+}
