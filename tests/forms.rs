@@ -27,7 +27,7 @@ fn flac_is_read_as_the_same_samples_in_wav() {
     let (_dir, path) = temp();
     write_wav(&path.join("Oak/1/mi2.wav"), 44_100, 1, &ramp());
     write_file(&path.join("Oak/2/mi2.flac"), fixture("tone.flac"));
-    write_file(&path.join("Oak/3/MI2.FLAC"), fixture("tone.flac"));
+    write_file(&path.join("Oak/3/mi2.FLAC"), fixture("tone.flac"));
     let library = open(&path).unwrap();
     common::assert_outlines_are_true(&library);
     let trials: Vec<Trial> = library.entries.iter().map(|entry| entry.load().unwrap()).collect();

@@ -67,7 +67,7 @@ pub fn result_line(text: &str) {
     if STATUS_LINE.load(Ordering::Acquire) {
         status("");
     }
-    write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", lines(text)));
+    write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
 }
 
 /// Replaces the status line.
