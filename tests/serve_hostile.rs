@@ -63,7 +63,7 @@ fn what_is_no_request_is_refused_and_orders_nothing() {
         );
     }
     assert_eq!(served.request("DELETE", "/api/v1/scans/1", &[], "").status, 405);
-    assert_eq!(served.get("/api/v1/scans/one").status, 400);
+    assert_eq!(served.get("/api/v1/scans/one").status, 404);
     assert_eq!(served.get("/api/v1/scans?limit=-1").status, 400);
     assert!(served.orders.is_empty());
 }
