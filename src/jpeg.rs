@@ -1,4 +1,22 @@
-//! Where a JPEG file ends.
+//! JPEG files: writing one, and where one ends.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageResult};
+
+use crate::trial::Image;
+
+/// A picture as a JPEG file, of a quality from 1 to 100.
+pub(crate) fn encode(image: &Image, quality: u8) -> ImageResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
+    JpegEncoder::new_with_quality(&mut bytes, quality).encode(
+        image.rgb(),
+        width,
+        height,
+        ExtendedColorType::Rgb8,
+    )?;
+    Ok(bytes)
+}
 
 /// Whether these are the bytes of a JPEG file that lacks its end, whose missing part a decoder
 /// would fill with grey; false for what is no JPEG file.

@@ -191,14 +191,15 @@ fn evaluated(args: &Args, data: Data<'_>) -> Result<Report, Failure> {
         cache: data.cache,
         progress: &|step, done, of| steps.show(step, done, of),
     };
-    let report = measured(args, &*method, evaluation, &before).map_err(mended)?;
+    let measured = measured(args, (&data, protocol), &*method, evaluation, &before);
     drop(steps);
-    Ok(Report { protocol, data: data.name.into(), synthetic: data.synthetic, ..report })
+    measured.map_err(mended)
 }
 
-/// Measures all that was requested. Names of protocol and data are the caller's.
+/// Measures all that was requested.
 fn measured(
     args: &Args,
+    (data, protocol): (&Data<'_>, Protocol),
     method: &dyn Method,
     evaluation: Evaluation<'_>,
     before: &[Fold],
@@ -217,9 +218,9 @@ fn measured(
     };
     Ok(Report {
         outcome: measured.outcome,
-        protocol: Protocol::LeaveOneTrialOut,
-        data: String::new(),
-        synthetic: false,
+        protocol,
+        data: data.name.into(),
+        synthetic: data.synthetic,
         query_seconds: args.query_seconds,
         settled,
         unknown,

@@ -263,6 +263,7 @@ impl Tally {
         Ok(())
     }
 }
+
 /// Whether an answer, or what it had settled on before, is right: unknown is, where the library lacks
 /// the surface.
 fn is_right(answer: &Answer, truth: &String, settled: Option<&String>) -> bool {

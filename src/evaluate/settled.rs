@@ -71,7 +71,7 @@ impl SettledOutcome {
             for &query in &fold.queries {
                 let trial = run.recording(query)?;
                 let truth = run.on().trials.key(query).surface.clone();
-                let scan_s = trial.drag_s(|id| scene.is_dragged(id)).unwrap_or(0.0);
+                let scan_s = trial.longest_s(|id| scene.is_dragged(id)).unwrap_or(0.0);
                 let start_s = processor_s();
                 let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
                 busy_s += processor_s() - start_s;

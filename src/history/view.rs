@@ -1,10 +1,9 @@
 //! Trials small enough to draw: the extremes of each stretch of time, and the spectrum.
 
-use image::ImageEncoder;
-use image::codecs::jpeg::JpegEncoder;
 use serde::Serialize;
 
 use super::bands::{Bands, bands};
+use crate::jpeg;
 use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial};
 
@@ -95,12 +94,7 @@ impl SeriesView {
 
 /// A picture as JPEG; `None` if there is no memory for it.
 pub fn jpeg(image: &Image) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
-    let colour = image::ExtendedColorType::Rgb8;
-    encoder.write_image(image.rgb(), width, height, colour).ok()?;
-    Some(bytes)
+    jpeg::encode(image, QUALITY).ok()
 }
 
 /// A number that is short when printed: about four digits, which is finer than any screen.

@@ -1,8 +1,13 @@
-//! A moment as text, in UTC.
+//! A moment as text, in UTC, and as a number.
 
-use std::time::SystemTime;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use jiff::Timestamp;
+
+/// Milliseconds since 1970, as programs and browsers like it; 0 for a moment before.
+pub fn unix_ms(moment: SystemTime) -> u64 {
+    moment.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
+}
 
 /// A moment to the second, such as `2025-01-31T12:00:00Z` (RFC 3339). A clock outside the years
 /// -9999 to 9999 counts as 1970.
@@ -15,7 +20,7 @@ pub fn utc(moment: SystemTime) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::time::{Duration, UNIX_EPOCH};
+    use std::time::Duration;
 
     use super::*;
 

@@ -9,7 +9,7 @@ mod folder_name;
 pub mod mcap;
 mod wav;
 
-pub use date::utc;
+pub use date::{unix_ms, utc};
 
 use std::fs::{self, File};
 use std::io::Write;

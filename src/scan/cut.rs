@@ -37,11 +37,13 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     if signals.is_empty() {
         spoiled.push("no source of the scene has any data in this scan".into());
     }
-    let scan_s = duration_s(&signals, |id| marked.cuts[id].phase == Phase::Drag);
-    let scan_s = if scan_s > 0.0 { scan_s } else { duration_s(&signals, |_| true) };
+    let trial = Trial { key: TrialKey::new("", "", marked.number), signals };
+    let drag_s = trial.longest_s(|id| marked.cuts[id].phase == Phase::Drag);
+    let drag_s = drag_s.filter(|drag_s| *drag_s > 0.0);
+    let scan_s = drag_s.or_else(|| trial.longest_s(|_| true)).unwrap_or(0.0);
     Some(Scan {
         number: marked.number,
-        trial: Trial { key: TrialKey::new("", "", marked.number), signals },
+        trial,
         truth: marked.begin.truth,
         synthetic: marked.begin.synthetic,
         scan_s,
@@ -50,17 +52,6 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
         spoiled,
         ended_at,
     })
-}
-
-fn duration_s(signals: &BTreeMap<SourceId, Signal>, of: impl Fn(&SourceId) -> bool) -> f64 {
-    signals
-        .iter()
-        .filter(|(id, _)| of(id))
-        .map(|(_, signal)| match signal {
-            Signal::Series(series) => series.duration_s(),
-            Signal::Image(_) => 0.0,
-        })
-        .fold(0.0, f64::max)
 }
 
 fn cut_source(source: &SourceId, cut: &Cut, stream: &Stream) -> Piece {

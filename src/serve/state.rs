@@ -2,11 +2,12 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::SystemTime;
 
 use serde::Serialize;
 
 use crate::device::DeviceState;
+use crate::record;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent};
 
@@ -15,10 +16,9 @@ const WARNINGS: usize = 50;
 /// Devices that are listed; names come from the hardware, and could be many.
 const DEVICES: usize = 64;
 
-/// Milliseconds since 1970, as programs and browsers like it.
+/// Now, see [`record::unix_ms`].
 pub fn unix_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |time| time.as_millis() as u64)
+    record::unix_ms(SystemTime::now())
 }
 
 /// What the operator is to do now.

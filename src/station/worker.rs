@@ -1,7 +1,7 @@
 //! The thread that follows and names scans, so that nothing holds up the reading of events.
 
 use std::sync::Arc;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Instant, SystemTime};
 
 use crossbeam_channel::{Receiver, Sender};
 
@@ -12,7 +12,7 @@ use super::followed::{Followed, caught};
 use super::recogniser::{Recogniser, Verdict};
 use super::trial_need::Purpose;
 use crate::recognise::{Ranking, RecogniseError};
-use crate::record::utc;
+use crate::record::{unix_ms, utc};
 use crate::scan::{Progress, Scan};
 
 /// What is to be recognised.
@@ -153,7 +153,7 @@ fn name(
 /// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
 /// since 1970.
 fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
-    let unix_ms = now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
+    let unix_ms = unix_ms(now);
     let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
     (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
 }
@@ -161,6 +161,7 @@ fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::time::UNIX_EPOCH;
 
     use super::*;
     use crate::library::Entry;

@@ -35,11 +35,10 @@ impl Trial {
         self
     }
 
-    /// Length in seconds of the longest series that follows a drag, if there is one; `is_drag`
-    /// says which do.
-    pub fn drag_s(&self, is_drag: impl Fn(&SourceId) -> bool) -> Option<f64> {
+    /// Length in seconds of the longest series among the sources that `of` chooses, if there is one.
+    pub fn longest_s(&self, of: impl Fn(&SourceId) -> bool) -> Option<f64> {
         let lengths = self.signals.iter().filter_map(|(id, signal)| match signal {
-            Signal::Series(series) if is_drag(id) => Some(series.duration_s()),
+            Signal::Series(series) if of(id) => Some(series.duration_s()),
             _ => None,
         });
         lengths.max_by(f64::total_cmp)

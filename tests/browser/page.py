@@ -29,20 +29,21 @@ def run(*command):
     subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
 
 
-def scene(surfaced, folder):
-    """A library of two surfaces, and recordings of a third by the same hand, to play."""
+def scene(surfaced, folder, trials="14", users="1", kept=3, seconds=DRAG):
+    """A library of two surfaces with `kept` trials each, and recordings of a third by the same hand,
+    to play."""
     made = folder / "made"
-    run(surfaced, "synth", made, "--surfaces", "3", "--trials", "14", "--users", "1", "--seconds", DRAG)
+    run(surfaced, "synth", made, "--surfaces", "3", "--trials", trials, "--users", users, "--seconds", seconds)
     library, data = folder / "library", folder / "data"
     for part in (library, data):
         part.mkdir()
         (part / "library.toml").write_bytes((made / "library.toml").read_bytes())
     surfaces = sorted(path for path in made.iterdir() if path.is_dir())
     for surface in surfaces:
-        trials = sorted(surface.glob("expert-*"))
-        place, kept = (data, trials) if surface is surfaces[0] else (library, trials[:3])
+        recorded = sorted(surface.glob("expert-*"))
+        place, moved = (data, recorded) if surface is surfaces[0] else (library, recorded[:kept])
         (place / surface.name).mkdir()
-        for trial in kept:
+        for trial in moved:
             trial.rename(place / surface.name / trial.name)
     return library, data
 

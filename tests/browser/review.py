@@ -15,7 +15,7 @@ import time
 import urllib.request
 from pathlib import Path
 
-from page import Station, run, shot
+from page import Station, run, scene, shot
 from webdriver import Browser
 
 # Seconds that each synthetic scan lasts.
@@ -23,22 +23,10 @@ DRAG = "1.5"
 WIDTHS = (1280, 360)
 
 
-def scene(surfaced, folder):
+def mislabelled(surfaced, folder):
     """A library of two surfaces in which one trial bears the wrong label, and recordings of a third."""
-    made = folder / "made"
-    run(surfaced, "synth", made, "--surfaces", "3", "--trials", "40", "--users", "0", "--seconds", DRAG)
-    library, data = folder / "library", folder / "data"
-    for part in (library, data):
-        part.mkdir()
-        (part / "library.toml").write_bytes((made / "library.toml").read_bytes())
-    surfaces = sorted(path for path in made.iterdir() if path.is_dir())
-    for surface in surfaces:
-        trials = sorted(surface.glob("expert-*"))
-        place, kept = (data, trials) if surface is surfaces[0] else (library, trials[:6])
-        (place / surface.name).mkdir()
-        for trial in kept:
-            trial.rename(place / surface.name / trial.name)
-    right, wrong = surfaces[1].name, surfaces[2].name
+    library, data = scene(surfaced, folder, trials="40", users="0", kept=6, seconds=DRAG)
+    right, wrong = sorted(path.name for path in library.iterdir() if path.is_dir())
     run(surfaced, "library", "move", library, f"{right}/expert-06", "--to", wrong)
     return library, data, wrong
 
@@ -187,7 +175,7 @@ def check(browser, station, shots, wrong):
 def main():
     surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        library, data, wrong = scene(surfaced, Path(folder))
+        library, data, wrong = mislabelled(surfaced, Path(folder))
         station = Station(surfaced, library, data)
         station.library = library
         try:

@@ -58,5 +58,5 @@ pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, Recognise
     let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {
         return Ok(None);
     };
-    Ok(entry.load()?.drag_s(is_drag))
+    Ok(entry.load()?.longest_s(is_drag))
 }

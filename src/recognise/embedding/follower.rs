@@ -15,9 +15,6 @@ use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Rest, Signal, Trial, is_plain};
 
-/// Scans are passed on in steps up to this length in seconds; the rest at once.
-const LONGEST_S: f64 = 3600.0;
-
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
 
@@ -250,10 +247,9 @@ impl Follow for Follower {
             return None;
         }
         self.take_rest(trial)?;
-        let is_drag = |id: &SourceId| self.model.scene.is_dragged(id);
-        let scan_s = trial.drag_s(is_drag).unwrap_or(f64::INFINITY);
+        let drag_s = trial.longest_s(|id| self.model.scene.is_dragged(id));
         // In the steps of looks, so that a look that was missed changes no rounding.
-        let steps = (scan_s.min(LONGEST_S) / LOOK_S) as u64;
+        let steps = drag_s.map_or(0, |drag_s| (drag_s / LOOK_S) as u64);
         for step in self.scan.looks + 1..=steps {
             self.scan.pass_on(&self.model, step as f64 * LOOK_S).ok()?;
         }
@@ -264,7 +260,7 @@ impl Follow for Follower {
             return None;
         }
         let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
-        Some(self.model.ranking(&vector, &present, scan_s))
+        Some(self.model.ranking(&vector, &present, drag_s.unwrap_or(f64::INFINITY)))
     }
 
     fn settling(&self) -> &Settling {

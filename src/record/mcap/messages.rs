@@ -14,6 +14,7 @@ use mcap::Writer;
 use mcap::records::MessageHeader;
 use serde_json::json;
 
+use crate::jpeg;
 use crate::trial::{Image, Series, Signal, Trial};
 
 /// Messages a second.
@@ -103,11 +104,7 @@ fn picture(
     image: &Image,
     begin_s: f64,
 ) -> mcap::McapResult<()> {
-    let mut jpeg = Vec::new();
-    let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-        .encode(image.rgb(), width, height, image::ExtendedColorType::Rgb8)
-        .map_err(std::io::Error::other)?;
+    let jpeg = jpeg::encode(image, JPEG_QUALITY).map_err(std::io::Error::other)?;
     let data = base64::engine::general_purpose::STANDARD.encode(jpeg);
     let time = json!({ "sec": begin_s as u64, "nsec": (begin_s.fract() * 1e9) as u32 });
     let message = json!({ "timestamp": time, "frame_id": "", "data": data, "format": "jpeg" });
