@@ -4,10 +4,15 @@
 mod bench;
 mod common;
 
+use std::fs::File;
+use std::io::Read;
 use std::process::Command;
+use std::time::Duration;
 
 use bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
+use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
+use serialport::{SerialPort, TTYPort};
 
 #[test]
 fn scans_on_the_line_are_named_and_a_signal_ends_the_last_one_whole() {
@@ -257,4 +262,53 @@ fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     assert!(code == Some(2) && text.contains("line 3") && text.contains("prot"), "{text}");
     let (code, text) = said(&["enroll", " ", "--library", "/"]);
     assert!(code == Some(2) && text.contains("expected a name"), "{text}");
+}
+
+/// Reads a terminal until nobody writes to it any more.
+fn watch(mut screen: TTYPort) -> std::thread::JoinHandle<String> {
+    screen.set_timeout(Duration::from_secs(30)).unwrap();
+    std::thread::spawn(move || {
+        let (mut shown, mut bytes) = (Vec::new(), [0; 4096]);
+        while let Ok(n @ 1..) = screen.read(&mut bytes) {
+            shown.extend_from_slice(&bytes[..n]);
+            if String::from_utf8_lossy(&shown).contains("received: ") {
+                break;
+            }
+        }
+        String::from_utf8(shown).unwrap().replace("\r\n", "\n")
+    })
+}
+
+#[test]
+fn on_a_terminal_every_line_stands_above_the_status_line() {
+    let data = synthetic(1.0);
+    let mut bench = Bench::new();
+    let library = bench.library(&data);
+    let (screen, terminal) = TTYPort::pair().unwrap();
+    let stderr = File::options().write(true).open(terminal.name().unwrap()).unwrap();
+    let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
+    tcsetwinsize(&stderr, size).unwrap();
+    let watched = watch(screen);
+    let args = ["run", "--library", library.to_str().unwrap(), "--method", "reference"];
+    let mut run = bench.surfaced_with(&args, stderr.into());
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 1.0);
+    fake.serve(seconds);
+    run.line(&mut fake);
+    run.signal("TERM");
+    run.end(&mut fake);
+    drop(terminal);
+    let shown = watched.join().unwrap();
+    // A status line is the only one with this sign.
+    let lines: Vec<&str> = shown.split('\n').collect();
+    let first = lines.iter().position(|line| line.contains('│')).expect("a status line");
+    for line in &lines {
+        let left = line.rsplit("\x1b[2K").next().unwrap();
+        assert!(!left.contains('│'), "a status line is left behind: {line:?}");
+    }
+    let until = lines.iter().position(|line| line.contains("received: ")).unwrap();
+    for line in &lines[first..until] {
+        assert!(line.contains('│'), "no status line below the one before: {line:?}");
+    }
 }

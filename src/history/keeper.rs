@@ -128,9 +128,9 @@ impl Writer {
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
         // One scan must not take the history with it.
-        let explain = std::panic::AssertUnwindSafe(|| by.explain(scan));
-        let why = std::panic::catch_unwind(explain).ok().and_then(Result::ok);
-        let nearest = why.as_ref().and_then(|why| by.trial(&why.nearest)?.load().ok());
+        let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
+        let why = std::panic::catch_unwind(explain).ok().flatten();
+        let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

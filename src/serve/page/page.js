@@ -2,9 +2,11 @@
 // as markup.
 
 import { certainty, nameOf } from "./answer.js";
+import * as camera from "./camera.js";
 import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { losses, show, spectrum, trace } from "./draw.js";
 import * as history from "./history.js";
+import * as precision from "./precision.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
 
@@ -170,12 +172,24 @@ function render() {
   });
 }
 
+// The last scan, named or not.
+function answered(answer) {
+  state.answer = answer;
+  state.guess = null;
+  if (answer.state !== "named") state.counts[answer.state] += 1;
+  history.add(answer);
+  announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
+}
+
 // What each type of event changes.
 const changes = {
   state: (whole) => {
     state = whole;
+    camera.view(state.camera);
     history.load();
+    precision.load();
   },
+  camera: camera.view,
   advice: (advice) => (state.advice = advice),
   device: (device) => {
     state.devices = state.devices.filter((other) => other.device !== device.device).concat(device);
@@ -187,14 +201,14 @@ const changes = {
   },
   guess: (guess) => (state.guess = guess),
   answer: (answer) => {
-    state.answer = answer;
-    state.guess = null;
     state.counts.scans += 1;
-    if (answer.state !== "named") state.counts[answer.state] += 1;
-    history.add(answer);
-    announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
+    answered(answer);
   },
-  correction: history.change,
+  unnamed: answered,
+  correction: (scan) => {
+    history.change(scan);
+    precision.load();
+  },
   check: shelf.checked,
   enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
