@@ -8,7 +8,6 @@ use common::http::{Events, Served, answer, serve, session};
 use common::id;
 use serde_json::{Value, json};
 use surfaced::device::DeviceState;
-use surfaced::device::camera::{FlashState, Rgb, Turn, Viewfinder};
 use surfaced::scan::{Fresh, Totals, Trace};
 use surfaced::serve::Token;
 use surfaced::station::{
@@ -243,34 +242,6 @@ fn a_reader_gets_the_types_that_it_names() {
     let bad = served.get("/api/v1/events?types=everything");
     assert_eq!(bad.status, 400);
     assert!(bad.json()["message"].as_str().unwrap().contains("everything"));
-}
-
-#[test]
-fn the_camera_is_shown_whole_with_its_region_and_its_light() {
-    let finder = Viewfinder::new(id("ca1"));
-    finder.light(FlashState::Off);
-    let served = serve(|settings| settings.viewfinder = Some(finder.clone()));
-    let mut events = Events::open(&served, "?types=camera,state");
-    let none = json!({"source": "ca1", "region": null, "flash": "off"});
-    assert_eq!(events.next("state")["camera"], none);
-    assert_eq!(served.get("/api/v1/pictures/whole-ca1.jpg").status, 404);
-    finder.show(Rgb { width: 720, height: 720, bytes: vec![90; 720 * 720 * 3] }, Turn::None);
-    finder.light(FlashState::On);
-    let view = loop {
-        let view = events.next("camera");
-        if view["flash"] == "on" {
-            break view;
-        }
-    };
-    let region = &view["region"];
-    assert_eq!((region["top"].as_f64(), region["height"].as_f64()), (Some(0.0), Some(1.0)));
-    assert!((region["width"].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{region}");
-    let picture = served.get("/api/v1/pictures/whole-ca1.jpg");
-    assert_eq!(picture.status, 200);
-    assert!(picture.head.contains("content-type: image/jpeg"), "{}", picture.head);
-    for other in ["whole-ca2.jpg", "ca1.jpg", "whole-.jpg", "whole-ca1.png"] {
-        assert_eq!(served.get(&format!("/api/v1/pictures/{other}")).status, 404, "{other}");
-    }
 }
 
 #[test]

@@ -106,7 +106,6 @@ fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
 }
 
 /// A camera, and what works it.
-#[cfg_attr(not(feature = "camera"), expect(dead_code, reason = "no camera is made"))]
 struct Video {
     device: Box<dyn Device>,
     flasher: Option<Flasher>,

@@ -9,6 +9,8 @@ const STALLED_MS = 700;
 const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
+// Devices that are not there.
+let gone = new Set();
 let view = "traces";
 let colours = {};
 let due = false;
@@ -70,7 +72,7 @@ export function trace(event) {
     s.bins.splice(0, first);
     s.fresh = true;
     s.arrived = performance.now();
-    if (s.stalled) revive(s);
+    if (s.stalled && !gone.has(s.device)) revive(s);
   }
   for (const source of event.pictures ?? []) picture(place, source);
   if (view === "traces") ask();
@@ -90,7 +92,7 @@ function findStalled() {
     // A recording's tap comes now and then; a device that is there always brings something.
     const device = [...streams.values()].filter((other) => other.device === s.device);
     const silent_ms = now - Math.max(...device.map((other) => other.arrived));
-    if (silent_ms < STALLED_MS) {
+    if (silent_ms < STALLED_MS && !gone.has(s.device)) {
       if (s.stalled) revive(s);
       continue;
     }
@@ -107,6 +109,12 @@ function findStalled() {
   }
 }
 setInterval(findStalled, 250);
+
+// Takes in how the devices are: what one that was lost sent last is grey at once.
+export function devices(list) {
+  gone = new Set(list.filter(({ state }) => state === "lost" || state === "absent").map(({ device }) => device));
+  findStalled();
+}
 
 // Takes in an event of type `spectrum`.
 export function spectrum(event) {

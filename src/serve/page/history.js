@@ -3,8 +3,12 @@
 import { corrected, nameOf, sureness } from "./answer.js";
 import { $, ask, button, clock, hide, make, many, printable, say } from "./dom.js";
 
-const MOST = 300;
+// Scans that are read at a time.
+const PAGE = 300;
+let most = PAGE;
 let scans = [];
+// Whether there are older ones than those.
+let more = false;
 let changed = () => {};
 let shown = "";
 
@@ -15,15 +19,26 @@ export function onChange(act) {
 
 // Reads the list anew.
 export async function load() {
-  const said = await ask(`scans?limit=${MOST}`);
-  if (said) scans = said.scans;
+  const said = await ask(`scans?limit=${PAGE}`);
+  if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
+  changed();
+}
+
+// Reads older ones than those that are shown.
+export async function older() {
+  const last = scans[scans.length - 1];
+  const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}`));
+  if (!said) return;
+  scans = [...scans, ...said.scans];
+  [most, more] = [most + PAGE, said.scans.length === PAGE];
   changed();
 }
 
 // A scan was answered, or could not be named.
 export function add(answer) {
   if (scans.some((scan) => scan.id === answer.id)) return;
-  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans].slice(0, MOST);
+  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans];
+  if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 
 // A scan was corrected, or became a trial.
@@ -73,6 +88,7 @@ export function render(counts) {
     if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] button`)?.focus();
   }
   hide("no-scans", wanted.length > 0);
+  hide("older", !more);
   const { scans: count, unknown, unsure, unnamed } = counts;
   const parts = [many(count, "scan"), `${unknown} unknown`, `${unsure} unsure`];
   if (unnamed) parts.push(`${unnamed} not named`);

@@ -4,7 +4,7 @@
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
 import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
-import { losses, show, spectrum, trace } from "./draw.js";
+import { devices, losses, show, spectrum, trace } from "./draw.js";
 import * as history from "./history.js";
 import * as precision from "./precision.js";
 import "./scan.js";
@@ -186,6 +186,7 @@ const changes = {
   state: (whole) => {
     state = whole;
     camera.view(state.camera);
+    devices(state.devices);
     history.load();
     precision.load();
   },
@@ -194,6 +195,7 @@ const changes = {
   device: (device) => {
     state.devices = state.devices.filter((other) => other.device !== device.device).concat(device);
     state.devices.sort((a, b) => (a.device < b.device ? -1 : 1));
+    devices(state.devices);
   },
   phase: ({ scan, phase }) => {
     if (state.scan !== scan || phase === null) state.guess = null;
@@ -240,6 +242,8 @@ function follow() {
       render();
     });
   }
+  // A page that is left keeps no connection: a browser has six for each station.
+  window.addEventListener("pagehide", () => events.close(), { once: true });
   events.addEventListener("trace", ({ data }) => trace(JSON.parse(data)));
   events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
 }
@@ -261,6 +265,7 @@ $("reload").addEventListener("click", () => ask("reload", {}));
 $("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
 $("view-traces").addEventListener("click", () => choose("traces"));
 $("view-spectra").addEventListener("click", () => choose("spectra"));
+$("older").addEventListener("click", history.older);
 $("unknown-only").addEventListener("change", render);
 history.onChange(render);
 $("enroll-form").addEventListener("submit", async (event) => {
@@ -284,4 +289,5 @@ document.addEventListener("keydown", (event) => {
   keys[event.key]();
 });
 
+window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();

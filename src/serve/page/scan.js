@@ -51,6 +51,7 @@ function reasons(why) {
 
 function ranking(scan, ranked) {
   const box = make("section");
+  if (ranked.length === 0) return box;
   box.append(heading("Ranking"));
   const list = make("ol", undefined, "ranking");
   const share = (score) => (scan.confidence !== null ? percent(1 / score) : score.toPrecision(3));
@@ -128,8 +129,10 @@ function showHead(scan) {
 }
 
 async function load(id) {
+  const wanted = location.hash;
   const scan = await ask(`scans/${encodeURIComponent(id)}`);
-  if (!scan) return;
+  // Closed in the meantime, or another one.
+  if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
   open = scan;
   showHead(scan);
@@ -164,10 +167,13 @@ function follow() {
 }
 
 dialog.addEventListener("close", () => {
+  // A correction draws the row anew.
+  const row = open && `#scans tr[data-id="${CSS.escape(open.id)}"] button`;
+  const back = before?.isConnected ? before : row && document.querySelector(row);
   open = null;
   delete dialog.dataset.shown;
   if (location.hash) history.pushState(null, "", "/");
-  before?.focus?.();
+  back?.focus();
 });
 $("scan-close").addEventListener("click", () => dialog.close());
 $("was-right").addEventListener("click", () => correct({ surface: open.surface }));
