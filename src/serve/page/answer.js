@@ -12,7 +12,7 @@ export function nameOf(answer) {
 
 // How sure an answer is: by its probability where the method gives one.
 export function sureness(answer) {
-  if (answer.state === "unnamed" || answer.state === "nearest") return "";
+  if (answer.state !== "named" && answer.state !== "unsure") return "";
   return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
 }
 

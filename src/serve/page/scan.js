@@ -6,6 +6,8 @@ import { $, ask, button, clock, hide, make, percent, say } from "./dom.js";
 
 const dialog = $("scan");
 let open = null;
+// The address that opened it.
+let address = "";
 let before = null;
 
 const digits = (p) => (p === null ? "none" : p.toFixed(p < 0.1 ? 3 : 2));
@@ -134,7 +136,7 @@ async function load(id) {
   // Closed in the meantime, or another one.
   if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
-  open = scan;
+  [open, address] = [scan, wanted];
   showHead(scan);
   const body = $("scan-body");
   body.replaceChildren();
@@ -172,7 +174,8 @@ dialog.addEventListener("close", () => {
   const back = before?.isConnected ? before : row && document.querySelector(row);
   open = null;
   delete dialog.dataset.shown;
-  if (location.hash) history.pushState(null, "", "/");
+  // By now the address may be that of another scan.
+  if (location.hash === address) history.pushState(null, "", "/");
   back?.focus();
 });
 $("scan-close").addEventListener("click", () => dialog.close());
