@@ -278,16 +278,12 @@ impl<'a> Run<'a> {
 
     /// Reports a scan with its answer.
     fn answered(&mut self, answered: ScanAnswer) {
-        match answered {
-            ScanAnswer::Named(scan) => {
-                self.emit(StationEvent::Answer(scan.answer.clone()));
-                self.emit(StationEvent::Scan(scan));
-            }
-            ScanAnswer::Unnamed(scan, unnamed) => {
-                self.emit(StationEvent::Unnamed(unnamed));
-                self.emit(StationEvent::Scan(scan));
-            }
-        }
+        let (event, scan) = match answered {
+            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
+            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
+        };
+        self.emit(event);
+        self.emit(StationEvent::Scan(scan));
     }
 
     /// Reports that a scan was not named, and why.

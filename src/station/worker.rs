@@ -9,9 +9,9 @@ use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed, link, stamp};
 use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
-use super::recogniser::{Recogniser, Verdict};
+use super::recogniser::{Ranked, Recogniser, Verdict};
 use super::trial_need::Purpose;
-use crate::recognise::{Ranking, RecogniseError};
+use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
 
 /// What is to be recognised.
@@ -90,8 +90,8 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        let ranking = followed.finish(&scan, &by);
-                        WorkerEvent::Answered(name(scan, by, ranking, from, settled_s))
+                        let ranked = followed.finish(&scan, &by);
+                        WorkerEvent::Answered(name(scan, by, ranked, from, settled_s))
                     }
                     Work::Progress(progress, purpose, by) => {
                         WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
@@ -111,12 +111,12 @@ impl Worker {
 fn name(
     scan: Box<Scan>,
     by: Arc<Recogniser>,
-    ranking: Option<Ranking>,
+    ranked: Option<Ranked>,
     from: Instant,
     settled_s: Option<f64>,
 ) -> ScanAnswer {
-    let ranked = || ranking.map_or_else(|| by.rank(&scan), Ok);
-    let verdict = caught(|| ranked().map(|ranking| by.verdict(&scan, ranking)));
+    let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
+    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)));
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
     let (why, too_little) = match verdict {
         Some(Ok(verdict)) => return named(scan, by, verdict, latency_ms, settled_s),
@@ -173,12 +173,12 @@ mod tests {
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
     use crate::recognise::{
-        Follow, FollowOptions, FreshFrames, GuessSoFar, Model, Prepared, RankedSurface,
+        Follow, FollowOptions, FreshFrames, GuessSoFar, Model, Prepared, RankedSurface, Ranking,
         RecogniseError, Settling,
     };
     use crate::scene::{Scene, SourceId};
     use crate::station::LibraryState;
-    use crate::trial::{Image, Trial, TrialKey};
+    use crate::trial::{Flaw, Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
     #[derive(Clone, Copy)]
@@ -242,6 +242,10 @@ mod tests {
             None
         }
 
+        fn flaws(&self, _: &SourceId) -> Option<Vec<Flaw>> {
+            None
+        }
+
         fn settling(&self) -> &Settling {
             &self.settling
         }
@@ -299,7 +303,10 @@ mod tests {
                         assert!(names && named.answer.scan == number, "{part}");
                     }
                     ScanAnswer::Unnamed(whole, Unnamed { answer, text, too_little }) => {
-                        assert!(!names && !too_little && text.contains("panicked"), "{part}: {text}");
+                        assert!(
+                            !names && !too_little && text.contains("panicked"),
+                            "{part}: {text}"
+                        );
                         assert_eq!(answer.state, AnswerState::Unnamed, "{part}");
                         assert!(answer.scan == number && whole.answer.id == answer.id, "{part}");
                     }

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-use super::upright::{Turn, region, small};
 use super::Rgb;
+use super::upright::{Turn, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
 
