@@ -5,9 +5,10 @@ mod bench;
 mod common;
 
 use std::fs::File;
-use std::io::Read;
-use std::process::Command;
-use std::time::Duration;
+use std::io::{ErrorKind, Read, Write};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
 use rustix::termios::{Winsize, tcsetwinsize};
@@ -264,50 +265,73 @@ fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     assert!(code == Some(2) && text.contains("expected a name"), "{text}");
 }
 
-/// Reads a terminal until nobody writes to it any more.
-fn watch(mut screen: TTYPort) -> std::thread::JoinHandle<String> {
-    screen.set_timeout(Duration::from_secs(30)).unwrap();
+/// Reads a terminal for as long as somebody writes to it.
+fn watch(mut screen: TTYPort) -> Arc<Mutex<String>> {
+    let shown = Arc::<Mutex<String>>::default();
+    let showing = shown.clone();
     std::thread::spawn(move || {
-        let (mut shown, mut bytes) = (Vec::new(), [0; 4096]);
-        while let Ok(n @ 1..) = screen.read(&mut bytes) {
-            shown.extend_from_slice(&bytes[..n]);
-            if String::from_utf8_lossy(&shown).contains("received: ") {
-                break;
+        let mut bytes = [0; 4096];
+        loop {
+            match screen.read(&mut bytes) {
+                Ok(n @ 1..) => {
+                    showing.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..n]));
+                }
+                Err(error) if error.kind() == ErrorKind::TimedOut => {}
+                _ => return,
             }
         }
-        String::from_utf8(shown).unwrap().replace("\r\n", "\n")
-    })
+    });
+    shown
 }
 
 #[test]
-fn on_a_terminal_every_line_stands_above_the_status_line() {
+fn on_a_terminal_keys_are_answered_at_once_and_every_line_stands_above_the_status_line() {
     let data = synthetic(1.0);
     let mut bench = Bench::new();
     let library = bench.library(&data);
     let (screen, terminal) = TTYPort::pair().unwrap();
-    let stderr = File::options().write(true).open(terminal.name().unwrap()).unwrap();
+    let open = || File::options().read(true).write(true).open(terminal.name().unwrap()).unwrap();
     let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
-    tcsetwinsize(&stderr, size).unwrap();
-    let watched = watch(screen);
-    let args = ["run", "--library", library.to_str().unwrap(), "--method", "reference"];
-    let mut run = bench.surfaced_with(&args, stderr.into());
+    tcsetwinsize(open(), size).unwrap();
+    let mut keyboard = screen.try_clone_native().unwrap();
+    let shown = watch(screen);
+    // In front of a terminal of its own.
+    let mut run = Command::new("setsid")
+        .args(["--ctty", "--wait", env!("CARGO_BIN_EXE_surfaced"), "run", "--method", "reference"])
+        .args(["--library", library.to_str().unwrap(), "--json"])
+        .args(["--stylus", bench.path("stylus").to_str().unwrap()])
+        .args(["--config", bench.path("station.toml").to_str().unwrap()])
+        .stdin(open())
+        .stdout(Stdio::null())
+        .stderr(open())
+        .spawn()
+        .unwrap();
     let mut fake = bench.stylus();
     fake.wait_for_start();
-    let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 1.0);
-    fake.serve(seconds);
-    run.line(&mut fake);
-    run.signal("TERM");
-    run.end(&mut fake);
-    drop(terminal);
-    let shown = watched.join().unwrap();
+    let limit = Instant::now() + Duration::from_secs(60);
+    for (key, says) in [
+        (&b""[..], "tap a surface"),
+        (b" ", "the key begins a scan"),
+        (b" ", "the key ends the scan"),
+        (b"q", "received: "),
+    ] {
+        keyboard.write_all(key).unwrap();
+        while !shown.lock().unwrap().contains(says) {
+            assert!(Instant::now() < limit, "{says}: {}", shown.lock().unwrap());
+            fake.serve(0.1);
+        }
+        fake.serve(0.5);
+    }
+    run.wait().unwrap();
+    let shown = shown.lock().unwrap().replace("\r\n", "\n");
     // A status line is the only one with this sign.
     let lines: Vec<&str> = shown.split('\n').collect();
     let first = lines.iter().position(|line| line.contains('│')).expect("a status line");
+    let until = lines.iter().position(|line| line.contains("received: ")).unwrap();
     for line in &lines {
         let left = line.rsplit("\x1b[2K").next().unwrap();
         assert!(!left.contains('│'), "a status line is left behind: {line:?}");
     }
-    let until = lines.iter().position(|line| line.contains("received: ")).unwrap();
     for line in &lines[first..until] {
         assert!(line.contains('│'), "no status line below the one before: {line:?}");
     }

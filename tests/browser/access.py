@@ -153,6 +153,13 @@ def check(browser, station, shots):
     long_names_wrap(browser, "the page")
     shots_of(browser, shots, "long-page")
 
+    # Unknown is a state of its own, with its reason.
+    browser.run("document.querySelector('#scans tr.unknown button').click()")
+    browser.wait("the scan", lambda: browser.run("return document.getElementById('scan').dataset.shown"))
+    about = browser.text("#scan-about")
+    assert browser.text("#scan-title") == "unknown" and "looks like none of 2 surfaces: p = " in about, about
+    close(browser, "scan")
+
     open_newest(browser, station)
     assert_named(browser, "a scan", 12)
     long_names_wrap(browser, "a scan")

@@ -116,10 +116,14 @@ function signals(scan, { scan: own, nearest }) {
 
 // The forms that say what it was.
 function showCorrection(scan) {
-  say("was-now", scan.correction ? `${corrected(scan)}${scan.became ? ` · trial ${scan.became}` : ""}` : "Not reviewed yet.");
+  const spoiled = scan.spoiled.length > 0;
+  const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
+  if (scan.became) parts.push(`trial ${scan.became}`);
+  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
+  say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
   hide("was-clear", !scan.correction || Boolean(scan.became));
-  hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept);
+  hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept || spoiled);
   for (const id of ["was-right", "was-unknown", "was-bad", "was-other"]) $(id).disabled = Boolean(scan.became);
 }
 
