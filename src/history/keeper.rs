@@ -104,7 +104,9 @@ impl Writer {
 
     fn keep(&self, answered: &AnsweredScan) -> Result<(), HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
-        let Some(root) = self.history.root() else { return Ok(()) };
+        // One that could not be named may be empty.
+        let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
+        let Some(root) = root else { return Ok(()) };
         let began = Duration::from_millis(answer.unix_ms)
             .saturating_sub(Duration::from_secs_f64(scan.scan_s.max(0.0)));
         let about = About {
