@@ -51,13 +51,14 @@ function reasons(why) {
   return box;
 }
 
-function ranking(scan, ranked) {
+// As it was answered.
+function ranking(scan) {
   const box = make("section");
-  if (ranked.length === 0) return box;
+  if (scan.ranked.length === 0) return box;
   box.append(heading("Ranking"));
   const list = make("ol", undefined, "ranking");
   const share = (score) => (scan.confidence !== null ? percent(1 / score) : score.toPrecision(3));
-  for (const { surface, score } of ranked.slice(0, 8)) {
+  for (const { surface, score } of scan.ranked.slice(0, 8)) {
     const item = make("li");
     item.append(make("span", surface), make("b", share(score)));
     list.append(item);
@@ -149,13 +150,13 @@ async function load(id) {
     dialog.showModal();
   }
   if (!scan.kept) {
-    body.append(ranking(scan, scan.ranked), make("p", "The signals of this scan are not kept (any more).", "empty"));
+    body.append(ranking(scan), make("p", "The signals of this scan are not kept (any more).", "empty"));
     return;
   }
   const notes = await ask(`scans/${scan.id}/why`);
   if (!notes || open !== scan) return;
   if (notes.why) body.append(reasons(notes.why));
-  body.append(ranking(scan, notes.why?.ranked ?? scan.ranked), signals(scan, notes));
+  body.append(ranking(scan), signals(scan, notes));
   dialog.dataset.shown = scan.id;
 }
 
