@@ -287,7 +287,7 @@ fn watch(mut screen: TTYPort) -> Arc<Mutex<String>> {
 #[test]
 fn on_a_terminal_keys_are_answered_at_once_and_every_line_stands_above_the_status_line() {
     let data = synthetic(1.0);
-    let mut bench = Bench::new();
+    let bench = Bench::new();
     let library = bench.library(&data);
     let (screen, terminal) = TTYPort::pair().unwrap();
     let open = || File::options().read(true).write(true).open(terminal.name().unwrap()).unwrap();

@@ -195,8 +195,8 @@ async fn live_picture(State(hub): Shared, file: Named) -> Result<Response, Probl
     };
     let is_whole = whole.is_some();
     let encode = move || match is_whole {
-        true => finder?.jpeg(),
-        false => jpeg(&image?),
+        true => finder.and_then(|finder| finder.jpeg()),
+        false => image.as_deref().and_then(jpeg),
     };
     let bytes = aside(move || encode().ok_or(Problem::NotFound)).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
