@@ -7,14 +7,8 @@ names that a screen reader gives to what can be pressed or filled in.
 Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
-import sys
-import tempfile
-import time
-from pathlib import Path
-
-from page import ENTER, TAB, Station, run, scene
+from page import ENTER, TAB, on_stage, run
 from review import open_newest, shots_of
-from webdriver import Browser
 
 # Seconds that each synthetic scan lasts.
 DRAG = "1.5"
@@ -178,18 +172,14 @@ def check(browser, station, shots):
     assert not console, f"the console stays empty: {console}"
 
 
+def long_names(surfaced, library):
+    surfaces = sorted(path.name for path in library.iterdir() if path.is_dir())
+    for surface, name in zip(surfaces, LONG):
+        run(surfaced, "library", "rename", library, surface, name)
+
+
 def main():
-    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
-    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        library, data = scene(surfaced, Path(folder), trials="30", users="0", kept=6, seconds=DRAG)
-        surfaces = sorted(path.name for path in library.iterdir() if path.is_dir())
-        for surface, name in zip(surfaces, LONG):
-            run(surfaced, "library", "rename", library, surface, name)
-        station = Station(surfaced, library, data)
-        try:
-            check(browser, station, shots)
-        finally:
-            station.end()
+    on_stage(check, long_names, trials="30", users="0", kept=6, seconds=DRAG)
     print("the page is for everybody")
 
 

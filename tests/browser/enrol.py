@@ -7,13 +7,8 @@ said to, and is confirmed or taken back there.
 Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
-import sys
-import tempfile
-from pathlib import Path
-
-from page import Station, scene
+from page import on_stage
 from review import get, shots_of
-from webdriver import Browser
 
 # Seconds that each synthetic scan lasts.
 DRAG = "1.5"
@@ -77,14 +72,7 @@ def check(browser, station, shots):
 
 
 def main():
-    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
-    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        library, data = scene(surfaced, Path(folder), trials="40", users="0", kept=6, seconds=DRAG)
-        station = Station(surfaced, library, data)
-        try:
-            check(browser, station, shots)
-        finally:
-            station.end()
+    on_stage(check, lambda *_: None, trials="40", users="0", kept=6, seconds=DRAG)
     print("no trial is mislabelled unseen")
 
 

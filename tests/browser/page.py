@@ -193,6 +193,19 @@ def check(browser, station, shots):
     assert not elsewhere, f"nothing is asked of others: {elsewhere}"
 
 
+def on_stage(check, prepare, **size):
+    """Runs `check(browser, station, shots)` on a scene of this size, whose library was prepared."""
+    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
+    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
+        library, data = scene(surfaced, Path(folder), **size)
+        prepare(surfaced, library)
+        station = Station(surfaced, library, data)
+        try:
+            check(browser, station, shots)
+        finally:
+            station.end()
+
+
 def shot(browser, shots, name):
     if shots:
         browser.screenshot(Path(shots) / f"{name}.png", whole=True)
