@@ -16,13 +16,14 @@ LIKE = "This looks like slate, which you have."
 
 
 def enrol(browser, surface, trials):
-    """Orders trials of a surface by the form, and waits until they are kept; the newest stands first."""
+    """Orders trials of a surface by the form, and waits until they are kept; the newest stands first.
+    A scan with a flaw is refused, and the next one is taken."""
     browser.run("document.getElementById('trials').value = arguments[0]", str(trials))
     browser.type("#surface", surface)
     browser.click("#enroll")
     browser.wait(f"{trials} to come", lambda: surface in (browser.text("#enrolling-what") or ""))
     kept = "return [...document.querySelectorAll('#enrolled li')].filter(li => li.innerText.includes(arguments[0])).length"
-    browser.wait("the trials", lambda: browser.run(kept, f"kept as {surface}") >= trials, 90)
+    browser.wait("the trials", lambda: browser.run(kept, f" kept as {surface}, trial ") >= trials, 90)
 
 
 def press(browser, text):
