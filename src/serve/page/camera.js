@@ -23,7 +23,10 @@ function box(place, source) {
   figure.append(head, view);
   place.append(figure);
   const camera = { source, figure, image, note, light, region, busy: false, asked: 0, arrived: performance.now() };
-  image.addEventListener("load", () => (camera.busy = false));
+  image.addEventListener("load", () => {
+    camera.busy = false;
+    figure.dataset.seen = "true";
+  });
   image.addEventListener("error", () => (camera.busy = false));
   cameras.set(source, camera);
   return camera;

@@ -34,6 +34,9 @@ export async function older() {
   changed();
 }
 
+// The newest scan; null if there is none.
+export const newest = () => scans[0] ?? null;
+
 // A scan was answered, or could not be named.
 export function add(answer) {
   if (scans.some((scan) => scan.id === answer.id)) return;

@@ -35,8 +35,16 @@ function answerRunners(answer) {
   return answer.ranked.slice(0, 4).map(({ surface, score }) => runner(surface, share(score), text(score)));
 }
 
+// The last scan of this session that was named, or the one after it that could not be.
+function lastAnswer() {
+  const last = history.newest();
+  const since = state.answer?.unix_ms ?? state.started_unix_ms;
+  return last?.state === "unnamed" && last.unix_ms > since ? last : state.answer;
+}
+
 function showNow() {
-  const { advice, phase, guess, answer } = state;
+  const { advice, phase, guess } = state;
+  const answer = lastAnswer();
   say("advice", advice.text);
   $("advice").dataset.do = advice.do;
   const needed = guess?.needed_s ?? null;
@@ -172,9 +180,9 @@ function render() {
   });
 }
 
-// The last scan, named or not.
+// A scan was named, or could not be.
 function answered(answer) {
-  state.answer = answer;
+  if (answer.state !== "unnamed") state.answer = answer;
   state.guess = null;
   if (answer.state !== "named") state.counts[answer.state] += 1;
   history.add(answer);
