@@ -74,7 +74,7 @@ pub fn region(picture: &Rgb, turn: Turn) -> Region {
     Region { left: left / width, top: top / height, width: w / width, height: h / height }
 }
 
-/// Turns a whole picture, and scales it down until its longer side has no more than [`LONGEST`]
+/// Turns a whole picture, and scales it down until its longer side has no more than `LONGEST`
 /// pixels.
 ///
 /// None if the picture is empty.
