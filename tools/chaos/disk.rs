@@ -16,8 +16,8 @@ use surfaced::trial::TrialKey;
 use crate::Failure;
 use crate::dice::Dice;
 
-/// The sources of the stylus.
-const SOURCES: [&str; 4] = ["ac", "fr", "ir", "me"];
+/// The sources of the stylus and of the microphone.
+const SOURCES: [&str; 6] = ["ac", "fr", "ir", "me", "mi1", "mi2"];
 /// Size of the disk.
 const SIZE: &str = "size=96m";
 
