@@ -5,6 +5,7 @@ mod bench;
 mod common;
 
 use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::os::fd::OwnedFd;
 use std::process::{Command, Output, Stdio};
 
@@ -104,6 +105,32 @@ fn a_reader_of_json_who_stalls_does_not_hold_up_the_end() {
         assert!(began.elapsed().as_secs() < 5, "it does not end");
     };
     assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn a_replay_whose_json_nobody_reads_ends_at_the_first_signal() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+        .args(["replay", data, "--json", "--method", "reference"])
+        .stdin(Stdio::null())
+        .stdout(unread())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    // From then on it only waits for its reader.
+    assert!(said.any(|line| line.unwrap().starts_with("received: ")));
+    assert!(child.try_wait().unwrap().is_none());
+    let began = std::time::Instant::now();
+    assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
+    let status = child.wait().unwrap();
+    assert!(began.elapsed().as_secs() < 5, "it does not end");
+    assert_eq!(status.code(), Some(3));
+    assert!(said.any(|line| line.unwrap().contains("not all could be ended in time")));
 }
 
 /// A pipe that is full, and whose reader has stalled.

@@ -222,6 +222,7 @@ impl State {
             StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
+            | StationEvent::Ending(_)
             | StationEvent::Alive => {}
         }
         self.advice = self.advise();

@@ -10,6 +10,7 @@ use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Recogniser, Verdict};
+use super::store::Stored;
 use super::trial_need::Purpose;
 use crate::recognise::{Ranking, RecogniseError};
 use crate::record::{unix_ms, utc};
@@ -21,6 +22,8 @@ pub(super) enum Job {
     Scan(Box<Scan>),
     /// What is new in the scan in progress.
     Progress(Progress),
+    /// A scan that was kept: what surface it is most like.
+    Kept(Box<Stored>),
 }
 
 /// What is to be recognised, and by what.
@@ -29,6 +32,8 @@ pub(super) enum Work {
     Scan(Box<Scan>, Arc<Recogniser>),
     /// What is new in the scan in progress, what it is for, and what names it, if anything can.
     Progress(Progress, Purpose, Option<Arc<Recogniser>>),
+    /// As [`Job::Kept`].
+    Kept(Box<Stored>),
 }
 
 impl Work {
@@ -37,6 +42,7 @@ impl Work {
         match self {
             Self::Scan(scan, _) => Job::Scan(scan),
             Self::Progress(progress, ..) => Job::Progress(progress),
+            Self::Kept(stored) => Job::Kept(stored),
         }
     }
 }
@@ -47,6 +53,8 @@ pub(super) enum WorkerEvent {
     Named(ScanAnswer),
     /// What the scan in progress looks like so far.
     Guess(Guess),
+    /// What surface a scan that was kept is most like, if any.
+    Nearest(Option<String>),
 }
 
 /// A scan with its answer, or why it has none.
@@ -90,6 +98,7 @@ impl Worker {
                     Work::Progress(progress, purpose, by) => {
                         WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
                     }
+                    Work::Kept(stored) => WorkerEvent::Nearest(nearest(&stored)),
                 };
                 if send.send(event).is_err() {
                     return;
@@ -148,6 +157,13 @@ fn name(
         ranked: ranking.ranked,
     };
     Ok(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by }))
+}
+
+/// The surface that the library would name a scan that was kept.
+fn nearest(stored: &Stored) -> Option<String> {
+    let (scan, by) = stored.kept.as_ref()?;
+    let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
+    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
 }
 
 /// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
