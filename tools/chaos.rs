@@ -55,6 +55,8 @@ type Failure = Box<dyn std::error::Error>;
 pub struct Sums {
     faults: BTreeMap<&'static str, u64>,
     violations: Vec<String>,
+    /// What struck the last station, and how many samples its stylus had taken by then.
+    story: Vec<(&'static str, u64)>,
     stylus: Samples,
     sound: Samples,
     scans: u64,
@@ -95,14 +97,14 @@ fn main() -> Result<(), Failure> {
             Err(_) => sums.violations.push("the emulation panicked; see above".into()),
         }
         for violation in &sums.violations[before..] {
-            eprintln!("VIOLATION, seed {seed}: {violation}");
+            eprintln!("VIOLATION, seed {seed}, after {:?}: {violation}", sums.story);
         }
         if begin.elapsed() >= length {
             break;
         }
     }
     eprintln!("faults: {:?}", sums.faults);
-    let Sums { faults, violations, stylus, sound, scans, kept, peak_mb } = sums;
+    let Sums { faults, violations, stylus, sound, scans, kept, peak_mb, .. } = sums;
     println!(
         "{{\"minutes\":{:.1},\"faults\":{},\"violations\":{},{},{},\"scans\":{scans},\
          \"trials_kept\":{kept},\"peak_rss_mb\":{peak_mb}}}",

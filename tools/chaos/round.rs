@@ -122,6 +122,7 @@ impl Life<'_> {
         let rough: &[&str] = if gentle { &[] } else { &ROUGH };
         let loud: &[&str] = if self.sound.is_some() { &LOUD } else { &[] };
         let faults = [&GENTLE[..], loud, rough].concat();
+        sums.story.clear();
         for _ in 0..8 + self.dice.below(8) {
             if !self.line.is_started() {
                 let said = self.daemon.said();
@@ -133,6 +134,7 @@ impl Life<'_> {
             }
             let fault = *self.dice.pick(&faults);
             *sums.faults.entry(fault).or_default() += 1;
+            sums.story.push((fault, self.line.sent()));
             self.strike(fault)?;
             if !self.daemon.is_alive() {
                 let said = self.daemon.said();
