@@ -174,7 +174,9 @@ impl Writer {
     /// Writes the signals of a scan; gives their folder, unless the history is in memory.
     fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
-        let Some(root) = self.history.root() else { return Ok(None) };
+        // One that could not be named may be empty.
+        let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
+        let Some(root) = root else { return Ok(None) };
         let began = Duration::from_millis(answer.unix_ms)
             .saturating_sub(Duration::from_secs_f64(scan.scan_s.max(0.0)));
         let about = About {
@@ -209,9 +211,9 @@ impl Annotator {
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
         // One scan must not take the history with it.
-        let explain = std::panic::AssertUnwindSafe(|| by.explain(scan));
-        let why = std::panic::catch_unwind(explain).ok().and_then(Result::ok);
-        let nearest = why.as_ref().and_then(|why| by.trial(&why.nearest)?.load().ok());
+        let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
+        let why = std::panic::catch_unwind(explain).ok().flatten();
+        let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

@@ -22,7 +22,7 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind};
+pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind, Unnamed};
 pub use assemble::{Assembled, assemble};
 pub use end::End;
 pub use event::{

@@ -7,7 +7,7 @@ use crate::scan::{Progress, Scan};
 use crate::station::event::{Enrolled, StationEvent};
 use crate::station::orders::Enrolment;
 use crate::station::trial_need::Purpose;
-use crate::station::worker::{Job, Work, WorkerEvent};
+use crate::station::worker::{Job, ScanAnswer, Work, WorkerEvent};
 
 /// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
 const BACKLOG: usize = 64;
@@ -59,10 +59,7 @@ impl Run<'_> {
             match job {
                 Job::Progress(_) => {}
                 Job::Kept(kept) => return self.enrolled(&kept.enrolment, kept.enrolled),
-                Job::Scan(scan) => {
-                    let number = scan.number;
-                    return self.warn(format!("scan {number} was not named: too many wait for it"));
-                }
+                Job::Scan(scan) => return self.unnamed(scan, "too many wait for it"),
             }
         }
     }
@@ -87,7 +84,7 @@ impl Run<'_> {
             let work = match (job, by) {
                 (Job::Scan(scan), Ok(by)) => Work::Scan(scan, by),
                 (Job::Scan(scan), Err(why)) => {
-                    self.warn(format!("scan {} was not named: {why}", scan.number));
+                    self.unnamed(scan, &why);
                     continue;
                 }
                 (Job::Progress(progress), by) => {
@@ -116,14 +113,7 @@ impl Run<'_> {
     pub fn done(&mut self, done: WorkerEvent) {
         let job = self.in_hand.pop_front();
         match done {
-            WorkerEvent::Named(Ok(scan)) => {
-                self.emit(StationEvent::Answer(scan.answer.clone()));
-                self.emit(StationEvent::Scan(scan));
-            }
-            WorkerEvent::Named(Err(unnamed)) if unnamed.too_little => {
-                self.emit(StationEvent::TooLittle(unnamed.why));
-            }
-            WorkerEvent::Named(Err(unnamed)) => self.warn(unnamed.why),
+            WorkerEvent::Answered(answered) => self.answered(answered),
             WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
             WorkerEvent::Nearest(nearest) => {
                 if let Some(InHand::Kept(kept)) = job {
@@ -131,6 +121,22 @@ impl Run<'_> {
                 }
             }
         }
+    }
+
+    /// Reports a scan with its answer.
+    fn answered(&mut self, answered: ScanAnswer) {
+        let (event, scan) = match answered {
+            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
+            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
+        };
+        self.emit(event);
+        self.emit(StationEvent::Scan(scan));
+    }
+
+    /// Reports that a scan was not named, and why.
+    fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
+        let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
+        self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
     }
 
     /// Reports scans that will not be named, since the end does not wait for them any longer.
