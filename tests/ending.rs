@@ -4,19 +4,28 @@
 mod common;
 
 use std::collections::BTreeMap;
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use common::id;
 use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, StreamKind, StreamSpec};
+use surfaced::history::{History, Keeper};
+use surfaced::library::lock::LibraryLock;
 use surfaced::library::{Entry, recording};
+use surfaced::outputs::{HttpOutput, MqttOutput};
 use surfaced::recognise::features::FeatureVector;
-use surfaced::recognise::{Follow, FollowOptions, Model, Prepared, Ranking, RecogniseError};
+use surfaced::recognise::{
+    Evidence, Follow, FollowOptions, Model, Prepared, RankedSurface, Ranking, RecogniseError,
+};
 use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};
+use surfaced::serve::{Server, Settings, Shelf};
 use surfaced::station::{
-    Command, Enrolled, Keep, LibraryState, Listener, Recogniser, ScanStore, Station, StationEvent,
+    Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
+    Station, StationEvent,
 };
 use surfaced::trial::{Trial, TrialKey};
 
@@ -126,20 +135,30 @@ fn of_a_station_whose_disk_takes_no_scan() {
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
     let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
-    let lost = Arc::<Mutex<Vec<u32>>>::default();
-    struct Lost(Arc<Mutex<Vec<u32>>>);
-    impl Listener for Lost {
-        fn on_event(&mut self, event: &StationEvent) {
-            use surfaced::station::EnrolledOutcome::Lost;
-            if let StationEvent::Enrolled(Enrolled { scan, outcome: Lost, .. }) = event {
-                self.0.lock().unwrap().push(*scan);
-            }
-        }
-    }
-    let listener = Lost(lost.clone());
+    let (lost, listener) = Became::new(EnrolledOutcome::Lost);
     let store = ScanStore::new(folder, Scene::lmt108());
     assert_eq!(unnamed(|s| s.store(store).keep(keep).listener(listener)), Vec::<u32>::new());
     assert_eq!(*lost.lock().unwrap(), [1, 2, 3]);
+}
+
+/// Notes the scans of which this became.
+struct Became(EnrolledOutcome, Arc<Mutex<Vec<u32>>>);
+
+impl Became {
+    fn new(outcome: EnrolledOutcome) -> (Arc<Mutex<Vec<u32>>>, Self) {
+        let scans = Arc::<Mutex<Vec<u32>>>::default();
+        (scans.clone(), Self(outcome, scans))
+    }
+}
+
+impl Listener for Became {
+    fn on_event(&mut self, event: &StationEvent) {
+        if let StationEvent::Enrolled(Enrolled { scan, outcome, .. }) = event
+            && *outcome == self.0
+        {
+            self.1.lock().unwrap().push(*scan);
+        }
+    }
 }
 
 /// Takes for ever in one of its parts.
@@ -155,6 +174,11 @@ impl Slow {
 }
 
 impl Model for Slow {
+    fn explain(&self, _: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        self.reach("explain");
+        Ok(None)
+    }
+
     fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
         self.reach("prepare");
         let (key, sources) = (entry.key.clone(), BTreeMap::new());
@@ -164,7 +188,7 @@ impl Model for Slow {
     fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
         self.reach("rank");
         Ok(Ranking {
-            ranked: Vec::new(),
+            ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
             margin: 0.0,
             sources: Vec::new(),
             nearest: TrialKey::new("oak", "", 1),
@@ -186,4 +210,98 @@ fn of_a_station_that_classifies_or_calibrates() {
         let by = Recogniser::new(Arc::new(Slow(part)), Scene::lmt108(), LibraryState::default());
         assert_eq!(unnamed(|station| station.recogniser(Arc::new(by))), [1, 2, 3], "{part}");
     }
+}
+
+fn by(slow_part: &'static str) -> Arc<Recogniser> {
+    let model = Arc::new(Slow(slow_part));
+    Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()))
+}
+
+#[test]
+fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
+    let folder = tempfile::tempdir().unwrap();
+    let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
+    let (kept, listener) = Became::new(EnrolledOutcome::Kept);
+    let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
+    let station = |station: Station<'static>| {
+        station.recogniser(by("rank")).store(store).keep(keep).listener(listener)
+    };
+    assert_eq!(unnamed(station), Vec::<u32>::new());
+    assert_eq!(*kept.lock().unwrap(), [1, 2, 3]);
+    let library = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(library.entries.len(), 3);
+}
+
+#[test]
+fn of_a_station_whose_history_cannot_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = Arc::new(History::open(folder.path(), 1 << 30).unwrap());
+    let keeper = Keeper::start(history, Scene::lmt108(), BTreeMap::new()).unwrap();
+    let station = |station: Station<'static>| station.recogniser(by("explain")).listener(keeper);
+    assert_eq!(unnamed(station), Vec::<u32>::new());
+    // As it is on disk, with the signals of every scan.
+    let extent = History::read(folder.path()).unwrap().extent();
+    assert_eq!((extent.scans, extent.with_signals), (3, 3));
+    let kept = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(kept.entries.len(), 3);
+}
+
+/// Never ends.
+struct Stuck;
+
+impl Device for Stuck {
+    fn name(&self) -> &str {
+        "stuck"
+    }
+
+    fn streams(&self) -> Vec<StreamSpec> {
+        Vec::new()
+    }
+
+    fn run(&mut self, _: &mut [Sink], _: &Control) -> Result<(), DeviceError> {
+        std::thread::sleep(FOR_EVER);
+        Ok(())
+    }
+}
+
+#[test]
+fn of_a_station_in_which_everything_hangs_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = Arc::new(History::open(&folder.path().join(".history"), 1 << 30).unwrap());
+    // They take connections, and never answer.
+    let mute = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
+    let [http, mqtt] = [0, 1].map(|at| mute[at].local_addr().unwrap());
+    let address = format!("http://{http}/answers").parse().unwrap();
+    let http = HttpOutput::start(address).unwrap();
+    let mqtt = MqttOutput::start(format!("mqtt://{mqtt}/answers").parse().unwrap()).unwrap();
+    let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
+    let shelf = Shelf { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
+    let settings = Settings {
+        address: "127.0.0.1:0".parse().unwrap(),
+        library: Some(shelf),
+        ..Settings::default()
+    };
+    let devices: Vec<Box<dyn Device>> = vec![Box::new(Stylus), Box::new(Stuck)];
+    let station = Station::new(devices, Options::default());
+    let (server, reporter) = Server::start(&settings, station.commands()).unwrap();
+    // Its edit waits for another program, which reads the library all the time.
+    let _read = LibraryLock::for_reading(folder.path());
+    let mut client = TcpStream::connect(server.address()).unwrap();
+    let body = "{\"surface\":\"oak\",\"to\":\"ash\"}";
+    write!(
+        client,
+        "POST /api/v1/library/rename HTTP/1.1\r\nHost: localhost\r\n\
+         Content-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    )
+    .unwrap();
+    let (ordered, events) = (Arc::default(), Arc::default());
+    let ends = Ends { commands: station.commands(), ordered: Arc::clone(&ordered), events };
+    let station = station.recogniser(by("explain")).listener(reporter).listener(keeper);
+    station.listener(http).listener(mqtt).listener(ends).run().unwrap();
+    drop(server);
+    let took = ordered.lock().unwrap().unwrap().elapsed();
+    assert!(took < LIMIT, "the end took {took:?}");
+    assert!(took > Duration::from_secs(2), "the device had its two seconds: {took:?}");
+    assert_eq!(history.extent().with_signals, 3);
 }

@@ -5,8 +5,10 @@ mod bench;
 mod common;
 
 use std::fs::File;
+use std::io::Read;
 use std::os::fd::OwnedFd;
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use bench::{Bench, SCANNED, synthetic, trial};
 
@@ -95,7 +97,7 @@ fn a_reader_of_json_who_stalls_does_not_hold_up_the_end() {
     let seconds = bench.play(&fake, &trial(&data, 0, SCANNED), 0.8);
     fake.serve(seconds + 1.0);
     assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
-    let began = std::time::Instant::now();
+    let began = Instant::now();
     let status = loop {
         match child.try_wait().unwrap() {
             Some(status) => break status,
@@ -104,6 +106,43 @@ fn a_reader_of_json_who_stalls_does_not_hold_up_the_end() {
         assert!(began.elapsed().as_secs() < 5, "it does not end");
     };
     assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+        .args(["replay", data, "--method", "reference", "--serve=127.0.0.1:0"])
+        .stdin(Stdio::null())
+        .stdout(unread())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Before that, a signal ends it at once.
+    while !catches_signals(child.id()) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    // Its first answer waits for a reader, and all else behind it.
+    std::thread::sleep(Duration::from_secs(5));
+    let began = Instant::now();
+    assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
+    let status = child.wait().unwrap();
+    assert!(began.elapsed() < Duration::from_secs(5), "it took {:?}", began.elapsed());
+    let mut said = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    assert_eq!(status.code(), Some(3), "{said}");
+    assert!(said.contains("not all could be ended in time"), "{said}");
+}
+
+/// Whether a process has a handler of SIGTERM, which is number 15.
+fn catches_signals(id: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    u64::from_str_radix(caught.trim(), 16).unwrap() & (1 << 14) != 0
 }
 
 /// A pipe that is full, and whose reader has stalled.

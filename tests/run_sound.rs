@@ -108,3 +108,41 @@ fn dragging_sounds_are_named_against_the_other_trials() {
     // Twenty surfaces: chance names one of them right in five such tests.
     assert_eq!(right, count, "{answers:?}\n{log}");
 }
+
+/// An ALSA configuration whose `default` is on a card that is not there.
+const NO_CARD: &str = "</usr/share/alsa/alsa.conf>\n\
+                       pcm.!default { type hw card \"absent\" }\n\
+                       ctl.!default { type hw card \"absent\" }\n";
+/// How long a microphone is looked for.
+const LOOKED_FOR: Duration = Duration::from_secs(10);
+
+#[test]
+fn a_microphone_that_is_not_there_is_one_line_however_often_it_is_looked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    std::fs::write(path("asound.conf"), NO_CARD).unwrap();
+    std::fs::write(path("station.toml"), STATION).unwrap();
+    let surfaced = || Command::new(env!("CARGO_BIN_EXE_surfaced"));
+    let synth = ["--surfaces", "2", "--trials", "2", "--users", "0"];
+    let made = surfaced().arg("synth").arg(path("library")).args(synth).output().unwrap();
+    assert!(made.status.success());
+    let run = surfaced()
+        .args(["run", "--method", "embedding", "--library"])
+        .arg(path("library"))
+        .arg("--config")
+        .arg(path("station.toml"))
+        .env("ALSA_CONFIG_PATH", path("asound.conf"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(LOOKED_FOR);
+    let id = run.id().to_string();
+    assert!(Command::new("kill").args(["-s", "TERM", &id]).status().unwrap().success());
+    let said = String::from_utf8(run.wait_with_output().unwrap().stderr).unwrap();
+    // ALSA itself says several lines at each look.
+    assert!(!said.contains("ALSA lib"), "{said}");
+    assert_eq!(said.matches("is not there").count(), 1, "{said}");
+    assert!(said.lines().count() < 12, "{said}");
+}

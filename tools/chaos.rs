@@ -1,8 +1,13 @@
-//! Attacks `surfaced` at random: an emulated stylus, readers of the page and orders at work, while
-//! the line stalls, loses, lies and is unplugged, the disk fills and empties, another process edits
-//! the library, readers stall, and signals strike.
+//! Attacks `surfaced` at random: an emulated stylus, a microphone, readers of the page and orders at
+//! work, while the line stalls, loses, lies and is unplugged, the sound server stalls, dies and comes
+//! back, the disk fills and empties, another process edits the library, readers stall, and signals
+//! strike.
 //!
-//! `cargo build --release && cargo run --release --example chaos -- target/release/surfaced [MINUTES] [SEED]`
+//! `cargo build --release --features live && cargo run --release --example chaos -- target/release/surfaced [MINUTES] [SEED]`
+//!
+//! The microphone is the monitor of a PulseAudio server of its own (Debian: pulseaudio
+//! pulseaudio-utils libasound2-plugins). Without that, or with a program without `live`, there is no
+//! microphone, which is said; with `SURFACED_REQUIRE_SOUND=1` that is an error.
 //!
 //! 20 minutes unless said otherwise. A station lives for some ten seconds, then is ended or killed,
 //! and what it left is checked: every sample is received or counted as lost, but for what nobody can
@@ -25,6 +30,11 @@ mod page;
 mod round;
 #[path = "../tests/common/scripted.rs"]
 mod scripted;
+#[path = "chaos/sound.rs"]
+mod sound;
+#[allow(dead_code)] // It gives more than is wanted here.
+#[path = "../tests/common/sound.rs"]
+mod sound_server;
 #[allow(dead_code)] // It can misbehave in ways that are not wanted here.
 #[path = "../tests/common/stylus.rs"]
 mod stylus;
@@ -36,6 +46,7 @@ use std::time::{Duration, Instant};
 use disk::Disk;
 use line::Tape;
 use round::Round;
+use sound::Sound;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -44,13 +55,22 @@ type Failure = Box<dyn std::error::Error>;
 pub struct Sums {
     faults: BTreeMap<&'static str, u64>,
     violations: Vec<String>,
+    /// What struck the last station, and how many samples its stylus had taken by then.
+    story: Vec<(&'static str, u64)>,
+    stylus: Samples,
+    sound: Samples,
+    scans: u64,
+    kept: u64,
+    peak_mb: u64,
+}
+
+/// What became of the samples of a device.
+#[derive(Default)]
+pub struct Samples {
     sent: u64,
     received: u64,
     lost: u64,
     unknowable: u64,
-    scans: u64,
-    kept: u64,
-    peak_mb: u64,
 }
 
 fn main() -> Result<(), Failure> {
@@ -61,13 +81,15 @@ fn main() -> Result<(), Failure> {
     let dir = tempfile::tempdir()?;
     let disk = Disk::new(dir.path())?;
     let tape = Tape::new(&disk)?;
+    let mut sound = Sound::start(&program, dir.path(), &disk)?;
     let (begin, length) = (Instant::now(), Duration::from_secs_f64(minutes * 60.0));
     let mut sums = Sums::default();
     for seed in first.. {
         let faults: u64 = sums.faults.values().sum();
         eprintln!("seed {seed}: {faults} faults, {} violations so far", sums.violations.len());
         let before = sums.violations.len();
-        let round = Round { program: &program, dir: dir.path(), disk: &disk, tape: &tape };
+        let sound = sound.as_mut();
+        let round = Round { program: &program, dir: dir.path(), disk: &disk, tape: &tape, sound };
         let done = std::panic::catch_unwind(AssertUnwindSafe(|| round.run(seed, &mut sums)));
         match done {
             Ok(Ok(())) => {}
@@ -75,22 +97,42 @@ fn main() -> Result<(), Failure> {
             Err(_) => sums.violations.push("the emulation panicked; see above".into()),
         }
         for violation in &sums.violations[before..] {
-            eprintln!("VIOLATION, seed {seed}: {violation}");
+            eprintln!("VIOLATION, seed {seed}, after {:?}: {violation}", sums.story);
         }
         if begin.elapsed() >= length {
             break;
         }
     }
     eprintln!("faults: {:?}", sums.faults);
-    let Sums { faults, violations, sent, received, lost, unknowable, scans, kept, peak_mb } = sums;
+    let Sums { faults, violations, stylus, sound, scans, kept, peak_mb, .. } = sums;
     println!(
-        "{{\"minutes\":{:.1},\"faults\":{},\"violations\":{},\"samples_sent\":{sent},\
-         \"samples_received\":{received},\"samples_counted_lost\":{lost},\
-         \"samples_unknowable\":{unknowable},\"scans\":{scans},\"trials_kept\":{kept},\
-         \"peak_rss_mb\":{peak_mb}}}",
+        "{{\"minutes\":{:.1},\"faults\":{},\"violations\":{},{},{},\"scans\":{scans},\
+         \"trials_kept\":{kept},\"peak_rss_mb\":{peak_mb}}}",
         begin.elapsed().as_secs_f64() / 60.0,
         faults.values().sum::<u64>(),
         violations.len(),
+        stylus.json("samples"),
+        sound.json("sound_samples"),
     );
     if violations.is_empty() { Ok(()) } else { Err("there were violations".into()) }
+}
+
+impl Samples {
+    fn json(&self, of: &str) -> String {
+        let Self { sent, received, lost, unknowable } = self;
+        format!(
+            "\"{of}_sent\":{sent},\"{of}_received\":{received},\"{of}_counted_lost\":{lost},\
+             \"{of}_unknowable\":{unknowable}"
+        )
+    }
+
+    /// Adds those of one life; false if some are neither received nor lost nor unknowable.
+    fn add(&mut self, life: &Self) -> bool {
+        let Self { sent, received, lost, unknowable } = life;
+        self.sent += sent;
+        self.received += received;
+        self.lost += lost;
+        self.unknowable += unknowable;
+        sent.saturating_sub(*received) <= lost + unknowable
+    }
 }

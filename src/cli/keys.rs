@@ -3,14 +3,19 @@
 use std::io::{IsTerminal, Read};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use rustix::termios::{self, LocalModes, OptionalActions, Termios};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-use super::Failure;
+use super::{DAMAGED, Failure};
 use crate::station::Command;
+
+/// How long after the first signal the process ends, come what may: later than a station does by
+/// itself, and within the five seconds that it has.
+const LIMIT: Duration = Duration::from_millis(4700);
 
 /// How the terminal was before keys were read one by one.
 static BEFORE: OnceLock<Termios> = OnceLock::new();
@@ -83,7 +88,8 @@ impl Signalled {
 }
 
 /// Makes the first signal a command to quit. The second one ends the process at once, as does the
-/// first when there is neither a station nor anybody who waits for it.
+/// first when there is neither a station nor anybody who waits for it. However the station takes
+/// it, the process ends within [`LIMIT`].
 pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     let (send, signalled) = mpsc::channel();
@@ -94,8 +100,21 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
                 restore();
                 std::process::exit(128 + signal);
             }
+            // Where no thread is to be had, the second signal ends it.
+            let _ = std::thread::Builder::new().name("end".into()).spawn(end_late);
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(watch)?;
     Ok(Signalled(signalled))
+}
+
+/// Ends a process that has not ended by itself in time, such as one whose output nobody reads.
+fn end_late() {
+    std::thread::sleep(LIMIT);
+    // Beside, for stderr may be what it waits for.
+    let tell = || say!("warning: not all could be ended in time; something may be lost");
+    let _ = std::thread::Builder::new().spawn(tell);
+    std::thread::sleep(Duration::from_millis(50));
+    restore();
+    std::process::exit(DAMAGED.into());
 }

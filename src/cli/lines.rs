@@ -3,14 +3,15 @@
 //! A thread of its own writes them, so that a reader who stalls holds up neither live devices nor
 //! the end of the program.
 
+use std::convert::Infallible;
 use std::io::Write;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use crossbeam_channel::{Sender, TrySendError, bounded};
 use serde::Serialize;
 
 use super::show;
-use crate::station::{Command, Listener, StationEvent};
+use crate::station::{Command, End, Listener, StationEvent};
 
 /// Lines that wait for their reader; scans come a few a minute.
 const WAITING: usize = 1024;
@@ -24,8 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 pub struct JsonLines {
     /// None once the last line was handed over.
     lines: Option<Sender<String>>,
-    /// Closed when the thread has ended.
-    ended: Receiver<()>,
+    end: End,
     /// Whether to wait for the reader: true where no device would lose by it.
     waits: bool,
     /// Lines that were dropped, since the reader has stalled.
@@ -49,7 +49,7 @@ impl JsonLines {
     /// If the system gives no thread.
     pub fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
         let (lines, to_print) = bounded::<String>(WAITING);
-        let (end, ended) = bounded(0);
+        let (end, ended) = bounded::<Infallible>(0);
         let print = move || {
             let _end = end;
             for line in to_print {
@@ -61,7 +61,8 @@ impl JsonLines {
             }
         };
         std::thread::Builder::new().name("lines".into()).spawn(print)?;
-        Ok(Self { lines: Some(lines), ended, waits, dropped: 0, warnings: vec![] })
+        let end = End::of(ended);
+        Ok(Self { lines: Some(lines), end, waits, dropped: 0, warnings: vec![] })
     }
 
     fn print(&mut self, of: Option<&impl Serialize>) {
@@ -81,6 +82,7 @@ impl JsonLines {
 
 impl Listener for JsonLines {
     fn on_event(&mut self, event: &StationEvent) {
+        let last = self.end.is_here(event);
         match event {
             StationEvent::Answer(answer) => self.print(Some(&**answer)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
@@ -90,17 +92,16 @@ impl Listener for JsonLines {
                 self.warnings.extend(event.warning().map(String::from).into_iter().take(room));
             }
         }
+        if last {
+            self.lines = None;
+        }
     }
 }
 
 impl Drop for JsonLines {
     fn drop(&mut self) {
         self.lines = None;
-        if self.waits {
-            let _ = self.ended.recv();
-        } else {
-            let _ = self.ended.recv_timeout(PATIENCE);
-        }
+        self.end.wait(if self.waits { Duration::MAX } else { PATIENCE });
         if self.dropped > 0 {
             tracing::warn!("lines of JSON that nobody read: {}", self.dropped);
         }

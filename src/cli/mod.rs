@@ -109,6 +109,9 @@ impl<E: std::error::Error> From<E> for Failure {
 
 type Done = Result<(), Failure>;
 
+/// The exit code of [`Failure::Damaged`].
+const DAMAGED: u8 = 3;
+
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
     log::start();
@@ -137,7 +140,7 @@ pub fn run() -> ExitCode {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Failed(message)) => (1, Level::ERROR, message),
         Err(Failure::Usage(message)) => (2, Level::ERROR, message),
-        Err(Failure::Damaged(message)) => (3, Level::WARN, message),
+        Err(Failure::Damaged(message)) => (DAMAGED, Level::WARN, message),
     };
     say!("{}{}{message}", log::priority(level), log::word(level));
     ExitCode::from(code)

@@ -183,6 +183,7 @@ impl Listener for Terminal {
             | StationEvent::Streams(_)
             | StationEvent::Enrolling(_)
             | StationEvent::Reading
+            | StationEvent::Ending(_)
             | StationEvent::Alive => return,
             StationEvent::Finished(totals) => {
                 let stream = |(id, counts): (&SourceId, &Counts)| {

@@ -38,6 +38,13 @@ pub const RATE_HZ: u32 = 44_100;
 const BUFFER_S: f64 = 1.0;
 /// How often the device's thread looks around, at least.
 const LOOK: Duration = Duration::from_millis(20);
+/// After a pause of this length, sound may be missing although nobody has said so: a sound server
+/// that was held up passes over the time.
+const PAUSE: Duration = Duration::from_millis(200);
+/// How long after such a pause what was merely late has come.
+const CATCH_UP: Duration = Duration::from_millis(250);
+/// Less than this is a delay and no loss, in seconds.
+const LEAST_MISSING_S: f64 = 0.05;
 /// No sound for this long is a stall.
 const STALLED: Duration = Duration::from_millis(700);
 /// No sound for this long, and the stream is reopened.
@@ -76,6 +83,16 @@ pub struct Microphone {
     pick: Pick,
     sound: Box<dyn Sound>,
     name: String,
+}
+
+/// What came before the next frames.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Before {
+    Frames,
+    /// Nothing, for a while; since when there are frames again.
+    Pause(Instant),
+    /// A loss, of which it is not known how large it was.
+    Loss,
 }
 
 /// Why a stream that ran does so no more.
@@ -180,8 +197,7 @@ impl Listening<'_> {
     ) -> End {
         self.pace.reopened();
         let mut last = Instant::now();
-        // Whether the next frames come after an interruption.
-        let mut interrupted = self.received;
+        let mut before = if self.received { Before::Loss } else { Before::Frames };
         while !self.control.stopped() {
             let _ = woken.recv_timeout(LOOK);
             // Before the ring is looked at: what follows an overrun is in the ring after it.
@@ -189,8 +205,15 @@ impl Listening<'_> {
                 (Some(StreamError::Gone(_)), _) => worst,
                 _ => Some(next),
             });
-            interrupted |= trouble == Some(StreamError::Overrun);
-            if self.carry(tap, &mut interrupted) {
+            if trouble == Some(StreamError::Overrun) {
+                before = Before::Loss;
+            }
+            let waiting = tap.meter().counts().fill > 0;
+            if before == Before::Frames && self.received && waiting && last.elapsed() > PAUSE {
+                before = Before::Pause(Instant::now());
+            }
+            let catches_up = matches!(before, Before::Pause(end) if end.elapsed() < CATCH_UP);
+            if !catches_up && self.carry(tap, &mut before) {
                 last = Instant::now();
                 self.received = true;
                 self.control.state(DeviceState::Streaming, "");
@@ -217,7 +240,7 @@ impl Listening<'_> {
     }
 
     /// Moves all that has arrived; whether there was anything.
-    fn carry(&mut self, tap: &mut SeriesTap, interrupted: &mut bool) -> bool {
+    fn carry(&mut self, tap: &mut SeriesTap, before: &mut Before) -> bool {
         let now_s = self.now_s();
         let (mut change, mut came) = (None, false);
         let Self { sink, pace, level, .. } = self;
@@ -225,11 +248,14 @@ impl Listening<'_> {
         tap.drain(|piece| match piece {
             Piece::Missing(frames) => sink.skip(frames),
             Piece::Samples(samples) => {
-                if std::mem::take(interrupted) {
-                    // What the interruption cost comes before the frames that followed it.
-                    let position = sink.position() + held.max(samples.len() as u64);
-                    sink.skip(pace.missing(now_s, position));
-                }
+                let least = match std::mem::replace(before, Before::Frames) {
+                    Before::Frames => u64::MAX,
+                    Before::Pause(_) => (LEAST_MISSING_S * f64::from(RATE_HZ)) as u64,
+                    Before::Loss => 0,
+                };
+                // What is missing comes before the frames that followed it.
+                let position = sink.position() + held.max(samples.len() as u64);
+                sink.skip(Some(pace.missing(now_s, position)).filter(|n| *n >= least).unwrap_or(0));
                 came = true;
                 sink.push(samples);
                 change = level.take(samples).or(change);

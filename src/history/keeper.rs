@@ -1,12 +1,12 @@
-//! Writes a station's scans into a history, on a thread of its own: the station never waits.
+//! Writes a station's scans into a history, on threads of its own: the station never waits.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::sync::Arc;
-use std::thread::JoinHandle;
+use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, UNIX_EPOCH};
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 
 use super::view::{View, jpeg};
@@ -14,18 +14,24 @@ use super::{History, HistoryError, SCANS};
 use crate::library::About;
 use crate::record::{TrialOptions, utc, write_trial};
 use crate::scene::Scene;
-use crate::station::{AnsweredScan, Listener, StationEvent, Why};
+use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Scans under way; of ten seconds each, some 50 MB.
+/// Scans that wait to be written, and as many whose notes do; of ten seconds each, some 50 MB.
 const QUEUE: usize = 16;
 
 /// Keeps the scans of a station.
 #[derive(Debug)]
 pub struct Keeper {
     scans: Option<Sender<Arc<AnsweredScan>>>,
-    thread: Option<JoinHandle<()>>,
+    history: Arc<History>,
+    without_notes: WithoutNotes,
+    end: End,
 }
+
+/// Scans whose signals are written, and whose notes are not yet. Whoever takes one out says that it
+/// is kept.
+type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
 
 /// What is noted beside the signals of a scan.
 #[derive(Serialize)]
@@ -43,10 +49,24 @@ struct NearestView {
     view: View,
 }
 
+/// A scan, and the folder of its signals.
+type Written = (Arc<AnsweredScan>, PathBuf);
+
 struct Writer {
     history: Arc<History>,
     scene: Scene,
     devices: BTreeMap<String, String>,
+    /// To the thread that writes notes, which may take as long as naming does.
+    notes: Sender<Written>,
+    without_notes: WithoutNotes,
+}
+
+struct Annotator {
+    history: Arc<History>,
+    scene: Scene,
+    without_notes: WithoutNotes,
+    /// Closed with this.
+    _working: Sender<Infallible>,
 }
 
 impl Keeper {
@@ -60,16 +80,35 @@ impl Keeper {
         scene: Scene,
         devices: BTreeMap<String, String>,
     ) -> std::io::Result<Self> {
-        let (scans, to_keep) = crossbeam_channel::bounded(QUEUE);
-        let writer = Writer { history, scene, devices };
-        let run = move || writer.run(&to_keep);
-        let thread = std::thread::Builder::new().name("history".into()).spawn(run)?;
-        Ok(Self { scans: Some(scans), thread: Some(thread) })
+        let ((scans, to_keep), (notes, to_note)) = (bounded(QUEUE), bounded(QUEUE));
+        let (working, ended) = bounded(0);
+        let without_notes = WithoutNotes::default();
+        let annotator = Annotator {
+            history: history.clone(),
+            scene: scene.clone(),
+            without_notes: without_notes.clone(),
+            _working: working,
+        };
+        let writer = Writer {
+            history: history.clone(),
+            scene,
+            devices,
+            notes,
+            without_notes: without_notes.clone(),
+        };
+        let thread = |name: &str| std::thread::Builder::new().name(name.into());
+        thread("history").spawn(move || writer.run(&to_keep))?;
+        // It ends after the writer, which holds the other side.
+        thread("history-notes").spawn(move || annotator.run(&to_note))?;
+        Ok(Self { scans: Some(scans), history, without_notes, end: End::of(ended) })
     }
 }
 
 impl Listener for Keeper {
     fn on_event(&mut self, event: &StationEvent) {
+        if self.end.is_here(event) {
+            self.scans = None;
+        }
         if let (StationEvent::Scan(scan), Some(scans)) = (event, &self.scans)
             && scans.try_send(scan.clone()).is_err()
         {
@@ -79,34 +118,65 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans are written.
+    /// Waits until all scans are written, and for their notes as long as the end may take.
     fn drop(&mut self) {
-        self.scans.take();
-        if let Some(thread) = self.thread.take() {
-            // Had it panicked, the scans before are kept all the same.
-            let _ = thread.join();
+        self.scans = None;
+        if !self.end.wait(Duration::MAX) {
+            for id in std::mem::take(&mut *lock(&self.without_notes)) {
+                kept(&self.history, &id);
+            }
         }
+    }
+}
+
+fn lock(without_notes: &WithoutNotes) -> MutexGuard<'_, BTreeSet<String>> {
+    // Each change is one insertion or removal.
+    without_notes.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Says that the signals of a scan are on disk.
+fn kept(history: &History, id: &str) {
+    say_problem(history, history.kept(id));
+}
+
+/// Remembers why scans are not kept, or that they are, and logs the first such problem in a row.
+fn say_problem(history: &History, done: Result<(), HistoryError>) {
+    let problem = done.err().map(|error| error.to_string());
+    if history.set_problem(problem.clone())
+        && let Some(problem) = problem
+    {
+        tracing::warn!("scans are not kept in the history: {problem}");
     }
 }
 
 impl Writer {
     fn run(&self, scans: &Receiver<Arc<AnsweredScan>>) {
         for scan in scans {
-            let kept = self.history.answered(&scan.answer).and_then(|()| self.keep(&scan));
-            let problem = kept.err().map(|error| error.to_string());
-            if self.history.set_problem(problem.clone())
-                && let Some(problem) = problem
-            {
-                tracing::warn!("scans are not kept in the history: {problem}");
+            let written = self.history.answered(&scan.answer).and_then(|()| self.write(&scan));
+            match written {
+                Ok(Some(folder)) => self.hand_on(scan, folder),
+                Ok(None) => say_problem(&self.history, Ok(())),
+                Err(error) => say_problem(&self.history, Err(error)),
             }
         }
     }
 
-    fn keep(&self, answered: &AnsweredScan) -> Result<(), HistoryError> {
+    /// Has notes written of a scan, unless too many wait for theirs.
+    fn hand_on(&self, scan: Arc<AnsweredScan>, folder: PathBuf) {
+        let id = scan.answer.id.clone();
+        lock(&self.without_notes).insert(id.clone());
+        let full = self.notes.try_send((scan, folder)).is_err();
+        if full && lock(&self.without_notes).remove(&id) {
+            kept(&self.history, &id);
+        }
+    }
+
+    /// Writes the signals of a scan; gives their folder, unless the history is in memory.
+    fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
         // One that could not be named may be empty.
         let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
-        let Some(root) = root else { return Ok(()) };
+        let Some(root) = root else { return Ok(None) };
         let began = Duration::from_millis(answer.unix_ms)
             .saturating_sub(Duration::from_secs_f64(scan.scan_s.max(0.0)));
         let about = About {
@@ -121,9 +191,20 @@ impl Writer {
         let user = answer.id.rsplit_once('-').map_or(answer.id.as_str(), |(moment, _)| moment);
         let key = TrialKey::new(SCANS, user, answer.scan);
         let trial = Trial { key, signals: scan.trial.signals.clone() };
-        let folder = write_trial(&root, &trial, &self.scene, &options)?;
-        self.note(answered, &folder)?;
-        self.history.kept(&answer.id)
+        Ok(Some(write_trial(&root, &trial, &self.scene, &options)?))
+    }
+}
+
+impl Annotator {
+    fn run(&self, written: &Receiver<Written>) {
+        for (scan, folder) in written {
+            let noted = self.note(&scan, &folder);
+            let id = &scan.answer.id;
+            if lock(&self.without_notes).remove(id) {
+                let kept = self.history.kept(id);
+                say_problem(&self.history, noted.and(kept));
+            }
+        }
     }
 
     /// Writes why the scan was named as it was, and what is drawn of it and the nearest trial.

@@ -206,6 +206,29 @@ mod tests {
         assert!(read_bytes(&path, 10).unwrap_err().to_string().contains("larger than"));
         assert_eq!(read_bytes(&path, 11).unwrap(), [7; 11]);
     }
+
+    #[test]
+    fn a_file_of_the_same_name_size_and_time_has_another_stamp() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = [folder.path().join("ac.wav")];
+        let id = SourceId::new("ac").unwrap();
+        let stamp = || super::stamp(std::iter::once((&id, &paths[..]))).unwrap();
+        std::fs::write(&paths[0], [1; 10]).unwrap();
+        let (before, at) = (stamp(), std::fs::metadata(&paths[0]).unwrap().modified().unwrap());
+        assert_eq!(stamp(), before);
+        // Longer than the clock of a file system takes to turn.
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        std::fs::write(&paths[0], [2; 10]).unwrap();
+        std::fs::File::options().write(true).open(&paths[0]).unwrap().set_modified(at).unwrap();
+        let edited = stamp();
+        assert_ne!(edited, before);
+        // Another file in its place.
+        let other = folder.path().join("other.wav");
+        std::fs::write(&other, [3; 10]).unwrap();
+        std::fs::File::options().write(true).open(&other).unwrap().set_modified(at).unwrap();
+        std::fs::rename(&other, &paths[0]).unwrap();
+        assert_ne!(stamp(), edited);
+    }
 }
 
 /// A number for what files hold, by their device, inode, size and times of change, source by

@@ -332,10 +332,14 @@ impl<'a> Opening<'a> {
     }
 }
 
-/// The numeric suffix of a folder's name.
+/// The number of a trial by the name of its folder: what that ends with.
+pub(crate) fn number_in(name: &str) -> Option<u32> {
+    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    name[stem.len()..].parse().ok()
+}
+
 fn number_of(folder: &Listed) -> Result<u32, LibraryError> {
-    let stem = folder.name.trim_end_matches(|c: char| c.is_ascii_digit());
-    folder.name[stem.len()..].parse().map_err(|_| {
+    number_in(&folder.name).ok_or_else(|| {
         LibraryError::file(
             &folder.path,
             format!(

@@ -1,5 +1,6 @@
 //! Answers by HTTP POST: each as one JSON document.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -7,13 +8,13 @@ use std::time::Duration;
 use axum::body::Body;
 use axum::http::header::{CONTENT_TYPE, HOST};
 use axum::http::{Request, StatusCode};
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Sender, bounded};
 use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 
 use super::{BackOff, HttpAddress, PATIENCE, QUEUE};
-use crate::station::{Listener, StationEvent};
+use crate::station::{End, Listener, StationEvent};
 
 /// How long one attempt may take.
 const ATTEMPT: Duration = Duration::from_secs(5);
@@ -23,8 +24,7 @@ const ATTEMPT: Duration = Duration::from_secs(5);
 pub struct HttpOutput {
     answers: Option<Sender<String>>,
     ending: Arc<AtomicBool>,
-    /// Closed when the thread has ended.
-    ended: Receiver<()>,
+    end: End,
 }
 
 struct Poster {
@@ -41,22 +41,25 @@ impl HttpOutput {
     /// If the system gives no thread, or no means to wait on sockets.
     pub fn start(address: HttpAddress) -> std::io::Result<Self> {
         let (answers, to_post) = bounded::<String>(QUEUE);
-        let (ending, ended) = bounded(0);
+        let (ending, ended) = bounded::<Infallible>(0);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let stop = Arc::new(AtomicBool::new(false));
         let mut poster =
             Poster { address, runtime, back_off: BackOff::new(), ending: stop.clone() };
         let run = move || {
-            let _ending: Sender<()> = ending;
+            let _ending = ending;
             to_post.iter().for_each(|answer| poster.deliver(&answer));
         };
         std::thread::Builder::new().name("http-output".into()).spawn(run)?;
-        Ok(Self { answers: Some(answers), ending: stop, ended })
+        Ok(Self { answers: Some(answers), ending: stop, end: End::of(ended) })
     }
 }
 
 impl Listener for HttpOutput {
     fn on_event(&mut self, event: &StationEvent) {
+        if self.end.is_here(event) {
+            self.close();
+        }
         let (StationEvent::Answer(answer), Some(answers)) = (event, &self.answers) else { return };
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string(&**answer).unwrap_or_default();
@@ -68,10 +71,16 @@ impl Listener for HttpOutput {
 
 impl Drop for HttpOutput {
     fn drop(&mut self) {
+        self.close();
+        self.end.wait(PATIENCE);
+    }
+}
+
+impl HttpOutput {
+    /// Takes no more answers; those that wait are tried once.
+    fn close(&mut self) {
         self.answers.take();
         self.ending.store(true, Ordering::Release);
-        // An error is the end of the thread, which is what is waited for.
-        let _ = self.ended.recv_timeout(PATIENCE);
     }
 }
 

@@ -1,14 +1,15 @@
 //! Answers by MQTT 3.1.1: each published under one topic, at least once.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::bounded;
 use rumqttc::{Client, Connection, Event, MqttOptions, Outgoing, QoS};
 
 use super::{BackOff, MqttAddress, PATIENCE, QUEUE};
-use crate::station::{Listener, StationEvent};
+use crate::station::{End, Listener, StationEvent};
 
 /// How often something is sent on a silent line.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
@@ -18,8 +19,7 @@ pub struct MqttOutput {
     client: Client,
     topic: String,
     ending: Arc<AtomicBool>,
-    /// Closed when the thread has ended.
-    ended: Receiver<()>,
+    end: End,
 }
 
 impl MqttOutput {
@@ -36,15 +36,15 @@ impl MqttOutput {
             options.set_credentials(user, password);
         }
         let (client, connection) = Client::new(options, QUEUE);
-        let (closing, ended) = bounded(0);
+        let (closing, ended) = bounded::<Infallible>(0);
         let ending = Arc::new(AtomicBool::new(false));
         let stop = ending.clone();
         let run = move || {
-            let _closing: Sender<()> = closing;
+            let _closing = closing;
             keep_connected(connection, &stop);
         };
         std::thread::Builder::new().name("mqtt-output".into()).spawn(run)?;
-        Ok(Self { client, topic, ending, ended })
+        Ok(Self { client, topic, ending, end: End::of(ended) })
     }
 }
 
@@ -71,6 +71,9 @@ fn keep_connected(mut connection: Connection, stop: &AtomicBool) {
 
 impl Listener for MqttOutput {
     fn on_event(&mut self, event: &StationEvent) {
+        if self.end.is_here(event) {
+            self.close();
+        }
         let StationEvent::Answer(answer) = event else { return };
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string(&**answer).unwrap_or_default();
@@ -82,9 +85,16 @@ impl Listener for MqttOutput {
 
 impl Drop for MqttOutput {
     fn drop(&mut self) {
-        self.ending.store(true, Ordering::Release);
-        // What was published before goes first.
-        let _ = self.client.try_disconnect();
-        let _ = self.ended.recv_timeout(PATIENCE);
+        self.close();
+        self.end.wait(PATIENCE);
+    }
+}
+
+impl MqttOutput {
+    /// What was published before goes first.
+    fn close(&self) {
+        if !self.ending.swap(true, Ordering::AcqRel) {
+            let _ = self.client.try_disconnect();
+        }
     }
 }

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 use image::ImageEncoder;
 
-use crate::library::recording::{DESCRIPTION, UNFINISHED};
+use crate::library::recording::{DESCRIPTION, UNFINISHED, number_in};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
@@ -224,6 +224,15 @@ fn mode(bits: u32) -> fs::Permissions {
 /// The folder that a trial of this name is written into.
 pub fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
     dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
+}
+
+/// The first number that no folder of a surface's trials has in its name; 1 where there is none.
+/// Others may have it in their `trial.toml`: this is for where there is no time to read those.
+pub fn number_by_names(dir: &Path, surface: &str) -> u32 {
+    let listed = fs::read_dir(dir.join(folder_name::encode(surface)));
+    let names = listed.into_iter().flatten().flatten().map(|item| item.file_name());
+    let highest = names.filter_map(|name| number_in(name.to_str()?)).max();
+    highest.map_or(1, |number| number.saturating_add(1))
 }
 
 fn trial_name(key: &TrialKey) -> String {

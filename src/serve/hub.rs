@@ -162,7 +162,10 @@ impl Inner {
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
             // The state holds it, and its change is published.
-            StationEvent::Enrolling(_) | StationEvent::Alive | StationEvent::Scan(_) => {}
+            StationEvent::Enrolling(_)
+            | StationEvent::Ending(_)
+            | StationEvent::Alive
+            | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(_) => {
                 let library = self.state.library.clone();

@@ -23,8 +23,9 @@ pub struct Server {
     thread: Option<JoinHandle<()>>,
 }
 
-/// How long the end of the server waits for answers under way.
-const SHUTDOWN_GRACE: Duration = Duration::from_millis(500);
+/// How long the end of the server waits for events that are not sent yet, and then for answers under
+/// way.
+const SHUTDOWN_GRACE: Duration = Duration::from_millis(300);
 
 impl Server {
     /// Serves from now on; `orders` go to the station.
@@ -63,6 +64,8 @@ impl Server {
                 // What was entered before the end is still sent, to subscribers who read at once.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
+            // An edit or a list of the library may wait for the disk, or for another program.
+            runtime.shutdown_timeout(SHUTDOWN_GRACE);
         };
         let thread = std::thread::Builder::new()
             .name("serve".into())
@@ -76,7 +79,7 @@ impl Server {
         self.address
     }
 
-    /// Ends all connections; answers under way have half a second.
+    /// Ends all connections; answers under way have a moment.
     pub fn stop(mut self) {
         self.end();
     }

@@ -228,6 +228,7 @@ impl State {
             StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
+            | StationEvent::Ending(_)
             | StationEvent::Alive => {}
         }
         self.advice = self.advise();

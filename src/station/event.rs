@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use serde::Serialize;
 
@@ -175,6 +176,8 @@ pub enum StationEvent {
     Warning(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
+    /// The end was ordered: nothing may hold it up after this moment.
+    Ending(Instant),
     /// The station has ended; the last event.
     Finished(Arc<Totals>),
 }

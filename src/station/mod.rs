@@ -9,6 +9,7 @@ mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
+mod end;
 mod enroll;
 mod event;
 mod followed;
@@ -23,6 +24,7 @@ mod worker;
 
 pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind, Unnamed};
 pub use assemble::{Assembled, assemble};
+pub use end::End;
 pub use event::{
     Command, Enrolled, EnrolledOutcome, Enrolling, Guess, LibraryState, Listener, StationEvent,
     SurfaceProbability,

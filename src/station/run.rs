@@ -1,5 +1,6 @@
 //! The loop of a station: session events, answers and commands in; station events out.
 
+mod naming;
 mod reading;
 
 use std::collections::VecDeque;
@@ -8,19 +9,21 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, at, never, select};
 
-use super::event::{Command, EnrolledOutcome, Enrolling, Listener, StationEvent};
-use super::orders::{Keep, Orders};
+use self::naming::InHand;
+use super::event::{Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent};
+use super::orders::{Enrolment, Keep, Orders};
 use super::recogniser::{Load, Recogniser};
 use super::store::{RecordingThread, Stored};
-use super::trial_need::Purpose;
-use super::worker::{Job, ScanAnswer, Work, Worker, WorkerEvent};
-use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
+use super::worker::{Job, Worker};
+use crate::scan::{Event, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
-/// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
-const BACKLOG: usize = 64;
-/// How long [`Command::Quit`] waits for answers. Devices have 2 s of it to stop.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// How long after [`Command::Quit`] answers are waited for. Devices have 2 s of it to stop.
+const NAMED: Duration = Duration::from_millis(2500);
+/// How long after it the disk is.
+const WRITTEN: Duration = Duration::from_millis(3200);
+/// How long after it listeners may take.
+const PASSED_ON: Duration = Duration::from_millis(3900);
 
 /// What scans are named with.
 enum Naming {
@@ -61,13 +64,13 @@ pub(super) struct Run<'a> {
     load_again: bool,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
-    /// The number of the scan, for each job that the worker has; none for a scan in progress.
-    in_hand: VecDeque<Option<u32>>,
+    /// The jobs that the worker has.
+    in_hand: VecDeque<InHand>,
     orders: Orders,
     /// What the next scan is to become, as last reported.
     enrolling: Option<Enrolling>,
-    /// Until when answers are waited for; none before the end is ordered.
-    deadline: Option<Instant>,
+    /// When the end was ordered.
+    ordered: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
@@ -91,7 +94,7 @@ impl<'a> Run<'a> {
             in_hand: VecDeque::new(),
             orders,
             enrolling: None,
-            deadline: None,
+            ordered: None,
             listeners,
         }
     }
@@ -114,9 +117,10 @@ impl<'a> Run<'a> {
     pub fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
-            self.hand_on();
-            if self.deadline.is_some_and(|deadline| deadline <= Instant::now()) {
-                self.give_up_naming();
+            let deadline = self.ordered.map(|ordered| ordered + NAMED);
+            match deadline.is_some_and(|deadline| deadline <= Instant::now()) {
+                true => self.give_up_naming(),
+                false => self.hand_on(),
             }
             if finished && self.pending.is_empty() && self.in_hand.is_empty() {
                 return;
@@ -128,7 +132,7 @@ impl<'a> Run<'a> {
             let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);
             let waiting = !(self.pending.is_empty() && self.in_hand.is_empty());
-            let deadline = self.deadline.filter(|_| waiting).map_or_else(never, at);
+            let deadline = deadline.filter(|_| waiting).map_or_else(never, at);
             select! {
                 recv(events) -> event => match event {
                     // If the channel just closes, the collector has panicked; `finish` says so.
@@ -155,26 +159,11 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Reports scans that will not be named, since the end does not wait for them any longer.
-    fn give_up_naming(&mut self) {
-        let pending = self.pending.drain(..).filter_map(|job| match job {
-            Job::Scan(scan) => Some(scan.number),
-            Job::Progress(_) => None,
-        });
-        let numbers: Vec<u32> = self.in_hand.drain(..).flatten().chain(pending).collect();
-        let busy = match &self.naming {
-            Naming::Loading => "the library was still being read",
-            _ => "there was no time for it",
-        };
-        for number in numbers {
-            self.warn(format!("scan {number} was not named: {busy} when the station was ended"));
-        }
-    }
-
     /// Waits for what is being written, and reports the end.
     pub fn finish(mut self) -> Result<Totals, SessionError> {
-        let written = self.recording.take().into_iter().flat_map(RecordingThread::finish);
-        written.for_each(|stored| self.stored(stored));
+        let until = self.ordered.map(|ordered| ordered + WRITTEN);
+        let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
+        written.for_each(|stored| self.enrolled(&stored.enrolment, stored.enrolled));
         let Self { session, mut listeners, .. } = self;
         let totals = session.wait()?;
         let event = StationEvent::Finished(Arc::new(totals.clone()));
@@ -197,104 +186,21 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn scan(&mut self, scan: Box<Scan>) {
-        if let Some(recording) = &self.recording
-            && let Some(enrolment) = self.orders.claim(scan.number)
-        {
-            let by = match &self.naming {
-                Naming::Ready(by) => Some(by.clone()),
-                Naming::Loading | Naming::None(_) => None,
-            };
-            recording.store(scan, enrolment, by);
-            return self.report_order();
+    /// Takes note of what became of a scan that was to be kept; it is reported once it is known
+    /// what surface the scan is most like.
+    fn stored(&mut self, stored: Stored) {
+        if let Some(recording) = &mut self.recording {
+            recording.settle(&stored.enrolled);
         }
-        self.pending.push_back(Job::Scan(scan));
-        let waiting = self.pending.iter().filter(|job| matches!(job, Job::Scan(_))).count();
-        if waiting <= BACKLOG || self.waits {
-            return;
+        match stored.kept {
+            Some(_) => self.pending.push_back(Job::Kept(Box::new(stored))),
+            None => self.enrolled(&stored.enrolment, stored.enrolled),
         }
-        // The oldest scan goes, and the progress within it.
-        while let Some(job) = self.pending.pop_front() {
-            if let Job::Scan(scan) = job {
-                return self.unnamed(scan, "too many wait for it");
-            }
-        }
-    }
-
-    /// Adds news of a scan. What the worker has no time for becomes one piece of news.
-    fn progress(&mut self, progress: Progress) {
-        match self.pending.back_mut() {
-            Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
-            _ => self.pending.push_back(Job::Progress(progress)),
-        }
-    }
-
-    /// Hands work to the worker, as far as it takes it.
-    fn hand_on(&mut self) {
-        while let Some(job) = self.pending.pop_front() {
-            let by = match &self.naming {
-                Naming::Loading => return self.pending.push_front(job),
-                Naming::Ready(by) => Ok(by.clone()),
-                Naming::None(why) => Err(why.clone()),
-            };
-            let (work, number) = match (job, by) {
-                (Job::Scan(scan), Ok(by)) => {
-                    let number = scan.number;
-                    (Work::Scan(scan, by), Some(number))
-                }
-                (Job::Scan(scan), Err(why)) => {
-                    self.unnamed(scan, &why);
-                    continue;
-                }
-                (Job::Progress(progress), by) => {
-                    let purpose = self.purpose(progress.number);
-                    (Work::Progress(progress, purpose, by.ok()), None)
-                }
-            };
-            if let Err(back) = self.worker.work.try_send(work) {
-                return self.pending.push_front(back.into_inner().into_job());
-            }
-            self.in_hand.push_back(number);
-        }
-    }
-
-    /// What a scan in progress is for.
-    fn purpose(&self, number: u32) -> Purpose {
-        match self.orders.covering(number) {
-            Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
-            Some(_) => Purpose::Keep(Vec::new()),
-            None => Purpose::Name,
-        }
-    }
-
-    /// Reports what the worker has done.
-    fn done(&mut self, done: WorkerEvent) {
-        self.in_hand.pop_front();
-        match done {
-            WorkerEvent::Answered(answered) => self.answered(answered),
-            WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
-        }
-    }
-
-    /// Reports a scan with its answer.
-    fn answered(&mut self, answered: ScanAnswer) {
-        let (event, scan) = match answered {
-            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
-            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
-        };
-        self.emit(event);
-        self.emit(StationEvent::Scan(scan));
-    }
-
-    /// Reports that a scan was not named, and why.
-    fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
-        let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
-        self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
     }
 
     /// Reports what became of a scan that was to be kept.
-    fn stored(&mut self, (enrolment, enrolled): Stored) {
-        let enrolled = self.orders.count(&enrolment, enrolled);
+    fn enrolled(&mut self, enrolment: &Enrolment, enrolled: Enrolled) {
+        let enrolled = self.orders.count(enrolment, enrolled);
         let why = enrolled.remarks.last().map_or("", String::as_str);
         let what = match enrolled.outcome {
             EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
@@ -339,8 +245,12 @@ impl<'a> Run<'a> {
             Command::Ping => self.emit(StationEvent::Alive),
             Command::Reload => self.reload(),
             Command::Quit => {
-                self.deadline.get_or_insert_with(|| Instant::now() + PATIENCE);
                 self.session.request_stop();
+                if self.ordered.is_none() {
+                    let now = Instant::now();
+                    self.ordered = Some(now);
+                    self.emit(StationEvent::Ending(now + PASSED_ON));
+                }
             }
         }
     }

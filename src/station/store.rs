@@ -4,20 +4,21 @@
 //! tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use crossbeam_channel::{
+    Receiver, RecvTimeoutError, Sender, TryRecvError, at, bounded, never, select, unbounded,
+};
 
 use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
 use super::orders::Enrolment;
 use super::recogniser::Recogniser;
 use crate::library::{About, LibraryError, recording};
-use crate::record::{TrialOptions, append_trial, utc};
+use crate::record::{TrialOptions, append_trial, number_by_names, utc};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
@@ -48,7 +49,12 @@ impl ScanStore {
 }
 
 /// What became of a scan, and the enrolment that it belongs to.
-pub(super) type Stored = (Enrolment, Enrolled);
+pub(super) struct Stored {
+    pub enrolment: Enrolment,
+    pub enrolled: Enrolled,
+    /// Of one that was kept: the scan, and what may say what surface it is most like.
+    pub kept: Option<(Box<Scan>, Arc<Recogniser>)>,
+}
 
 /// A scan, the enrolment that it belongs to, and what it is compared with.
 type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
@@ -57,8 +63,10 @@ type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 pub(super) struct RecordingThread {
     scans: Sender<ToStore>,
     pub stored: Receiver<Stored>,
-    ending: Arc<AtomicBool>,
-    thread: JoinHandle<()>,
+    /// Dropped at the end, when there is no time left for reading the library.
+    working: Sender<Infallible>,
+    /// Scans that may still become trials.
+    under_way: BTreeMap<u32, Enrolment>,
 }
 
 impl RecordingThread {
@@ -68,51 +76,82 @@ impl RecordingThread {
     /// If the system gives no thread.
     pub fn start(store: ScanStore) -> std::io::Result<Self> {
         // Unbounded, but emptied at once: what cannot be written waits within limits of its own.
-        let (scans, to_store) = crossbeam_channel::unbounded();
-        let (send, stored) = crossbeam_channel::unbounded();
-        let ending = Arc::<AtomicBool>::default();
+        let (scans, to_store) = unbounded();
+        let (send, stored) = unbounded();
+        let (working, ending) = bounded(0);
         let (waiting, next) = (VecDeque::new(), Numbers::new());
-        let mut writer = Writer { store, waiting, next, send, ending: ending.clone() };
+        let mut writer = Writer { store, waiting, next, current: false, send, ending };
         let run = move || writer.run(&to_store);
-        let thread = std::thread::Builder::new().name("record".into()).spawn(run)?;
-        Ok(Self { scans, stored, ending, thread })
+        std::thread::Builder::new().name("record".into()).spawn(run)?;
+        Ok(Self { scans, stored, working, under_way: BTreeMap::new() })
     }
 
-    /// Stores a scan, and says what `by` would have named it, unless the end cannot wait for that.
-    pub fn store(&self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
-        // Fails only if the thread has panicked, and then nothing is reported as stored either.
+    /// Stores a scan, which `by` may name once it is kept.
+    pub fn store(&mut self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
+        self.under_way.insert(scan.number, enrolment.clone());
+        // Fails only if the thread has panicked; then the end reports the scan as lost.
         let _ = self.scans.send((scan, enrolment, by));
     }
 
-    /// Gives what is still to come, after a last attempt to write what waits.
-    pub fn finish(self) -> impl Iterator<Item = Stored> {
-        self.ending.store(true, Ordering::Release);
-        drop(self.scans);
-        let _ = self.thread.join();
-        self.stored.into_iter()
+    /// Notes what became of a scan.
+    pub fn settle(&mut self, enrolled: &Enrolled) {
+        settle(&mut self.under_way, enrolled);
+    }
+
+    /// Gives what is still to come, after a last attempt to write what waits. What a disk does not
+    /// take `until` then is lost.
+    pub fn finish(self, until: Option<Instant>) -> Vec<Stored> {
+        let Self { scans, stored, working, mut under_way } = self;
+        drop((scans, working));
+        let deadline = until.map_or_else(never, at);
+        let mut last: Vec<Stored> = Vec::new();
+        loop {
+            select! {
+                recv(stored) -> stored => match stored {
+                    Ok(stored) => last.push(stored),
+                    Err(_) => break,
+                },
+                recv(deadline) -> _ => break,
+            }
+        }
+        last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
+        let lost = under_way.into_iter().map(|(scan, enrolment)| {
+            let why = "the disk had not taken it when the station was ended";
+            let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, vec![why.into()]);
+            Stored { enrolment, enrolled, kept: None }
+        });
+        last.extend(lost);
+        last
+    }
+}
+
+fn settle(under_way: &mut BTreeMap<u32, Enrolment>, enrolled: &Enrolled) {
+    if enrolled.outcome != EnrolledOutcome::Waiting {
+        under_way.remove(&enrolled.scan);
     }
 }
 
 /// The next number of each surface and user.
 type Numbers = BTreeMap<(String, String), u32>;
 
-/// A scan that could not be written so far.
+/// A scan that is not written yet.
 struct Waiting {
     scan: Box<Scan>,
     enrolment: Enrolment,
+    by: Option<Arc<Recogniser>>,
     remarks: Vec<String>,
-    /// As [`Enrolled::nearest`].
-    nearest: Option<String>,
 }
 
 struct Writer {
     store: ScanStore,
     waiting: VecDeque<Waiting>,
-    /// The next numbers when the library was last readable.
+    /// The next numbers when the library was last read.
     next: Numbers,
+    /// Whether that was for the scan at hand.
+    current: bool,
     send: Sender<Stored>,
-    /// Whether there is no time left for names.
-    ending: Arc<AtomicBool>,
+    /// Closed when there is no time left for reading the library.
+    ending: Receiver<Infallible>,
 }
 
 impl Writer {
@@ -129,15 +168,13 @@ impl Writer {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
-        if !self.waiting.is_empty() {
-            self.read_numbers();
-        }
+        self.current = false;
         while let Some(mut last) = self.waiting.pop_front() {
             match self.write(&last) {
-                Ok(stored) => self.report(&last, EnrolledOutcome::Kept, Some(stored)),
+                Ok(stored) => self.kept(last, stored),
                 Err(error) => {
                     last.remarks.push(error.to_string());
-                    self.report(&last, EnrolledOutcome::Lost, None);
+                    self.report(&last, EnrolledOutcome::Lost);
                 }
             }
         }
@@ -147,23 +184,19 @@ impl Writer {
     fn accept(&mut self, (scan, enrolment, by): ToStore) {
         let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
         let refused = enrolment.good_only && !remarks.is_empty();
-        let mut new = Waiting { scan, enrolment, remarks, nearest: None };
+        let mut new = Waiting { scan, enrolment, by, remarks };
         if refused {
-            return self.report(&new, EnrolledOutcome::Refused, None);
+            return self.report(&new, EnrolledOutcome::Refused);
         }
         // Each time, since others may write into the same library.
         self.read_numbers();
-        let stored = self.write(&new);
-        // After that, since it may take long.
-        let by = by.filter(|_| !self.ending.load(Ordering::Acquire));
-        new.nearest = by.and_then(|by| nearest(&by, &new.scan));
-        match stored {
-            Ok(stored) => self.report(&new, EnrolledOutcome::Kept, Some(stored)),
+        match self.write(&new) {
+            Ok(stored) => self.kept(new, stored),
             Err(error) => {
                 let full = self.waiting.len() >= MAX_WAITING;
                 let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
                 new.remarks.push(error.to_string());
-                self.report(&new, outcome, None);
+                self.report(&new, outcome);
                 new.remarks.pop();
                 if !full {
                     self.waiting.push_back(new);
@@ -177,7 +210,7 @@ impl Writer {
         self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
             match self.write(&first) {
-                Ok(stored) => self.report(&first, EnrolledOutcome::Kept, Some(stored)),
+                Ok(stored) => self.kept(first, stored),
                 Err(_) => return self.waiting.push_back(first),
             }
         }
@@ -187,7 +220,11 @@ impl Writer {
     fn write(&mut self, waiting: &Waiting) -> Result<(u32, PathBuf), LibraryError> {
         let Waiting { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
-        let number = self.next.get(&of).copied().unwrap_or(1);
+        let known = self.next.get(&of).copied().unwrap_or(1);
+        let number = match self.current {
+            true => known,
+            false => known.max(number_by_names(&self.store.folder, &of.0)),
+        };
         let took = scan.ended_at.elapsed().as_secs_f64() + scan.scan_s;
         let began = SystemTime::now() - Duration::from_secs_f64(took.max(0.0));
         let about = About {
@@ -207,53 +244,72 @@ impl Writer {
         Ok(stored)
     }
 
-    fn report(&self, of: &Waiting, outcome: EnrolledOutcome, stored: Option<(u32, PathBuf)>) {
-        let (trial, folder) = stored.unzip();
-        let enrolled = Enrolled {
-            scan: of.scan.number,
-            surface: of.enrolment.surface.clone(),
-            user: of.enrolment.user.clone(),
-            outcome,
-            trial,
-            folder,
-            remarks: of.remarks.clone(),
-            nearest: of.nearest.clone(),
-            wanted: 0,
-        };
-        // Fails only if the station has panicked.
-        let _ = self.send.send((of.enrolment.clone(), enrolled));
+    fn report(&self, of: &Waiting, outcome: EnrolledOutcome) {
+        let Waiting { scan, enrolment, remarks, .. } = of;
+        let enrolled = enrolled(scan.number, enrolment, outcome, remarks.clone());
+        // Fails only if the station has panicked, or waits no longer.
+        let _ = self.send.send(Stored { enrolment: enrolment.clone(), enrolled, kept: None });
     }
 
-    /// Learns the numbers that are taken, if the library can be read now.
+    fn kept(&self, of: Waiting, (trial, folder): (u32, PathBuf)) {
+        let Waiting { scan, enrolment, by, remarks } = of;
+        let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, remarks);
+        let enrolled = Enrolled { trial: Some(trial), folder: Some(folder), ..enrolled };
+        // As in `report`.
+        let _ = self.send.send(Stored { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
+    }
+
+    /// Learns the numbers that are taken, if the library can be read now and there is time for it.
     fn read_numbers(&mut self) {
-        if let Ok(numbers) = self.numbers() {
-            self.next = numbers;
+        self.current = false;
+        if self.ending.try_recv() == Err(TryRecvError::Disconnected) {
+            return;
         }
-    }
-
-    /// The numbers after those that the library holds.
-    fn numbers(&self) -> Result<Numbers, LibraryError> {
-        let mut numbers = Numbers::new();
-        let library = match recording::open(&self.store.folder, &self.store.scene) {
-            Ok(library) => library,
-            Err(LibraryError::NothingFound { .. }) => return Ok(numbers),
-            Err(_) if !self.store.folder.exists() => return Ok(numbers),
-            Err(error) => return Err(error),
-        };
-        for entry in library.entries {
-            let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
-            *next = (*next).max(entry.key.number.saturating_add(1));
+        let (send, read) = bounded(1);
+        let store = self.store.clone();
+        // On a thread of its own, for the end waits for no library.
+        let work = move || drop(send.send(numbers(&store)));
+        if std::thread::Builder::new().name("numbers".into()).spawn(work).is_err() {
+            return;
         }
-        Ok(numbers)
+        select! {
+            recv(read) -> numbers => if let Ok(Ok(numbers)) = numbers {
+                (self.next, self.current) = (numbers, true);
+            },
+            recv(self.ending) -> _ => {}
+        }
     }
 }
 
-/// The surface that a library would name a scan.
-fn nearest(by: &Recogniser, scan: &Scan) -> Option<String> {
-    // A method that panics must not take the recording with it.
-    let named = std::panic::AssertUnwindSafe(|| Some(by.verdict(scan, by.rank(scan).ok()?)));
-    let verdict = std::panic::catch_unwind(named).ok()??;
-    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
+/// What became of a scan, but for its number and folder.
+fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<String>) -> Enrolled {
+    Enrolled {
+        scan,
+        surface: of.surface.clone(),
+        user: of.user.clone(),
+        outcome,
+        trial: None,
+        folder: None,
+        remarks,
+        nearest: None,
+        wanted: 0,
+    }
+}
+
+/// The numbers after those that a library holds.
+fn numbers(store: &ScanStore) -> Result<Numbers, LibraryError> {
+    let mut numbers = Numbers::new();
+    let library = match recording::open(&store.folder, &store.scene) {
+        Ok(library) => library,
+        Err(LibraryError::NothingFound { .. }) => return Ok(numbers),
+        Err(_) if !store.folder.exists() => return Ok(numbers),
+        Err(error) => return Err(error),
+    };
+    for entry in library.entries {
+        let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
+        *next = (*next).max(entry.key.number.saturating_add(1));
+    }
+    Ok(numbers)
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Ranked, Recogniser, Verdict};
+use super::store::Stored;
 use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
@@ -20,6 +21,8 @@ pub(super) enum Job {
     Scan(Box<Scan>),
     /// What is new in the scan in progress.
     Progress(Progress),
+    /// A scan that was kept: what surface it is most like.
+    Kept(Box<Stored>),
 }
 
 /// What is to be recognised, and by what.
@@ -28,6 +31,8 @@ pub(super) enum Work {
     Scan(Box<Scan>, Arc<Recogniser>),
     /// What is new in the scan in progress, what it is for, and what names it, if anything can.
     Progress(Progress, Purpose, Option<Arc<Recogniser>>),
+    /// As [`Job::Kept`].
+    Kept(Box<Stored>),
 }
 
 impl Work {
@@ -36,6 +41,7 @@ impl Work {
         match self {
             Self::Scan(scan, _) => Job::Scan(scan),
             Self::Progress(progress, ..) => Job::Progress(progress),
+            Self::Kept(stored) => Job::Kept(stored),
         }
     }
 }
@@ -46,6 +52,8 @@ pub(super) enum WorkerEvent {
     Answered(ScanAnswer),
     /// What the scan in progress looks like so far.
     Guess(Guess),
+    /// What surface a scan that was kept is most like, if any.
+    Nearest(Option<String>),
 }
 
 /// A scan with its answer.
@@ -96,6 +104,7 @@ impl Worker {
                     Work::Progress(progress, purpose, by) => {
                         WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
                     }
+                    Work::Kept(stored) => WorkerEvent::Nearest(nearest(&stored)),
                 };
                 if send.send(event).is_err() {
                     return;
@@ -163,6 +172,13 @@ fn named(
         ranked: ranking.ranked,
     };
     ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
+}
+
+/// The surface that the library would name a scan that was kept.
+fn nearest(stored: &Stored) -> Option<String> {
+    let (scan, by) = stored.kept.as_ref()?;
+    let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
+    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
 }
 
 #[cfg(test)]

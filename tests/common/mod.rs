@@ -5,7 +5,6 @@
 pub mod http;
 pub mod replayed;
 pub mod scripted;
-#[cfg(feature = "microphone")]
 pub mod sound;
 pub mod stylus;
 

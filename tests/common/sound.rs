@@ -6,7 +6,7 @@
 //! `SURFACED_REQUIRE_SOUND=1`.
 
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -21,16 +21,18 @@ pub struct Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.kill();
     }
 }
 
-fn missing(what: &str) -> bool {
+/// Says that there is no microphone to test with; true.
+///
+/// # Panics
+/// If `SURFACED_REQUIRE_SOUND=1`.
+pub fn is_missing(what: &str) -> bool {
     let required = std::env::var("SURFACED_REQUIRE_SOUND").is_ok_and(|value| value == "1");
     assert!(!required, "{what} is absent, but SURFACED_REQUIRE_SOUND=1");
-    let _ =
-        writeln!(std::io::stderr(), "SKIPPED: a test of the microphone, since {what} is absent");
+    let _ = writeln!(std::io::stderr(), "SKIPPED: the microphone, since {what} is absent");
     true
 }
 
@@ -43,42 +45,44 @@ impl Server {
     /// Starts it; none where there is no PulseAudio, unless it is required.
     pub fn start() -> Option<Self> {
         for program in ["pulseaudio", "pactl", "paplay"] {
-            if !has(program) && missing(program) {
+            if !has(program) && is_missing(program) {
                 return None;
             }
         }
         let dir = tempfile::tempdir().unwrap();
-        let home = |name: &str| {
-            let path = dir.path().join(name);
-            std::fs::create_dir(&path).unwrap();
-            path
-        };
-        let (runtime, config) = (home("run"), home("home"));
-        let log = std::fs::File::create(dir.path().join("log")).unwrap();
-        let socket = dir.path().join("socket");
-        let native = format!(
-            "module-native-protocol-unix auth-anonymous=1 socket={}",
-            socket.to_str().unwrap()
-        );
-        let null = "module-null-sink sink_name=drag rate=44100 channels=1 format=s16le";
-        let child = Command::new("pulseaudio")
-            .args(["-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1"])
-            .args(["--disallow-exit=no", "--realtime=no", "--high-priority=no", "-L", &native])
-            .args(["-L", null])
-            .env("XDG_RUNTIME_DIR", &runtime)
-            .env("HOME", &config)
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .unwrap();
-        let server = Self { child, dir };
+        for name in ["run", "home"] {
+            std::fs::create_dir(dir.path().join(name)).unwrap();
+        }
+        let server = Self { child: launch(dir.path()), dir };
+        server.wait_until_ready();
+        Some(server)
+    }
+
+    fn wait_until_ready(&self) {
         let begin = Instant::now();
-        while !server.client("pactl").arg("info").output().unwrap().status.success() {
-            let log = || std::fs::read_to_string(server.dir.path().join("log")).unwrap();
+        while !self.client("pactl").arg("info").output().unwrap().status.success() {
+            let log = || std::fs::read_to_string(self.dir.path().join("log")).unwrap();
             assert!(begin.elapsed() < Duration::from_secs(20), "no sound server: {}", log());
             std::thread::sleep(Duration::from_millis(100));
         }
-        Some(server)
+    }
+
+    /// Sends it a signal by its name.
+    pub fn signal(&self, name: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", name, &id]).status().unwrap().success());
+    }
+
+    /// Ends it without a warning to anybody.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Starts it again, in the same place, once it was killed.
+    pub fn restart(&mut self) {
+        self.child = launch(self.dir.path());
+        self.wait_until_ready();
     }
 
     /// A program that talks to this server.
@@ -103,4 +107,23 @@ impl Server {
         std::fs::write(&path, text).unwrap();
         path
     }
+}
+
+fn launch(dir: &Path) -> Child {
+    let log = std::fs::File::create(dir.join("log")).unwrap();
+    let socket = dir.join("socket");
+    let _ = std::fs::remove_file(&socket);
+    let native =
+        format!("module-native-protocol-unix auth-anonymous=1 socket={}", socket.to_str().unwrap());
+    let null = "module-null-sink sink_name=drag rate=44100 channels=1 format=s16le";
+    Command::new("pulseaudio")
+        .args(["-n", "--daemonize=no", "--use-pid-file=no", "--exit-idle-time=-1"])
+        .args(["--disallow-exit=no", "--realtime=no", "--high-priority=no", "-L", &native])
+        .args(["-L", null])
+        .env("XDG_RUNTIME_DIR", dir.join("run"))
+        .env("HOME", dir.join("home"))
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .unwrap()
 }

@@ -16,13 +16,17 @@ use crate::Failure;
 /// A station that hangs is killed after this long.
 const HANGS: Duration = Duration::from_secs(30);
 
+/// States of a device.
+const STATES: [&str; 5] = ["opening", "streaming", "stalled", "lost", "absent"];
+
 /// A process, and the threads that read what it writes.
 pub struct Daemon {
     child: Child,
     /// While set, nobody reads its lines of JSON.
     pub stalled: Arc<AtomicBool>,
     lines: Arc<Mutex<Vec<Value>>>,
-    said: Arc<Mutex<String>>,
+    /// What it says to people, line by line, and when.
+    said: Arc<Mutex<Vec<(Instant, String)>>>,
     readers: Vec<JoinHandle<()>>,
 }
 
@@ -33,7 +37,7 @@ impl Daemon {
         let (out, err) = (child.stdout.take(), child.stderr.take());
         let (out, err) = (out.ok_or("no stdout")?, err.ok_or("no stderr")?);
         let (stalled, lines) = (Arc::<AtomicBool>::default(), Arc::<Mutex<Vec<Value>>>::default());
-        let said = Arc::<Mutex<String>>::default();
+        let said = Arc::<Mutex<Vec<(Instant, String)>>>::default();
         let (pause, to, saying) = (stalled.clone(), lines.clone(), said.clone());
         let json = std::thread::spawn(move || {
             for line in BufReader::new(out).lines().map_while(Result::ok) {
@@ -47,8 +51,7 @@ impl Daemon {
         let text = std::thread::spawn(move || {
             for line in BufReader::new(err).lines().map_while(Result::ok) {
                 let mut said = saying.lock().unwrap_or_else(PoisonError::into_inner);
-                said.push_str(&line);
-                said.push('\n');
+                said.push((Instant::now(), line));
             }
         });
         Ok(Self { child, stalled, lines, said, readers: vec![json, text] })
@@ -68,7 +71,19 @@ impl Daemon {
 
     /// All that it has said to people.
     pub fn said(&self) -> String {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        said.iter().flat_map(|(_, line)| [line, "\n"]).collect()
+    }
+
+    /// The states that a device came into, and when.
+    pub fn states(&self, device: &str) -> Vec<(Instant, String)> {
+        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let state = |(at, line): &(Instant, String)| {
+            let (_, rest) = line.split_once(device)?.1.split_once(" is ")?;
+            let state = rest.split(':').next()?;
+            STATES.contains(&state).then(|| (*at, state.to_string()))
+        };
+        said.iter().filter_map(state).collect()
     }
 
     /// Its lines of JSON.

@@ -16,8 +16,8 @@ use surfaced::trial::TrialKey;
 use crate::Failure;
 use crate::dice::Dice;
 
-/// The sources of the stylus.
-const SOURCES: [&str; 4] = ["ac", "fr", "ir", "me"];
+/// The sources of the stylus and of the microphone.
+const SOURCES: [&str; 6] = ["ac", "fr", "ir", "me", "mi1", "mi2"];
 /// Size of the disk.
 const SIZE: &str = "size=96m";
 
@@ -147,8 +147,7 @@ impl Disk {
                 // One with gaps is kept, and no reader of the library takes it.
                 None if !line["remarks"].as_array().is_none_or(Vec::is_empty)
                     && folder.join("trial.toml").is_file()
-                    && ["ac", "ir"].iter().any(|id| folder.join(format!("{id}.wav")).is_file()) => {
-                }
+                    && SOURCES.iter().any(|id| folder.join(format!("{id}.wav")).is_file()) => {}
                 None => {
                     let bad: Vec<_> = opened.bad.iter().map(ToString::to_string).collect();
                     wrong.push(format!("{} is not there: {line} {bad:?}", folder.display()));

@@ -40,6 +40,8 @@ pub struct Line<'a> {
     skipped: u64,
     /// What nobody can know whether it was lost.
     pub unknowable: u64,
+    /// Samples that were lost last, and how many had been put on the line by then.
+    lost: (u64, u64),
 }
 
 impl<'a> Line<'a> {
@@ -47,12 +49,18 @@ impl<'a> Line<'a> {
         let link = dir.join("stylus");
         let put = Arc::default();
         let fake = plug(&link, tape, &put);
-        Self { link, tape, fake, put, skipped: 0, unknowable: 0 }
+        Self { link, tape, fake, put, skipped: 0, unknowable: 0, lost: (0, 0) }
     }
 
     /// Samples taken so far, sent or not.
     pub fn sent(&self) -> u64 {
         self.put.load(Ordering::Relaxed) + self.skipped
+    }
+
+    /// Samples that were lost with none after them, by which it would be noticed.
+    pub fn lost_at_the_end(&self) -> u64 {
+        let (count, put) = self.lost;
+        if put == self.put.load(Ordering::Relaxed) { count } else { 0 }
     }
 
     pub fn serve(&mut self, seconds: f64) {
@@ -82,9 +90,10 @@ impl<'a> Line<'a> {
 
     /// Frames do not arrive.
     pub fn lose(&mut self, dice: &mut Dice) {
-        if let Some(next) = &mut self.fake.next {
+        if let Some(next) = self.fake.next {
             let count = FRAME * (1 + dice.below(200));
-            *next += count;
+            self.fake.next = Some(next + count);
+            self.lost = (self.lost_at_the_end() + count, self.put.load(Ordering::Relaxed));
             self.skipped += count;
         }
     }

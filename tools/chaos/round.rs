@@ -10,7 +10,8 @@ use crate::daemon::Daemon;
 use crate::dice::Dice;
 use crate::disk::Disk;
 use crate::line::{Line, Tape};
-use crate::{Failure, Sums, page};
+use crate::sound::Sound;
+use crate::{Failure, Samples, Sums, page};
 
 /// An end takes no longer than this.
 const END: Duration = Duration::from_secs(5);
@@ -35,6 +36,8 @@ const GENTLE: [&str; 9] = [
 ];
 /// Faults of the line.
 const ROUGH: [&str; 4] = ["garbage", "hellos", "unplugged", "restarted"];
+/// Faults of the sound server.
+const LOUD: [&str; 2] = ["sound server stalls", "sound server dies"];
 
 /// What a station needs.
 pub struct Round<'a> {
@@ -42,6 +45,7 @@ pub struct Round<'a> {
     pub dir: &'a Path,
     pub disk: &'a Disk,
     pub tape: &'a Tape,
+    pub sound: Option<&'a mut Sound>,
 }
 
 /// A station at work, and what strikes it.
@@ -50,6 +54,7 @@ struct Life<'a> {
     daemon: Daemon,
     address: SocketAddr,
     line: Line<'a>,
+    sound: Option<&'a mut Sound>,
     dice: Dice,
     stalled: Vec<TcpStream>,
 }
@@ -57,10 +62,16 @@ struct Life<'a> {
 impl Round<'_> {
     fn command(&self, dice: &mut Dice) -> Result<Command, Failure> {
         let config = self.dir.join("station.toml");
-        let alone = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n\
-                     [enroll]\nt_star = []\n";
-        std::fs::write(&config, alone)?;
+        let text = format!(
+            "format = 1\n[microphone]\npresent = {}\n[camera]\npresent = false\n[enroll]\n\
+             t_star = []\n",
+            self.sound.is_some()
+        );
+        std::fs::write(&config, text)?;
         let mut command = Command::new(self.program);
+        if let Some(sound) = &self.sound {
+            sound.configure(&mut command);
+        }
         match dice.below(3) {
             0 => command.args(["record", "--label", "felt"]),
             1 => command.args(["run", "--method", "reference"]),
@@ -72,15 +83,16 @@ impl Round<'_> {
     }
 
     /// Lets a station work among faults, ends it, and checks what it left.
-    pub fn run(&self, seed: u64, sums: &mut Sums) -> Result<(), Failure> {
+    pub fn run(mut self, seed: u64, sums: &mut Sums) -> Result<(), Failure> {
         let mut dice = Dice(seed);
         self.disk.empty()?;
+        self.sound.as_mut().map_or(Ok(()), |sound| sound.play())?;
         let line = Line::new(self.dir, self.tape);
         let mut daemon = Daemon::start(&mut self.command(&mut dice)?)?;
         let address = daemon.address()?;
         let highest = page::watch(address)?;
-        let disk = self.disk;
-        let mut life = Life { disk, daemon, address, line, dice, stalled: Vec::new() };
+        let Self { disk, sound, .. } = self;
+        let mut life = Life { disk, daemon, address, line, sound, dice, stalled: Vec::new() };
         life.suffer(sums)?;
         let killed = life.dice.once_in(4);
         life.end(killed, sums)?;
@@ -94,8 +106,8 @@ impl Round<'_> {
             let said = life.daemon.said();
             sums.violations.push(format!("nothing was said of scans {silent:?}: {said} {lines:?}"));
         }
-        self.disk.empty()?;
-        let (kept, wrong) = self.disk.check(&lines)?;
+        disk.empty()?;
+        let (kept, wrong) = disk.check(&lines)?;
         sums.kept += kept;
         sums.violations.extend(wrong);
         Ok(())
@@ -108,15 +120,21 @@ impl Life<'_> {
         // In one life of four the line itself is sound.
         let gentle = self.dice.once_in(4);
         let rough: &[&str] = if gentle { &[] } else { &ROUGH };
-        let faults = [&GENTLE[..], rough].concat();
+        let loud: &[&str] = if self.sound.is_some() { &LOUD } else { &[] };
+        let faults = [&GENTLE[..], loud, rough].concat();
+        sums.story.clear();
         for _ in 0..8 + self.dice.below(8) {
             if !self.line.is_started() {
                 let said = self.daemon.said();
                 return Err(format!("the stylus is not started; {said}").into());
             }
             self.line.serve(self.dice.between(0.1, 1.2));
+            if let Some(sound) = &mut self.sound {
+                sound.perhaps_recover(&mut self.dice)?;
+            }
             let fault = *self.dice.pick(&faults);
             *sums.faults.entry(fault).or_default() += 1;
+            sums.story.push((fault, self.line.sent()));
             self.strike(fault)?;
             if !self.daemon.is_alive() {
                 let said = self.daemon.said();
@@ -130,7 +148,7 @@ impl Life<'_> {
     }
 
     fn strike(&mut self, fault: &str) -> Result<(), Failure> {
-        let Self { disk, daemon, address, line, dice, stalled } = self;
+        let Self { disk, daemon, address, line, sound, dice, stalled } = self;
         match fault {
             "line stalls" => line.stall(dice),
             "orders race" => page::order(*address, &disk.data.surfaces(), dice),
@@ -147,6 +165,8 @@ impl Life<'_> {
             "hellos" => line.hellos(dice),
             "unplugged" => line.replug(dice),
             "restarted" => line.restart(),
+            "sound server stalls" => sound.iter_mut().for_each(|sound| sound.stall()),
+            "sound server dies" => sound.iter_mut().for_each(|sound| sound.die()),
             _ => {}
         }
         Ok(())
@@ -168,11 +188,11 @@ impl Life<'_> {
         while quiet && begin.elapsed() < Duration::from_millis(800) {
             line.obey();
         }
+        let struck = Instant::now();
         let (status, took) = self.daemon.end(signal, || line.obey())?;
         let sent = line.sent();
-        sums.sent += sent;
         if killed {
-            sums.unknowable += sent;
+            sums.stylus.add(&Samples { sent, unknowable: sent, ..Samples::default() });
             return Ok(());
         }
         let said = self.daemon.said();
@@ -182,27 +202,29 @@ impl Life<'_> {
         if !matches!(status.code(), Some(0 | 1 | 3)) || said.contains("panicked") {
             sums.violations.push(format!("it ended with {status}: {said}"));
         }
-        let (received, lost) = account(&said).ok_or(format!("it gave no account: {said}"))?;
-        let unknowable = line.unknowable + if quiet { 0 } else { UNDER_WAY };
-        sums.received += received;
-        sums.lost += lost;
-        sums.unknowable += unknowable;
+        let (received, lost) = account(&said, "ir").ok_or(format!("it gave no account: {said}"))?;
+        let under_way = if quiet { 0 } else { UNDER_WAY };
+        let unknowable = line.unknowable + line.lost_at_the_end() + under_way;
+        let samples = Samples { sent, received, lost, unknowable };
         // Where the line was sound, no loss is invented either.
         let invented = line.unknowable == 0 && received + lost > sent;
-        if received > sent || sent - received > lost + unknowable || invented {
-            sums.violations.push(format!(
-                "{sent} samples sent, {received} received, {lost} lost, {unknowable} unknowable: \
-                 {said}"
-            ));
+        if !sums.stylus.add(&samples) || received > sent || invented {
+            sums.violations.push(format!("the stylus's {}: {said}", samples.json("samples")));
+        }
+        let Some(sound) = &self.sound else { return Ok(()) };
+        let samples = sound.account(&self.daemon, struck, &said)?;
+        let invented = samples.received + samples.lost > samples.sent + samples.unknowable;
+        if !sums.sound.add(&samples) || invented {
+            sums.violations.push(format!("the sound's {}: {said}", samples.json("samples")));
         }
         Ok(())
     }
 }
 
 /// Samples received and lost, of "received: ac 10 (0 lost), …, ir 10 (0 lost), …".
-fn account(said: &str) -> Option<(u64, u64)> {
+pub fn account(said: &str, stream: &str) -> Option<(u64, u64)> {
     let account = said.lines().rev().find_map(|line| line.strip_prefix("received: "))?;
-    let mut words = account.split("ir ").nth(1)?.split(' ');
+    let mut words = account.split(&format!("{stream} ")).nth(1)?.split(' ');
     let mut number = || words.next()?.trim_start_matches('(').parse().ok();
     Some((number()?, number()?))
 }

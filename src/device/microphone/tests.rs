@@ -181,6 +181,30 @@ fn an_overrun_is_counted_where_it_was() {
 }
 
 #[test]
+fn a_pause_that_nobody_reports_is_counted_unless_its_sound_was_only_late() {
+    let skipped: Script = |_, step| match step {
+        50 => Act::Pause(600),
+        _ => Act::Play(0.1),
+    };
+    let late: Script = |_, step| match step {
+        50 => Act::Pause(600),
+        51..81 => Act::Rush,
+        81 => Act::Pause(0),
+        82..112 => Act::Rush,
+        _ => Act::Play(0.1),
+    };
+    for (script, expected_s) in [(skipped, 0.6), (late, 0.0)] {
+        let running = start(script, None);
+        running.says(&["opening", "streaming"]);
+        wait(2.0);
+        let (frames, lost, seconds) = running.end();
+        let lost_s = lost as f64 / 44_100.0;
+        assert!((lost_s - expected_s).abs() < 0.1, "{lost_s}, expected {expected_s}");
+        assert!((frames as f64 / 44_100.0 - seconds).abs() < 0.2, "{frames} in {seconds} s");
+    }
+}
+
+#[test]
 fn silence_and_clipping_are_told_once_a_change_and_within_a_second() {
     let script: Script = |_, step| match step {
         0..60 => Act::Play(0.1),

@@ -154,7 +154,12 @@ async function load(id) {
     return;
   }
   const notes = await ask(`scans/${scan.id}/why`);
-  if (!notes || open !== scan) return;
+  if (open !== scan) return;
+  // Of a scan just before an end, or one of many at once.
+  if (!notes) {
+    body.append(ranking(scan, scan.ranked));
+    return;
+  }
   if (notes.why) body.append(reasons(notes.why));
   body.append(ranking(scan), signals(scan, notes));
   dialog.dataset.shown = scan.id;

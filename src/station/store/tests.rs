@@ -38,9 +38,12 @@ fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     // Where the library's folder should be lies a file.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
-    let thread = RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
+    let mut thread =
+        RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
+    let stored = thread.stored.clone();
     let outcomes = |n: usize| -> Vec<_> {
-        (0..n).map(|_| thread.stored.recv().unwrap().1).map(|e| (e.scan, e.outcome)).collect()
+        let next = || stored.recv().unwrap().enrolled;
+        (0..n).map(|_| next()).map(|e| (e.scan, e.outcome)).collect()
     };
     (1..=2).for_each(|number| thread.store(scan(number), enrolment(), None));
     use EnrolledOutcome::{Kept, Lost, Waiting};
@@ -52,7 +55,9 @@ fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     std::fs::write(&folder, "").unwrap();
     thread.store(scan(3), enrolment(), None);
     assert_eq!(outcomes(1), [(3, Waiting)]);
-    let last: Vec<_> = thread.finish().map(|(_, e)| (e.scan, e.outcome)).collect();
+    (1..=2).for_each(|scan| thread.settle(&enrolled(scan, &enrolment(), Kept, Vec::new())));
+    let last: Vec<_> =
+        thread.finish(None).iter().map(|s| (s.enrolled.scan, s.enrolled.outcome)).collect();
     assert_eq!(last, [(3, Lost)]);
 }
 
@@ -63,15 +68,16 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
         let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
         RecordingThread::start(store).unwrap()
     };
-    let both = [start(), start()];
+    let mut both = [start(), start()];
     // Of one process, so with one process number, as in two containers.
     for number in 1..=8 {
-        for (thread, level) in both.iter().zip([0.0, 0.5]) {
+        for (thread, level) in both.iter_mut().zip([0.0, 0.5]) {
             thread.store(scan_at(number, level), enrolment(), None);
         }
     }
     for thread in both {
-        assert!(thread.finish().all(|(_, e)| e.outcome == EnrolledOutcome::Kept));
+        let last = thread.finish(None);
+        assert!(last.iter().all(|stored| stored.enrolled.outcome == EnrolledOutcome::Kept));
     }
     let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
     assert_eq!(library.entries.len(), 16);
@@ -92,8 +98,9 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
 fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
     let dir = tempfile::tempdir().unwrap();
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-    let thread = RecordingThread::start(store).unwrap();
-    let number = || thread.stored.recv().unwrap().1.trial;
+    let mut thread = RecordingThread::start(store).unwrap();
+    let stored = thread.stored.clone();
+    let number = || stored.recv().unwrap().enrolled.trial;
     thread.store(scan(1), enrolment(), None);
     assert_eq!(number(), Some(1));
     let script = dir.path().join("oak/trial2");
@@ -102,4 +109,34 @@ fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
     std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
     thread.store(scan(2), enrolment(), None);
     assert_eq!(number(), Some(3));
+}
+
+#[test]
+fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["trial7", "anna-02", "notes"] {
+        std::fs::create_dir_all(dir.path().join("oak").join(name)).unwrap();
+    }
+    let (send, stored) = unbounded();
+    let (working, ending) = bounded(0);
+    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+    let (waiting, next) = (VecDeque::new(), Numbers::new());
+    let mut writer = Writer { store, waiting, next, current: false, send, ending };
+    drop(working);
+    writer.accept((scan(1), enrolment(), None));
+    // Without an end, the library would say 1, for it holds no trial.
+    let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
+    assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
+}
+
+#[test]
+fn what_the_disk_has_not_taken_by_the_end_is_reported_as_lost() {
+    let (scans, _hung) = unbounded();
+    let (_send, stored) = unbounded();
+    let (working, _ending) = bounded(0);
+    let mut thread = RecordingThread { scans, stored, working, under_way: BTreeMap::new() };
+    thread.store(scan(1), enrolment(), None);
+    let last = thread.finish(Some(Instant::now()));
+    assert_eq!(last.len(), 1);
+    assert_eq!((last[0].enrolled.scan, last[0].enrolled.outcome), (1, EnrolledOutcome::Lost));
 }
