@@ -12,8 +12,10 @@ pub mod config;
 mod enroll;
 mod event;
 mod followed;
+mod library_state;
 mod orders;
 mod recogniser;
+mod remark;
 mod run;
 mod start;
 mod store;
@@ -21,14 +23,16 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind};
+pub use answer::{Answer, AnswerState, AnsweredScan};
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Command, Enrolled, EnrolledOutcome, Enrolling, Guess, LibraryState, Listener, StationEvent,
+    Command, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
     SurfaceProbability,
 };
+pub use library_state::LibraryState;
 pub use orders::Keep;
 pub use recogniser::{Load, Recogniser, Verdict};
+pub use remark::{Remark, RemarkKind};
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

@@ -16,6 +16,7 @@ mod antitonic;
 mod correction;
 mod covariance;
 mod crossing;
+mod dot;
 mod echo;
 mod effective;
 mod estimate;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{REMOVED, trial_name, trials};
+use super::folders::{REMOVED, trial_name, trials};
 use crate::library::{About, Entry, LibraryError};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
