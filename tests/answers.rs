@@ -18,7 +18,7 @@ use surfaced::recognise::{
     without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
-use surfaced::trial::{Image, Signal, Trial};
+use surfaced::trial::{Image, Signal, Trial, flaws};
 
 fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
@@ -190,6 +190,15 @@ fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
                 (expected.nearest.clone(), expected.sources.clone(), expected.p_value)
             );
             assert!((ranking.margin - expected.margin).abs() < 1e-3 * expected.margin);
+            for (id, signal) in &trial.signals {
+                if let (Some(found), Signal::Series(series)) = (follower.flaws(id), signal) {
+                    assert_eq!(found, flaws(series), "{id}");
+                }
+            }
+            assert_eq!(
+                follower.flaws(&id("fr")).map(|found| found.len()),
+                Some(usize::from(trial == &stuck))
+            );
         }
     }
 }

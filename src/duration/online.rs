@@ -122,7 +122,7 @@ impl OnlineDuration {
         // Whole finite frames at a rate that is the caller's to get right.
         let series = [Series::new(self.rate_hz, self.channels, window).ok()?];
         let OnlineSettings { dependence, values, .. } = self.settings;
-        let values = (2 * values / self.channels.max(2)).max(1);
+        let values = (4 * values / self.channels.max(2).pow(2)).max(1);
         let found = at_needed_rate(&series, frames, dependence, values);
         let found = found.as_ref();
         let t_star_samples = found.and_then(|found| found.t_star_samples());

@@ -9,7 +9,7 @@ use super::decide::settle::Settling;
 use super::error::RecogniseError;
 use super::rank::Ranking;
 use crate::scene::SourceId;
-use crate::trial::{Image, Trial};
+use crate::trial::{Flaw, Image, Trial};
 
 /// Scan time between two looks, in seconds.
 pub const LOOK_S: f64 = 0.1;
@@ -87,6 +87,10 @@ pub trait Follow: Send {
     /// worked on. `None` where what was followed is not a beginning of the trial, or the trial
     /// cannot be named.
     fn finish(&mut self, trial: &Trial) -> Option<Ranking>;
+
+    /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
+    /// it is finished. `None` where the source was not followed.
+    fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>>;
 
     /// When answers count as settled, and how that was found.
     fn settling(&self) -> &Settling;

@@ -4,10 +4,11 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use super::event::{Guess, SurfaceProbability};
-use super::recogniser::Recogniser;
+use super::recogniser::{Ranked, Recogniser};
 use super::trial_need::{Purpose, TrialNeed};
-use crate::recognise::{Follow, FreshFrames, GuessSoFar, Ranking, RecogniseError};
+use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
+use crate::scene::SourceId;
 
 /// The scan in progress, as far as it was followed.
 #[derive(Default)]
@@ -59,14 +60,17 @@ impl Followed {
     /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
     /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
     /// another library was read since it began.
-    pub fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranking> {
+    pub fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
         let (followed_by, follower) =
             self.follower.as_mut().filter(|_| self.scan == scan.number)?;
         let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
         if !whole || !Arc::ptr_eq(followed_by, by) {
             return None;
         }
-        caught(|| follower.finish(&scan.trial)).flatten()
+        let ranking = caught(|| follower.finish(&scan.trial)).flatten()?;
+        let flaws_of = |id: &SourceId| Some((id.clone(), follower.flaws(id)?));
+        let flaws = scan.trial.signals.keys().filter_map(flaws_of).collect();
+        Some(Ranked { ranking, flaws })
     }
 
     /// When the answer of a scan was settled, in seconds of scan time.

@@ -13,7 +13,7 @@ use crate::recognise::{
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Signal, TrialKey, flaws};
+use crate::trial::{Flaw, Signal, TrialKey, flaws};
 
 /// What a scan was named.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,6 +36,17 @@ impl Verdict {
         let test = self.ranking.p_value.zip(self.rejection.as_ref());
         test.is_some_and(|(p, rejection)| rejection.rejects(p))
     }
+}
+
+/// The flaws of series, by their sources.
+pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
+
+/// A scan's ranking, and what was found out about its samples on the way.
+pub struct Ranked {
+    /// The library's surfaces.
+    pub ranking: Ranking,
+    /// Flaws of the sources that were followed; of others nothing is known yet.
+    pub flaws: FlawsBySource,
 }
 
 /// Reads a library, as often as it is called.
@@ -129,8 +140,8 @@ impl Recogniser {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
 
-    /// Flaws of the scan's channels, and that it is short.
-    fn remarks(&self, scan: &Scan, ranking: &Ranking) -> Vec<Remark> {
+    /// Flaws of the scan's channels, and that it is short; `known` as in [`Ranked`].
+    fn remarks(&self, scan: &Scan, ranking: &Ranking, known: &FlawsBySource) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, signal) in &scan.trial.signals {
             // A source with a fixed length scale is a switch, and rests most of the time.
@@ -139,7 +150,8 @@ impl Recogniser {
             {
                 let left_out =
                     if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-                remarks.extend(flaws(series).iter().map(|flaw| Remark {
+                let found = known.get(id).cloned().unwrap_or_else(|| flaws(series));
+                remarks.extend(found.iter().map(|flaw| Remark {
                     kind: RemarkKind::Flaw,
                     source: Some(id.clone()),
                     text: format!("{id}: {flaw}{left_out}"),
@@ -164,8 +176,9 @@ impl Recogniser {
     ///
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
-    pub fn rank(&self, scan: &Scan) -> Result<Ranking, RecogniseError> {
-        self.models[self.model(scan.truth.as_ref())].rank(&self.query(scan)?.0)
+    pub fn rank(&self, scan: &Scan) -> Result<Ranked, RecogniseError> {
+        let ranking = self.models[self.model(scan.truth.as_ref())].rank(&self.query(scan)?.0)?;
+        Ok(Ranked { ranking, flaws: FlawsBySource::new() })
     }
 
     /// A scan as a query to its model: what came out of the rings and nothing else, but for
@@ -201,10 +214,11 @@ impl Recogniser {
     }
 
     /// What a scan's ranking says.
-    pub fn verdict(&self, scan: &Scan, ranking: Ranking) -> Verdict {
+    pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
+        let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
         let needed_s = self.needed_s(scan.truth.as_ref());
-        let remarks = self.remarks(scan, &ranking);
+        let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
         Verdict { needed_s, rejection, left_out, remarks, ranking }
     }

@@ -9,9 +9,9 @@ use super::answer::{Answer, AnswerState, AnsweredScan};
 use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
-use super::recogniser::{Recogniser, Verdict};
+use super::recogniser::{Ranked, Recogniser, Verdict};
 use super::trial_need::Purpose;
-use crate::recognise::{Ranking, RecogniseError};
+use crate::recognise::RecogniseError;
 use crate::record::{unix_ms, utc};
 use crate::scan::{Progress, Scan};
 
@@ -84,8 +84,8 @@ impl Worker {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
-                        let ranking = followed.finish(&scan, &by);
-                        WorkerEvent::Named(name(scan, by, ranking, from, settled_s))
+                        let ranked = followed.finish(&scan, &by);
+                        WorkerEvent::Named(name(scan, by, ranked, from, settled_s))
                     }
                     Work::Progress(progress, purpose, by) => {
                         WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
@@ -105,16 +105,16 @@ impl Worker {
 fn name(
     scan: Box<Scan>,
     by: Arc<Recogniser>,
-    ranking: Option<Ranking>,
+    ranked: Option<Ranked>,
     from: Instant,
     settled_s: Option<f64>,
 ) -> ScanAnswer {
-    let ranked = || ranking.map_or_else(|| by.rank(&scan), Ok);
+    let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
     let unnamed = |why: String, too_little| Unnamed {
         why: format!("scan {}: {why}", scan.number),
         too_little,
     };
-    let verdict = caught(|| ranked().map(|ranking| by.verdict(&scan, ranking)))
+    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)))
         .ok_or_else(|| unnamed("the method panicked; please report this".into(), false))?
         .map_err(|error| unnamed(error.to_string(), matches!(error, RecogniseError::TooLittle)))?;
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
@@ -167,12 +167,12 @@ mod tests {
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
     use crate::recognise::{
-        Follow, FollowOptions, FreshFrames, GuessSoFar, Model, Prepared, RankedSurface,
+        Follow, FollowOptions, FreshFrames, GuessSoFar, Model, Prepared, RankedSurface, Ranking,
         RecogniseError, Settling,
     };
     use crate::scene::{Scene, SourceId};
     use crate::station::LibraryState;
-    use crate::trial::{Image, Trial, TrialKey};
+    use crate::trial::{Flaw, Image, Trial, TrialKey};
 
     /// Finds that everything is oak, but panics in one of its parts.
     #[derive(Clone, Copy)]
@@ -233,6 +233,10 @@ mod tests {
         }
 
         fn finish(&mut self, _: &Trial) -> Option<Ranking> {
+            None
+        }
+
+        fn flaws(&self, _: &SourceId) -> Option<Vec<Flaw>> {
             None
         }
 

@@ -5,7 +5,7 @@ mod quality;
 mod signal;
 
 pub use label::{EXPERT, TrialKey, UNLABELLED};
-pub use quality::{Flaw, Rest, flaws, is_plain};
+pub use quality::{Flaw, SeriesFlaws, flaws, is_plain};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;

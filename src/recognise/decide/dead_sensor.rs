@@ -23,9 +23,7 @@ pub fn without_flawed(
         Signal::Series(series) => flaws(series)
             .into_iter()
             .find(|flaw| match flaw {
-                Flaw::Constant { channel, .. } | Flaw::Stuck { channel, .. } => {
-                    moves(id, channel - 1)
-                }
+                Flaw::Constant { .. } | Flaw::Stuck { .. } => moves(id, flaw.channel() - 1),
                 Flaw::Saturated { .. } => false,
             })
             .map(|flaw| flaw.to_string()),

@@ -13,7 +13,7 @@ use crate::recognise::error::RecogniseError;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Image, Rest, Signal, Trial, is_plain};
+use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
 
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
@@ -47,8 +47,8 @@ struct Waiting {
     drag: bool,
     samples: Vec<f32>,
     passed_on: u64,
-    /// Of each channel, as far as it was passed on.
-    rest: Vec<Rest>,
+    /// Of the frames that were passed on.
+    flaws: SeriesFlaws,
     /// It had samples that are not numbers.
     broken: bool,
 }
@@ -139,8 +139,7 @@ impl ScanSoFar {
 
     fn is_flawed(&self, model: &EmbeddingModel, id: &SourceId) -> bool {
         let stuck = |waiting: &Waiting| {
-            let mut channels = waiting.rest.iter().enumerate();
-            channels.any(|(c, rest)| rest.flaw(c).is_some() && model.joint.moves(id, c))
+            waiting.flaws.dead().any(|flaw| model.joint.moves(id, flaw.channel() - 1))
         };
         self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
     }
@@ -171,9 +170,7 @@ impl ScanSoFar {
             }
             let samples: Vec<f32> = waiting.samples.drain(..frames * waiting.channels).collect();
             waiting.passed_on += frames as u64;
-            for frame in samples.chunks_exact(waiting.channels) {
-                waiting.rest.iter_mut().zip(frame).for_each(|(rest, &x)| rest.add(x));
-            }
+            waiting.flaws.add(&samples);
             if samples.iter().all(|x| x.is_finite()) {
                 self.sums.push(&model.joint, id, waiting.rate_hz, &samples)?;
             } else {
@@ -209,7 +206,7 @@ impl Follow for Follower {
             drag,
             samples: Vec::new(),
             passed_on: 0,
-            rest: vec![Rest::default(); channels],
+            flaws: SeriesFlaws::new(channels),
             broken: false,
         };
         let waiting = self.scan.waiting.entry(source.clone()).or_insert_with(begin);
@@ -261,6 +258,11 @@ impl Follow for Follower {
         }
         let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
         Some(self.model.ranking(&vector, &present, drag_s.unwrap_or(f64::INFINITY)))
+    }
+
+    fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
+        let whole = self.scan.waiting.get(source).filter(|waiting| !waiting.broken);
+        whole.map(|waiting| waiting.flaws.flaws())
     }
 
     fn settling(&self) -> &Settling {
