@@ -45,7 +45,7 @@ mod terminal;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
 use self::common::{Done, Failure, SourceArgs, open};
@@ -110,7 +110,7 @@ pub fn run() -> ExitCode {
         CliCommand::Devices(args) => devices::run(&args),
         CliCommand::Export(args) => export::export(&args),
         CliCommand::Import(args) => export::import(&args),
-        CliCommand::Completion(args) => completion::run(&args),
+        CliCommand::Completion(args) => completion::run(&args, Cli::command()),
     };
     let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -124,8 +124,6 @@ pub fn run() -> ExitCode {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     /// The commands of a page: indented lines that begin with `surfaced`, without their comments.

@@ -1,7 +1,7 @@
 //! How well a method names surfaces: protocols, folds, accuracies.
 //!
 //! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
-//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolledOutcome`] measure
+//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure
 //! what else there is to know of a run; [`chart`], [`plan`], [`stress`] and [`paper`] are studies of
 //! many runs.
 
@@ -20,7 +20,7 @@ pub mod stress;
 mod unknown;
 
 pub use check::{CheckReport, SurfaceCheck, TrialCheck, TrialVerdict, check};
-pub use enrolled::{EnrolledOutcome, enrol};
+pub use enrolled::{EnrolmentOutcome, enrol};
 pub use error::EvaluateError;
 pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
 pub use fold::{Fold, Protocol, folds};

@@ -12,7 +12,8 @@ use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 
-use super::{BackOff, HttpAddress, PATIENCE, QUEUE};
+use super::{BackOff, PATIENCE, QUEUE};
+use crate::station::config::HttpAddress;
 use crate::station::{Listener, StationEvent};
 
 /// How long one attempt may take.

@@ -18,7 +18,7 @@ use super::problem::Problem;
 use super::request::{Shared, aside, body};
 use super::state::unix_ms;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, Listed, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step};
 use crate::station::Command;
 
 /// Most trials of one edit.
@@ -38,8 +38,8 @@ pub fn router() -> Router<Arc<Hub>> {
 
 #[derive(Serialize)]
 struct Trials {
-    trials: Vec<Listed>,
-    removed: Vec<Listed>,
+    trials: Vec<ListedTrial>,
+    removed: Vec<ListedTrial>,
     /// The step that can be undone.
     undo: Option<Step>,
 }

@@ -181,7 +181,7 @@ fn an_overrun_is_counted_where_it_was() {
 }
 
 #[test]
-fn silence_and_clipping_are_told_once_a_change_and_within_a_second() {
+fn silence_and_clipping_are_reported_once_a_change_and_within_a_second() {
     let script: Script = |_, step| match step {
         0..60 => Act::Play(0.1),
         60..260 => Act::Play(0.0),

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Bounds of a speed: slower, nothing would ever come; faster, no clock can tell.
+/// Bounds of a speed: slower, nothing would ever come; faster, no clock could keep up.
 pub(super) const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
 
 /// How fast a recording is played.

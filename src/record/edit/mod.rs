@@ -12,7 +12,7 @@ mod relocate;
 mod steps;
 
 pub use folders::trial_name;
-pub use list::{Listed, list, list_removed};
+pub use list::{ListedTrial, list, list_removed};
 pub use steps::{Move, Step, last_step};
 
 use std::fs;

@@ -1,6 +1,7 @@
 //! The configuration of a station, in two steps: a file laid over the defaults, and what the
 //! program works with.
 
+mod address;
 mod error;
 mod file;
 mod merge;
@@ -10,6 +11,7 @@ mod resolved;
 
 use std::path::Path;
 
+pub use address::{HttpAddress, MqttAddress};
 pub use error::ConfigError;
 pub use resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
 

@@ -4,10 +4,10 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::address::{HttpAddress, MqttAddress};
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::{Selector, Wanted};
-use crate::outputs::{HttpAddress, MqttAddress};
 use crate::scan::Detection;
 use crate::scene::{Scene, SourceId};
 
