@@ -1,20 +1,24 @@
 //! JPEG files: writing one, and where one ends.
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageResult};
+use image::{ExtendedColorType, ImageEncoder, ImageResult};
 
 use crate::trial::Image;
 
 /// A picture as a JPEG file, of a quality from 1 to 100.
 pub(crate) fn encode(image: &Image, quality: u8) -> ImageResult<Vec<u8>> {
+    encode_rgb(image.rgb(), (Image::COLS as u32, Image::ROWS as u32), quality)
+}
+
+/// Three bytes a pixel, row by row, as a JPEG file, of a quality from 1 to 100.
+pub(crate) fn encode_rgb(
+    rgb: &[u8],
+    (width, height): (u32, u32),
+    quality: u8,
+) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
-    let (width, height) = (Image::COLS as u32, Image::ROWS as u32);
-    JpegEncoder::new_with_quality(&mut bytes, quality).encode(
-        image.rgb(),
-        width,
-        height,
-        ExtendedColorType::Rgb8,
-    )?;
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8)?;
     Ok(bytes)
 }
 

@@ -1,10 +1,12 @@
 //! `surfaced library`, `check` and `history` as a person types them.
 
 use std::path::Path;
-use std::process::Output;
+use std::process::{Output, Stdio};
+use std::time::Duration;
 
 use assert_cmd::Command;
 use serde_json::Value;
+use surfaced::library::lock::LibraryLock;
 
 fn surfaced(arguments: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(arguments).output().unwrap()
@@ -99,4 +101,23 @@ fn a_library_without_past_scans_says_how_to_keep_them() {
     let output = surfaced(&["history", dir.path().to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(1));
     assert!(said(&output).contains("surfaced run --library"), "{}", said(&output));
+}
+
+#[test]
+fn eval_and_replay_wait_for_an_edit_under_way() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    for reader in [&["eval", &library, "--json"][..], &["replay", &library, "--json"]] {
+        let editing = LibraryLock::for_editing(Path::new(&library)).unwrap();
+        let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_surfaced"))
+            .args(reader)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_secs(1));
+        assert!(child.try_wait().unwrap().is_none(), "{reader:?} reads what is being edited");
+        drop(editing);
+        assert!(child.wait().unwrap().success(), "{reader:?}");
+    }
 }

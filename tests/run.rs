@@ -4,10 +4,16 @@
 mod bench;
 mod common;
 
-use std::process::Command;
+use std::fs::File;
+use std::io::{ErrorKind, Read, Write};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
+use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
+use serialport::{SerialPort, TTYPort};
 
 #[test]
 fn scans_on_the_line_are_named_and_a_signal_ends_the_last_one_whole() {
@@ -257,4 +263,76 @@ fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     assert!(code == Some(2) && text.contains("line 3") && text.contains("prot"), "{text}");
     let (code, text) = said(&["enroll", " ", "--library", "/"]);
     assert!(code == Some(2) && text.contains("expected a name"), "{text}");
+}
+
+/// Reads a terminal for as long as somebody writes to it.
+fn watch(mut screen: TTYPort) -> Arc<Mutex<String>> {
+    let shown = Arc::<Mutex<String>>::default();
+    let showing = shown.clone();
+    std::thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        loop {
+            match screen.read(&mut bytes) {
+                Ok(n @ 1..) => {
+                    showing.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..n]));
+                }
+                Err(error) if error.kind() == ErrorKind::TimedOut => {}
+                _ => return,
+            }
+        }
+    });
+    shown
+}
+
+#[test]
+fn on_a_terminal_keys_are_answered_at_once_and_every_line_stands_above_the_status_line() {
+    let data = synthetic(1.0);
+    let bench = Bench::new();
+    let library = bench.library(&data);
+    let (screen, terminal) = TTYPort::pair().unwrap();
+    let open = || File::options().read(true).write(true).open(terminal.name().unwrap()).unwrap();
+    let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
+    tcsetwinsize(open(), size).unwrap();
+    let mut keyboard = screen.try_clone_native().unwrap();
+    let shown = watch(screen);
+    // In front of a terminal of its own.
+    let mut run = Command::new("setsid")
+        .args(["--ctty", "--wait", env!("CARGO_BIN_EXE_surfaced"), "run", "--method", "reference"])
+        .args(["--library", library.to_str().unwrap(), "--json"])
+        .args(["--stylus", bench.path("stylus").to_str().unwrap()])
+        .args(["--config", bench.path("station.toml").to_str().unwrap()])
+        .stdin(open())
+        .stdout(Stdio::null())
+        .stderr(open())
+        .spawn()
+        .unwrap();
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let limit = Instant::now() + Duration::from_secs(60);
+    for (key, says) in [
+        (&b""[..], "tap a surface"),
+        (b" ", "the key begins a scan"),
+        (b" ", "the key ends the scan"),
+        (b"q", "received: "),
+    ] {
+        keyboard.write_all(key).unwrap();
+        while !shown.lock().unwrap().contains(says) {
+            assert!(Instant::now() < limit, "{says}: {}", shown.lock().unwrap());
+            fake.serve(0.1);
+        }
+        fake.serve(0.5);
+    }
+    run.wait().unwrap();
+    let shown = shown.lock().unwrap().replace("\r\n", "\n");
+    // A status line is the only one with this sign.
+    let lines: Vec<&str> = shown.split('\n').collect();
+    let first = lines.iter().position(|line| line.contains('│')).expect("a status line");
+    let until = lines.iter().position(|line| line.contains("received: ")).unwrap();
+    for line in &lines {
+        let left = line.rsplit("\x1b[2K").next().unwrap();
+        assert!(!left.contains('│'), "a status line is left behind: {line:?}");
+    }
+    for line in &lines[first..until] {
+        assert!(line.contains('│'), "no status line below the one before: {line:?}");
+    }
 }

@@ -19,6 +19,7 @@ use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
     UnknownOutcome, enrol, folds,
 };
+use crate::library::lock::LibraryLock;
 use crate::recognise::{Method, MethodName, RecogniseError};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
@@ -109,6 +110,7 @@ pub fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::Usage("name the recordings".into()));
     };
+    let _lock = LibraryLock::for_reading(data);
     let mut skipped = Skipped::default();
     let mut report = match table::open(data)? {
         Some(tables) => on_tables(args, &tables)?,

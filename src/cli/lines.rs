@@ -84,13 +84,11 @@ impl Listener for JsonLines {
         match event {
             StationEvent::Answer(answer) => self.print(Some(&**answer)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
-            StationEvent::Warning(text) | StationEvent::TooLittle(text)
-                if self.warnings.len() < WARNINGS =>
-            {
-                self.warnings.push(text.clone());
-            }
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
-            _ => {}
+            _ => {
+                let room = WARNINGS.saturating_sub(self.warnings.len());
+                self.warnings.extend(event.warning().map(String::from).into_iter().take(room));
+            }
         }
     }
 }

@@ -233,7 +233,8 @@ pub fn work(
     }
     let supervisor = Supervisor::new(commands.clone())?;
     let (address, library) = (config.serve, Some(shelf));
-    let settings = Settings { address, library, check: work.check, history, ..Settings::default() };
+    let (check, viewfinder) = (work.check, assembled.viewfinder);
+    let settings = Settings { address, library, check, history, viewfinder, ..Settings::default() };
     let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());

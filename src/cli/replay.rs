@@ -18,6 +18,7 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, first_seconds};
 use crate::history;
+use crate::library::lock::LibraryLock;
 use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
@@ -78,12 +79,15 @@ pub(super) struct Stage {
 pub fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;
+    // Trials are read as they are played.
+    let _data = args.data.as_deref().map(LibraryLock::for_reading);
+    let library = args.library.as_deref().map(LibraryLock::for_reading);
     let stage = match (&args.data, &args.library) {
         (None, _) => demonstration(&how)?,
         (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    play(args, &how, &stage)?;
+    play(args, &how, &stage, library)?;
     if !args.json {
         advise(args);
     }
@@ -158,8 +162,8 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
     Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic })
 }
 
-/// Plays the stage's queries, and names them.
-fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
+/// Plays the stage's queries, and names them. `reading` keeps edits off the library until it is read.
+fn play(args: &Args, how: &Comparing, stage: &Stage, reading: Option<LibraryLock>) -> Done {
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
@@ -195,6 +199,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage) -> Done {
     // The page is there while the models are made. Until then, a signal ends the program as usual.
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = recogniser(args, how, stage)?;
+    drop(reading);
     station = station.recogniser(Arc::new(recogniser));
     if follows {
         station = station.progress_every(LOOK_S);

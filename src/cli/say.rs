@@ -6,6 +6,7 @@
 use std::io::{self, Write};
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -23,8 +24,11 @@ static LIVE: AtomicBool = AtomicBool::new(false);
 static STALLED: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 /// Whether stdout is for JSON alone.
 static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
-/// Whether the last line of the terminal is redrawn all the time, and gives way to others.
-static STATUS_LINE: AtomicBool = AtomicBool::new(false);
+/// The last line of the terminal, where one is kept: others stand above it.
+static STATUS: Mutex<Option<String>> = Mutex::new(None);
+
+/// Goes to the begin of the terminal's line, and clears it.
+const CLEAR: &str = "\r\x1b[2K";
 
 /// Writes a line for people on stderr; takes what `format!` takes. It never panics.
 macro_rules! say {
@@ -43,15 +47,32 @@ pub fn never_wait() {
     LIVE.store(true, Ordering::Release);
 }
 
-/// Whether a status line is drawn, see [`status`].
+/// Held while lines are written, so that none comes between another and the status line.
+fn status_line() -> MutexGuard<'static, Option<String>> {
+    // Each change is one assignment.
+    STATUS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Keeps a status line from now on, see [`status`], or ends it.
 pub fn keep_status_line(on: bool) {
-    STATUS_LINE.store(on, Ordering::Release);
+    let mut kept = status_line();
+    if kept.is_some() && !on {
+        write_stderr(CLEAR);
+    }
+    *kept = on.then(String::new);
 }
 
 /// Writes a line; see [`say!`].
 pub fn line(text: &str) {
-    let clear = if STATUS_LINE.load(Ordering::Acquire) { "\r\x1b[2K" } else { "" };
-    write(&mut io::stderr().lock(), &STALLED[1], &format!("{clear}{}\n", lines(text)));
+    write_stderr(&above(&status_line(), &format!("{}\n", lines(text))));
+}
+
+/// A line with its end, above the status line, if there is one.
+fn above(status: &Option<String>, line: &str) -> String {
+    match status {
+        Some(status) => format!("{CLEAR}{line}{status}"),
+        None => line.into(),
+    }
 }
 
 /// From now on, results for people go to stderr: stdout is for JSON.
@@ -64,15 +85,26 @@ pub fn result_line(text: &str) {
     if RESULTS_ASIDE.load(Ordering::Acquire) {
         return line(text);
     }
-    if STATUS_LINE.load(Ordering::Acquire) {
-        status("");
+    let kept = status_line();
+    if kept.is_some() {
+        write_stderr(CLEAR);
     }
     write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
+    if let Some(status) = &*kept {
+        write_stderr(status);
+    }
 }
 
-/// Replaces the status line.
+/// Replaces the status line, where one is kept.
 pub fn status(text: &str) {
-    write(&mut io::stderr().lock(), &STALLED[1], &format!("\r\x1b[2K{}", Printable(text)));
+    if let Some(kept) = &mut *status_line() {
+        *kept = Printable(text).to_string();
+        write_stderr(&format!("{CLEAR}{kept}"));
+    }
+}
+
+fn write_stderr(text: &str) {
+    write(&mut io::stderr().lock(), &STALLED[1], text);
 }
 
 fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
@@ -113,6 +145,14 @@ fn lines(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_stands_above_the_status_line_and_neither_overwrites_the_other() {
+        let status = Some("last: oak │ stylus streaming".to_string());
+        let shown = above(&status, "warning: disk\n");
+        assert_eq!(shown, "\r\x1b[2Kwarning: disk\nlast: oak │ stylus streaming");
+        assert_eq!(above(&None, "warning: disk\n"), "warning: disk\n");
+    }
 
     #[test]
     fn no_label_passes_for_a_message_or_moves_the_cursor() {

@@ -86,6 +86,7 @@ pub fn named(answer: &Answer) -> String {
     let surface = answer.surface.as_deref().unwrap_or("unknown");
     match answer.state {
         AnswerState::Named | AnswerState::Unknown => surface.into(),
+        AnswerState::Unnamed => "not named".into(),
         AnswerState::Nearest => format!("nearest: {surface}"),
         AnswerState::Unsure => format!("unsure: {surface}"),
     }

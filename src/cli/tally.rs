@@ -108,9 +108,9 @@ impl Listener for Tally {
             }
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
-            StationEvent::TooLittle(text) => {
-                self.too_little += 1;
-                self.damage(text);
+            StationEvent::Unnamed(unnamed) => {
+                self.too_little += usize::from(unnamed.too_little);
+                self.damage(&unnamed.text);
             }
             _ => {}
         }

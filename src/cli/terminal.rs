@@ -173,7 +173,11 @@ impl Listener for Terminal {
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
             StationEvent::Library(library) => self.library(library),
-            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warn(text),
+            StationEvent::Warning(text) => self.warn(text),
+            StationEvent::Unnamed(unnamed) => {
+                self.warn(&unnamed.text);
+                self.last = Some("not named".into());
+            }
             StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
@@ -185,10 +189,17 @@ impl Listener for Terminal {
                     format!("{id} {} ({} lost)", counts.pushed - counts.lost, counts.lost)
                 };
                 let streams: Vec<_> = totals.streams.iter().map(stream).collect();
+                say::keep_status_line(false);
                 return self.info(&format!("received: {}", streams.join(", ")));
             }
         }
         self.draw();
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        say::keep_status_line(false);
     }
 }
 

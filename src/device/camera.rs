@@ -12,6 +12,7 @@ mod reader;
 mod upright;
 #[cfg(feature = "camera")]
 mod v4l;
+mod viewfinder;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -24,6 +25,7 @@ pub use reader::{Frames, Video};
 pub use upright::{Turn, upright};
 #[cfg(feature = "camera")]
 pub use v4l::{V4l, cameras};
+pub use viewfinder::{CameraView, FlashState, Region, Viewfinder};
 
 use self::flash::{Cycle, Light};
 use self::reader::{ControlRequest, News};
@@ -50,6 +52,7 @@ pub struct Camera {
     every: Duration,
     settle: Duration,
     shutter: Shutter,
+    viewfinder: Viewfinder,
     name: String,
 }
 
@@ -78,6 +81,7 @@ impl Camera {
     /// The camera that `video` opens, as the stream `plain` of five pictures a second.
     pub fn new(plain: SourceId, video: Arc<dyn Video>) -> Self {
         let name = format!("camera {}", video.device());
+        let viewfinder = Viewfinder::new(plain.clone());
         Self {
             plain,
             flash: None,
@@ -86,6 +90,7 @@ impl Camera {
             every: Duration::from_millis(200),
             settle: Duration::from_millis(300),
             shutter: Shutter::default(),
+            viewfinder,
             name,
         }
     }
@@ -108,12 +113,18 @@ impl Camera {
     pub fn flash(mut self, stream: SourceId, flash: Flash, settle: Duration) -> Self {
         self.flash = Some((stream, flash));
         self.settle = settle;
+        self.viewfinder.light(FlashState::Off);
         self
     }
 
     /// Requests pictures with flash, from any thread.
     pub fn shutter(&self) -> Shutter {
         self.shutter.clone()
+    }
+
+    /// Shows what the camera sees, to any thread.
+    pub fn viewfinder(&self) -> Viewfinder {
+        self.viewfinder.clone()
     }
 }
 
@@ -229,14 +240,17 @@ impl Watch<'_> {
     }
 
     fn picture(&mut self, frame: &Frame, index: usize) -> bool {
-        let picture = match frame.to_rgb() {
-            Ok(rgb) => upright(&rgb, self.camera.turn),
+        let rgb = match frame.to_rgb() {
+            Ok(rgb) => rgb,
             Err(error) => {
                 self.damaged(&error);
-                None
+                return false;
             }
         };
-        let Some(picture) = picture else { return false };
+        let Some(picture) = upright(&rgb, self.camera.turn) else { return false };
+        if index == 0 {
+            self.camera.viewfinder.show(rgb, self.camera.turn);
+        }
         if let Some(sink) = self.sinks.get_mut(index).and_then(Sink::images) {
             sink.push(Arc::new(picture));
         }
@@ -262,13 +276,16 @@ impl Watch<'_> {
                 orders.try_send(order).map_err(|_| "the camera does not take orders".into())
             }
         };
-        if let Err(why) = switched {
-            self.no_light(&why);
+        match switched {
+            Ok(()) if on => self.camera.viewfinder.light(FlashState::On),
+            Ok(()) => self.camera.viewfinder.light(FlashState::Off),
+            Err(why) => self.no_light(&why),
         }
     }
 
     fn no_light(&mut self, why: &str) {
         self.cycle.cancel();
+        self.camera.viewfinder.light(FlashState::Failed);
         let name = &self.camera.name;
         self.control.warn(format!("{name}: the flash cannot be switched: {why}"));
     }

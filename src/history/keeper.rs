@@ -104,7 +104,9 @@ impl Writer {
 
     fn keep(&self, answered: &AnsweredScan) -> Result<(), HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
-        let Some(root) = self.history.root() else { return Ok(()) };
+        // One that could not be named may be empty.
+        let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
+        let Some(root) = root else { return Ok(()) };
         let began = Duration::from_millis(answer.unix_ms)
             .saturating_sub(Duration::from_secs_f64(scan.scan_s.max(0.0)));
         let about = About {
@@ -128,9 +130,9 @@ impl Writer {
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
         // One scan must not take the history with it.
-        let explain = std::panic::AssertUnwindSafe(|| by.explain(scan));
-        let why = std::panic::catch_unwind(explain).ok().and_then(Result::ok);
-        let nearest = why.as_ref().and_then(|why| by.trial(&why.nearest)?.load().ok());
+        let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
+        let why = std::panic::catch_unwind(explain).ok().flatten();
+        let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

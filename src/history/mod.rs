@@ -252,9 +252,8 @@ impl History {
     /// How right the answers are that somebody corrected, surface by surface.
     pub fn precision(&self) -> Vec<Precision> {
         let inner = &*self.lock();
-        let corrected = inner
-            .entries
-            .iter()
+        let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
+        let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
         precision(corrected)
     }

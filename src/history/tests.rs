@@ -1,7 +1,14 @@
+use std::collections::BTreeMap;
 use std::fs;
+use std::sync::Arc;
+use std::time::Instant;
 
 use super::*;
 use crate::recognise::RankedSurface;
+use crate::scan::Scan;
+use crate::scene::Scene;
+use crate::station::{AnsweredScan, Listener, StationEvent};
+use crate::trial::{Series, Signal, Trial, TrialKey};
 
 fn answer(scan: u32, surface: Option<&str>) -> Answer {
     let id = format!("20260921-143000.{scan:03}-{scan:02}");
@@ -78,6 +85,48 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
     history.answered(&answer(3, None)).unwrap();
     assert_eq!(scans(&history), [3, 2, 1], "the line that was cut short spoils no other");
     assert_eq!(history.precision()[0].corrected, 1);
+}
+
+#[test]
+fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
+    let dir = tempfile::tempdir().unwrap();
+    let history = Arc::new(History::open(dir.path(), 1 << 20).unwrap());
+    let mut keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
+    let silence = Signal::Series(Series::new(10_000.0, 1, vec![0.0; 100]).unwrap());
+    for (number, signals) in
+        [(1, BTreeMap::from([(SourceId::new("ir").unwrap(), silence)])), (2, BTreeMap::new())]
+    {
+        let scan = Scan {
+            number,
+            trial: Trial { key: TrialKey::new("", "", number), signals },
+            truth: None,
+            synthetic: false,
+            scan_s: 0.01,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        };
+        let unnamed = Answer {
+            state: AnswerState::Unnamed,
+            reasons: vec!["too little to name".into()],
+            ranked: Vec::new(),
+            ..answer(number, None)
+        };
+        let whole = AnsweredScan { scan: Box::new(scan), answer: Arc::new(unnamed), by: None };
+        keeper.on_event(&StationEvent::Scan(Arc::new(whole)));
+    }
+    drop(keeper);
+    assert_eq!(scans(&history), [2, 1]);
+    for (name, kept) in [("1", true), ("2", false)] {
+        let row = history.answer(name).unwrap();
+        assert_eq!((&row["state"], &row["kept"]), (&"unnamed".into(), &kept.into()), "{row}");
+        assert_eq!(row["reasons"][0], "too little to name");
+    }
+    assert!(history.folder("1").unwrap().join("ir.wav").exists());
+    assert_eq!(history.extent().problem, None);
+    history.correct(&answer(1, None).id, Some(Correction::Unknown)).unwrap();
+    assert_eq!(history.precision(), [], "it was no answer");
 }
 
 #[test]

@@ -20,8 +20,9 @@ use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::Tracer;
+use super::whole::{StreamsEvent, Whole};
+use crate::device::camera::{CameraView, Viewfinder};
 use crate::history::{History, Precision};
-use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
@@ -60,20 +61,10 @@ pub struct Inner {
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
-}
-
-/// What one stream carries.
-#[derive(Debug, Serialize)]
-struct StreamView {
-    source: SourceId,
-    device: String,
-    #[serde(flatten)]
-    counts: Counts,
-}
-
-#[derive(Serialize)]
-struct StreamsEvent {
-    streams: Vec<StreamView>,
+    /// What the camera sees.
+    pub viewfinder: Option<Viewfinder>,
+    /// How it was when that was last published.
+    camera: Option<CameraView>,
 }
 
 #[derive(Serialize)]
@@ -82,29 +73,10 @@ struct PhaseEvent {
     phase: Option<Phase>,
 }
 
-/// The whole state, as a request gets it and as a stream of events begins.
-#[derive(Serialize)]
-pub struct Whole<'a> {
-    #[serde(flatten)]
-    state: &'a State,
-    /// Whether the station keeps scans for a library.
-    enrolls: bool,
-    streams: Vec<StreamView>,
-}
-
-fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
-    let view = |meter: &StreamMeter| StreamView {
-        source: meter.id.clone(),
-        device: meter.device.clone(),
-        counts: meter.counts(),
-    };
-    meters.iter().map(view).collect()
-}
-
 impl Inner {
     /// All that is known now.
     pub fn whole(&self) -> Whole<'_> {
-        Whole { state: &self.state, enrolls: self.enrolls, streams: views(&self.meters) }
+        Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
     }
 
     /// All figures.
@@ -122,15 +94,29 @@ impl Inner {
     fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, subscribers, .. } = self;
-            let whole = || Whole { state, enrolls: *enrolls, streams: views(meters) };
+            let Self { state, meters, enrolls, viewfinder, subscribers, .. } = self;
+            let whole = || Whole::of(state, *enrolls, viewfinder, meters);
             subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
 
     fn publish_streams(&mut self) {
-        let streams = views(&self.meters);
-        self.publish(EventKind::Streams, &StreamsEvent { streams });
+        let event = StreamsEvent::of(&self.meters);
+        self.publish(EventKind::Streams, &event);
+    }
+
+    fn publish_warning(&mut self) {
+        let warning = self.state.warnings.front().cloned();
+        self.publish(EventKind::Warning, &warning);
+    }
+
+    /// Publishes how the camera is, if that has changed.
+    fn publish_camera(&mut self) {
+        let view = self.viewfinder.as_ref().map(Viewfinder::view);
+        if view != self.camera {
+            self.camera.clone_from(&view);
+            self.publish(EventKind::Camera, &view);
+        }
     }
 
     /// Changes the state, and publishes what follows from it.
@@ -182,10 +168,11 @@ impl Inner {
                 let library = self.state.library.clone();
                 self.publish(EventKind::Library, &library);
             }
-            StationEvent::Warning(_) | StationEvent::TooLittle(_) => {
-                let warning = self.state.warnings.front().cloned();
-                self.publish(EventKind::Warning, &warning);
+            StationEvent::Unnamed(unnamed) => {
+                self.publish(EventKind::Unnamed, &unnamed.answer);
+                self.publish_warning();
             }
+            StationEvent::Warning(_) => self.publish_warning(),
             StationEvent::Finished(_) => {
                 let counts = self.state.counts;
                 self.publish(EventKind::Finished, &counts);
@@ -216,6 +203,8 @@ impl Hub {
             pictures: BTreeMap::new(),
             meters: Vec::new(),
             enrolls: settings.enrolls,
+            viewfinder: settings.viewfinder.clone(),
+            camera: None,
         };
         let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
         let library = settings.library.clone();
@@ -245,9 +234,12 @@ impl Hub {
 
     /// Takes in a notice. A surface that was enrolled is to be used at once.
     fn take(&self, notice: &StationEvent) {
-        if let StationEvent::Answer(answer) = notice
-            && !self.history.is_on_disk()
-        {
+        let answer = match notice {
+            StationEvent::Answer(answer) => Some(answer),
+            StationEvent::Unnamed(unnamed) => Some(&unnamed.answer),
+            _ => None,
+        };
+        if let Some(answer) = answer.filter(|_| !self.history.is_on_disk()) {
             // In memory alone, where nothing can fail.
             let _ = self.history.answered(answer);
         }
@@ -321,6 +313,7 @@ pub async fn run(
             _ = streams.tick() => hub.lock().publish_streams(),
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
+                inner.publish_camera();
                 if inner.subscribers.wanted(EventKind::Spectrum) {
                     let event = spectrum::spectra(&inner.tracer);
                     inner.publish(EventKind::Spectrum, &event);

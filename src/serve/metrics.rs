@@ -93,6 +93,7 @@ impl Metrics {
             (AnswerState::Nearest, counts.nearest),
             (AnswerState::Unsure, counts.unsure),
             (AnswerState::Unknown, counts.unknown),
+            (AnswerState::Unnamed, counts.unnamed),
         ] {
             page.line("surfaced_scans_total", &[("answer", state.as_str())], count);
         }

@@ -37,6 +37,7 @@ mod state;
 mod subscribers;
 mod token;
 mod trace;
+mod whole;
 
 pub use error::ServeError;
 pub use reporter::Reporter;

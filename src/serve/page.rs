@@ -5,7 +5,7 @@ use axum::response::IntoResponse;
 use axum::routing::{MethodRouter, get};
 
 /// (path, content type, text) of each file.
-pub const FILES: [(&str, &str, &str); 12] = [
+pub const FILES: [(&str, &str, &str); 14] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -13,9 +13,11 @@ pub const FILES: [(&str, &str, &str); 12] = [
     ("/dom.js", "text/javascript; charset=utf-8", include_str!("page/dom.js")),
     ("/answer.js", "text/javascript; charset=utf-8", include_str!("page/answer.js")),
     ("/history.js", "text/javascript; charset=utf-8", include_str!("page/history.js")),
+    ("/precision.js", "text/javascript; charset=utf-8", include_str!("page/precision.js")),
     ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),
     ("/shelf.js", "text/javascript; charset=utf-8", include_str!("page/shelf.js")),
     ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
+    ("/camera.js", "text/javascript; charset=utf-8", include_str!("page/camera.js")),
     ("/draw.js", "text/javascript; charset=utf-8", include_str!("page/draw.js")),
     ("/favicon.svg", "image/svg+xml", include_str!("page/favicon.svg")),
 ];

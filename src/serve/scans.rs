@@ -174,13 +174,23 @@ async fn file(
     Ok(([(CONTENT_TYPE, content_type)], bytes).into_response())
 }
 
-/// What a camera sees now: the latest picture of a stream.
+/// What a camera sees now: the latest picture of a stream as it is compared, or the whole of it.
 async fn live_picture(State(hub): Shared, file: Named) -> Result<Response, Problem> {
     let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
-    let source = file.strip_suffix(".jpg").and_then(|stem| SourceId::new(stem).ok());
-    let image = source.and_then(|source| hub.lock().pictures.get(&source).cloned());
-    let image = image.ok_or(Problem::NotFound)?;
-    let bytes = aside(move || jpeg(&image).ok_or(Problem::NotFound)).await?;
+    let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
+    let whole = stem.strip_prefix("whole-");
+    let source = SourceId::new(whole.unwrap_or(stem)).map_err(|_| Problem::NotFound)?;
+    let (finder, image) = {
+        let inner = hub.lock();
+        let finder = inner.viewfinder.clone().filter(|finder| *finder.source() == source);
+        (finder, inner.pictures.get(&source).cloned())
+    };
+    let is_whole = whole.is_some();
+    let encode = move || match is_whole {
+        true => finder.and_then(|finder| finder.jpeg()),
+        false => image.as_deref().and_then(jpeg),
+    };
+    let bytes = aside(move || encode().ok_or(Problem::NotFound)).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
 }
 

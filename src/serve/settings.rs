@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::token::Token;
+use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
 use crate::history::History;
 use crate::scene::Scene;
@@ -34,6 +35,8 @@ pub struct Settings {
     pub check: Option<Audit>,
     /// Past scans.
     pub history: Arc<History>,
+    /// What the camera sees, if there is one.
+    pub viewfinder: Option<Viewfinder>,
 }
 
 /// Audits a library, as often as it is called; for people, why not.
@@ -69,6 +72,7 @@ impl Default for Settings {
             library: None,
             check: None,
             history: Arc::default(),
+            viewfinder: None,
         }
     }
 }

@@ -119,6 +119,8 @@ pub struct Counts {
     pub unsure: u64,
     /// Those that are the nearest surface, where there is no threshold for unknown ones.
     pub nearest: u64,
+    /// Scans that could not be named.
+    pub unnamed: u64,
     /// Those that should not be trusted.
     pub spoiled: u64,
     /// Scans that were kept for the library.
@@ -214,7 +216,11 @@ impl State {
             StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.into()), false);
             }
-            StationEvent::Warning(text) | StationEvent::TooLittle(text) => self.warned(text),
+            StationEvent::Warning(text) => self.warned(text),
+            StationEvent::Unnamed(unnamed) => {
+                self.counts.unnamed += 1;
+                self.warned(&unnamed.text);
+            }
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
@@ -245,7 +251,7 @@ impl State {
         self.counts.scans += 1;
         let counts = &mut self.counts;
         match answer.state {
-            AnswerState::Named => {}
+            AnswerState::Named | AnswerState::Unnamed => {}
             AnswerState::Nearest => counts.nearest += 1,
             AnswerState::Unsure => counts.unsure += 1,
             AnswerState::Unknown => counts.unknown += 1,

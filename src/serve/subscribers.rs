@@ -26,6 +26,8 @@ pub enum EventKind {
     Phase,
     Guess,
     Answer,
+    Unnamed,
+    Camera,
     Correction,
     Check,
     Enrolled,
@@ -41,13 +43,15 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    const ALL: [Self; 18] = [
+    const ALL: [Self; 20] = [
         Self::State,
         Self::Advice,
         Self::Device,
         Self::Phase,
         Self::Guess,
         Self::Answer,
+        Self::Unnamed,
+        Self::Camera,
         Self::Correction,
         Self::Check,
         Self::Enrolled,
@@ -70,6 +74,8 @@ impl EventKind {
             Self::Phase => "phase",
             Self::Guess => "guess",
             Self::Answer => "answer",
+            Self::Unnamed => "unnamed",
+            Self::Camera => "camera",
             Self::Correction => "correction",
             Self::Check => "check",
             Self::Enrolled => "enrolled",

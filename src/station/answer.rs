@@ -1,13 +1,15 @@
-//! What a station says of a scan that it has named.
+//! What a station says of a scan.
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
 use super::recogniser::Recogniser;
 use super::remark::Remark;
 use crate::recognise::RankedSurface;
+use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
 
@@ -26,7 +28,7 @@ pub struct Answer {
     pub state: AnswerState,
     /// For people: why it does not, a line each; empty for [`AnswerState::Named`].
     pub reasons: Vec<String>,
-    /// The surface; `None` when it is none of the library's.
+    /// The surface; `None` when it is none of the library's, or could not be compared.
     pub surface: Option<String>,
     /// What it truly was, where a recording says so; likewise the next two.
     pub truth: Option<String>,
@@ -76,12 +78,11 @@ pub enum AnswerState {
     Unsure,
     /// The scan fits no surface of the library.
     Unknown,
+    /// It could not be compared: it holds too little, there is no library, or the method failed.
+    Unnamed,
 }
 
 impl AnswerState {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Named, Self::Nearest, Self::Unsure, Self::Unknown];
-
     /// The name as text, the same everywhere.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -89,18 +90,30 @@ impl AnswerState {
             Self::Nearest => "nearest",
             Self::Unsure => "unsure",
             Self::Unknown => "unknown",
+            Self::Unnamed => "unnamed",
         }
     }
 }
 
-/// A scan that was named, whole, and what named it.
+/// A scan, whole, with its answer, and what named it.
 pub struct AnsweredScan {
     /// The scan.
     pub scan: Box<Scan>,
     /// Its answer.
     pub answer: Arc<Answer>,
-    /// The library that it was compared with.
-    pub by: Arc<Recogniser>,
+    /// The library that it was compared with; `None` for [`AnswerState::Unnamed`].
+    pub by: Option<Arc<Recogniser>>,
+}
+
+/// A scan that has no name, and why.
+#[derive(Clone, Debug)]
+pub struct Unnamed {
+    /// Its answer, of the state [`AnswerState::Unnamed`].
+    pub answer: Arc<Answer>,
+    /// For people: which scan, and why.
+    pub text: String,
+    /// Whether it holds too little: it is silent, or shorter than a frame.
+    pub too_little: bool,
 }
 
 impl fmt::Debug for AnsweredScan {
@@ -110,8 +123,66 @@ impl fmt::Debug for AnsweredScan {
 }
 
 impl Answer {
+    /// The answer to a scan that could not be named, which comes after `latency_ms`; for people, why.
+    pub(super) fn unnamed(scan: &Scan, why: &str, latency_ms: f64) -> Self {
+        let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
+        let truth = scan.truth.as_ref();
+        Self {
+            link: link(&id),
+            id,
+            unix_ms,
+            scan: scan.number,
+            state: AnswerState::Unnamed,
+            reasons: vec![why.into()],
+            surface: None,
+            truth: truth.and_then(|key| key.label().map(String::from)),
+            user: truth.map(|key| key.user.clone()),
+            trial: truth.map(|key| key.number),
+            synthetic: scan.synthetic,
+            ranked: Vec::new(),
+            margin: 0.0,
+            confidence: None,
+            fit: None,
+            latency_ms,
+            scan_s: scan.scan_s,
+            settled_s: None,
+            lost_samples: scan.lost_samples,
+            sources: Vec::new(),
+            spoiled: scan.spoiled.clone(),
+            needed_s: None,
+            remarks: Vec::new(),
+        }
+    }
+
     /// How much longer the drag should have been, in seconds, if so.
     pub fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
+    }
+}
+
+/// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
+/// since 1970.
+pub(super) fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
+    let unix_ms = unix_ms(now);
+    let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
+    (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
+}
+
+/// Where the page shows an answer.
+pub(super) fn link(id: &str) -> String {
+    format!("/#scan={id}")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::UNIX_EPOCH;
+
+    use super::*;
+
+    #[test]
+    fn an_answer_is_named_by_its_moment_and_scan() {
+        let moment = UNIX_EPOCH + std::time::Duration::from_millis(1_790_001_000_123);
+        let stamped = ("20260921-143000.123-07".to_string(), 1_790_001_000_123);
+        assert_eq!(stamp(moment, 7), stamped);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::config::{CameraConfig, MicrophoneConfig, StationConfig, StylusConfig};
 use super::event::{Listener, StationEvent};
-use crate::device::camera::Shutter;
+use crate::device::camera::{Shutter, Viewfinder};
 use crate::device::serial::{Light, Stylus};
 use crate::device::{Device, OpenError};
 use crate::scene::Phase;
@@ -20,6 +20,8 @@ pub struct Assembled {
     pub device_of: BTreeMap<String, String>,
     /// Requests a picture with flash during each drag, if there is a flash.
     pub flasher: Option<Flasher>,
+    /// Shows what the camera sees, if there is one.
+    pub viewfinder: Option<Viewfinder>,
 }
 
 /// Releases the shutter for a picture with flash once a drag has begun: the scan takes the picture
@@ -47,9 +49,9 @@ pub fn assemble(config: &StationConfig) -> Assembled {
     }
     if let Some(camera) = &config.camera {
         match video(camera, light) {
-            Ok((device, flasher)) => {
+            Ok(Video { device, flasher, viewfinder }) => {
                 all.add(device);
-                all.flasher = flasher;
+                (all.flasher, all.viewfinder) = (flasher, Some(viewfinder));
             }
             Err(why) => all.left_out.push(format!("camera {}: {why}", camera.device)),
         }
@@ -103,7 +105,12 @@ fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
     Err(not_built("microphone"))
 }
 
-type Video = (Box<dyn Device>, Option<Flasher>);
+/// A camera, and what works it.
+struct Video {
+    device: Box<dyn Device>,
+    flasher: Option<Flasher>,
+    viewfinder: Viewfinder,
+}
 
 #[cfg(feature = "camera")]
 fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError> {
@@ -114,6 +121,8 @@ fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError
     let video = Arc::new(V4l::new(config.device.clone(), config.turn));
     let mut camera =
         Camera::new(config.source.clone(), video).turn(config.turn).every(config.every);
+    let viewfinder = camera.viewfinder();
+    let mut flasher = None;
     if let Some(flash) = &config.flash {
         let by = match (flash.control, light) {
             (Some(control), _) => Some(Flash::Control(control)),
@@ -122,11 +131,10 @@ fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError
         };
         if let Some(by) = by {
             camera = camera.flash(flash.source.clone(), by, flash.settle);
-            let flasher = Flasher(camera.shutter());
-            return Ok((Box::new(camera), Some(flasher)));
+            flasher = Some(Flasher(camera.shutter()));
         }
     }
-    Ok((Box::new(camera), None))
+    Ok(Video { device: Box::new(camera), flasher, viewfinder })
 }
 
 #[cfg(not(feature = "camera"))]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::answer::{Answer, AnsweredScan};
+use super::answer::{Answer, AnsweredScan, Unnamed};
 use super::library_state::LibraryState;
 use crate::device::DeviceState;
 use crate::scan::{StreamMeter, Totals, Trace};
@@ -122,7 +122,9 @@ pub enum StationEvent {
     Guess(Guess),
     /// A scan was named.
     Answer(Arc<Answer>),
-    /// The scan itself; follows its answer.
+    /// A scan that could not be named.
+    Unnamed(Unnamed),
+    /// The scan itself; follows its answer, or that it has no name.
     Scan(Arc<AnsweredScan>),
     /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
@@ -134,12 +136,20 @@ pub enum StationEvent {
     Library(LibraryState),
     /// For people: something was lost, damaged or not understood, and work continues.
     Warning(String),
-    /// For people: a scan holds too little to be named: it is silent, or shorter than a frame.
-    TooLittle(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
     /// The station has ended; the last event.
     Finished(Arc<Totals>),
+}
+
+impl StationEvent {
+    /// For people: what it warns of, if it does.
+    pub fn warning(&self) -> Option<&str> {
+        match self {
+            Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
+            _ => None,
+        }
+    }
 }
 
 /// A command to a station.

@@ -23,7 +23,7 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan};
+pub use answer::{Answer, AnswerState, AnsweredScan, Unnamed};
 pub use assemble::{Assembled, assemble};
 pub use event::{
     Command, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,

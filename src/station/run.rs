@@ -13,7 +13,7 @@ use super::orders::{Keep, Orders};
 use super::recogniser::{Load, Recogniser};
 use super::store::{RecordingThread, Stored};
 use super::trial_need::Purpose;
-use super::worker::{Job, Work, Worker, WorkerEvent};
+use super::worker::{Job, ScanAnswer, Work, Worker, WorkerEvent};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
@@ -216,8 +216,7 @@ impl<'a> Run<'a> {
         // The oldest scan goes, and the progress within it.
         while let Some(job) = self.pending.pop_front() {
             if let Job::Scan(scan) = job {
-                self.warn(format!("scan {} was not named: too many wait for it", scan.number));
-                return;
+                return self.unnamed(scan, "too many wait for it");
             }
         }
     }
@@ -244,7 +243,7 @@ impl<'a> Run<'a> {
                     (Work::Scan(scan, by), Some(number))
                 }
                 (Job::Scan(scan), Err(why)) => {
-                    self.warn(format!("scan {} was not named: {why}", scan.number));
+                    self.unnamed(scan, &why);
                     continue;
                 }
                 (Job::Progress(progress), by) => {
@@ -272,16 +271,25 @@ impl<'a> Run<'a> {
     fn done(&mut self, done: WorkerEvent) {
         self.in_hand.pop_front();
         match done {
-            WorkerEvent::Named(Ok(scan)) => {
-                self.emit(StationEvent::Answer(scan.answer.clone()));
-                self.emit(StationEvent::Scan(scan));
-            }
-            WorkerEvent::Named(Err(unnamed)) if unnamed.too_little => {
-                self.emit(StationEvent::TooLittle(unnamed.why));
-            }
-            WorkerEvent::Named(Err(unnamed)) => self.warn(unnamed.why),
+            WorkerEvent::Answered(answered) => self.answered(answered),
             WorkerEvent::Guess(guess) => self.emit(StationEvent::Guess(guess)),
         }
+    }
+
+    /// Reports a scan with its answer.
+    fn answered(&mut self, answered: ScanAnswer) {
+        let (event, scan) = match answered {
+            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
+            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
+        };
+        self.emit(event);
+        self.emit(StationEvent::Scan(scan));
+    }
+
+    /// Reports that a scan was not named, and why.
+    fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
+        let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
+        self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
     }
 
     /// Reports what became of a scan that was to be kept.

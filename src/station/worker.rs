@@ -5,14 +5,13 @@ use std::time::{Instant, SystemTime};
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::answer::{Answer, AnswerState, AnsweredScan};
+use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed, link, stamp};
 use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Ranked, Recogniser, Verdict};
 use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
-use crate::record::{unix_ms, utc};
 use crate::scan::{Progress, Scan};
 
 /// What is to be recognised.
@@ -43,20 +42,27 @@ impl Work {
 
 /// What the thread has done.
 pub(super) enum WorkerEvent {
-    /// A scan's answer, or why there is none.
-    Named(ScanAnswer),
+    /// A scan with its answer.
+    Answered(ScanAnswer),
     /// What the scan in progress looks like so far.
     Guess(Guess),
 }
 
-/// A scan with its answer, or why it has none.
-pub(super) type ScanAnswer = Result<Arc<AnsweredScan>, Unnamed>;
+/// A scan with its answer.
+pub(super) enum ScanAnswer {
+    Named(Arc<AnsweredScan>),
+    /// One that could not be named.
+    Unnamed(Arc<AnsweredScan>, Unnamed),
+}
 
-/// Why a scan has no answer, for people.
-pub(super) struct Unnamed {
-    pub why: String,
-    /// It holds too little.
-    pub too_little: bool,
+impl ScanAnswer {
+    /// That a scan could not be named, and why.
+    pub fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> Self {
+        let answer = Arc::new(Answer::unnamed(&scan, why, latency_ms));
+        let text = format!("scan {} was not named: {why}", scan.number);
+        let unnamed = Unnamed { answer: answer.clone(), text, too_little };
+        Self::Unnamed(Arc::new(AnsweredScan { scan, answer, by: None }), unnamed)
+    }
 }
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
@@ -85,7 +91,7 @@ impl Worker {
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
                         let ranked = followed.finish(&scan, &by);
-                        WorkerEvent::Named(name(scan, by, ranked, from, settled_s))
+                        WorkerEvent::Answered(name(scan, by, ranked, from, settled_s))
                     }
                     Work::Progress(progress, purpose, by) => {
                         WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
@@ -110,20 +116,29 @@ fn name(
     settled_s: Option<f64>,
 ) -> ScanAnswer {
     let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
-    let unnamed = |why: String, too_little| Unnamed {
-        why: format!("scan {}: {why}", scan.number),
-        too_little,
-    };
-    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)))
-        .ok_or_else(|| unnamed("the method panicked; please report this".into(), false))?
-        .map_err(|error| unnamed(error.to_string(), matches!(error, RecogniseError::TooLittle)))?;
+    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)));
     let latency_ms = from.elapsed().as_secs_f64() * 1e3;
+    let (why, too_little) = match verdict {
+        Some(Ok(verdict)) => return named(scan, by, verdict, latency_ms, settled_s),
+        Some(Err(error)) => (error.to_string(), matches!(error, RecogniseError::TooLittle)),
+        None => ("the method panicked; please report this".into(), false),
+    };
+    ScanAnswer::unnamed(scan, &why, latency_ms, too_little)
+}
+
+fn named(
+    scan: Box<Scan>,
+    by: Arc<Recogniser>,
+    verdict: Verdict,
+    latency_ms: f64,
+    settled_s: Option<f64>,
+) -> ScanAnswer {
     let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
     let Verdict { ranking, needed_s, remarks, .. } = verdict;
     let truth = scan.truth.as_ref();
     let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
     let answer = Answer {
-        link: format!("/#scan={id}"),
+        link: link(&id),
         id,
         unix_ms,
         scan: scan.number,
@@ -147,21 +162,12 @@ fn name(
         remarks,
         ranked: ranking.ranked,
     };
-    Ok(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by }))
-}
-
-/// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
-/// since 1970.
-fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
-    let unix_ms = unix_ms(now);
-    let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
-    (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
+    ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
 }
 
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
-    use std::time::UNIX_EPOCH;
 
     use super::*;
     use crate::library::Entry;
@@ -260,13 +266,6 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_is_named_by_its_moment_and_scan() {
-        let moment = UNIX_EPOCH + std::time::Duration::from_millis(1_790_001_000_123);
-        let stamped = ("20260921-143000.123-07".to_string(), 1_790_001_000_123);
-        assert_eq!(stamp(moment, 7), stamped);
-    }
-
-    #[test]
     fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
         for (part, guesses, names) in [
             ("nothing", true, true),
@@ -296,13 +295,20 @@ mod tests {
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert_eq!((!guess.named.is_empty(), guess.settled), (guesses, guesses), "{part}");
                 assert!(!guess.enough, "a stop rule that rests on no trial");
-                let Ok(WorkerEvent::Named(named)) = worker.done.recv() else {
-                    panic!("{part}: no name")
+                let Ok(WorkerEvent::Answered(answered)) = worker.done.recv() else {
+                    panic!("{part}: no answer")
                 };
-                match named {
-                    Ok(named) => assert!(names && named.answer.scan == number, "{part}"),
-                    Err(Unnamed { why, too_little }) => {
-                        assert!(!names && !too_little && why.contains("panicked"), "{part}: {why}");
+                match answered {
+                    ScanAnswer::Named(named) => {
+                        assert!(names && named.answer.scan == number, "{part}");
+                    }
+                    ScanAnswer::Unnamed(whole, Unnamed { answer, text, too_little }) => {
+                        assert!(
+                            !names && !too_little && text.contains("panicked"),
+                            "{part}: {text}"
+                        );
+                        assert_eq!(answer.state, AnswerState::Unnamed, "{part}");
+                        assert!(answer.scan == number && whole.answer.id == answer.id, "{part}");
                     }
                 }
             }

@@ -48,12 +48,13 @@ def scene(surfaced, folder, trials="14", users="1", kept=3, seconds=DRAG):
     return library, data
 
 
-class Station:
-    """`surfaced replay … --serve` until it is told to end."""
+class Live:
+    """`surfaced run … --serve` until it is told to end."""
 
-    def __init__(self, surfaced, library, data, *options):
-        command = [surfaced, "replay", data, "--library", library, "--speed", "1.0", "--serve=127.0.0.1:0", "--json",
-                   *options]
+    COMMAND = "run"
+
+    def __init__(self, surfaced, *options):
+        command = [surfaced, self.COMMAND, *options, "--serve=127.0.0.1:0", "--json"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         said = []
         for line in self.process.stderr:
@@ -67,6 +68,15 @@ class Station:
         self.process.send_signal(signal.SIGTERM)
         out, err = self.process.communicate(timeout=60)
         return self.process.returncode, [json.loads(line) for line in out.splitlines()], err
+
+
+class Station(Live):
+    """`surfaced replay … --serve` likewise, at real speed."""
+
+    COMMAND = "replay"
+
+    def __init__(self, surfaced, library, data, *options):
+        super().__init__(surfaced, data, "--library", library, "--speed", "1.0", *options)
 
 
 def requests(browser):

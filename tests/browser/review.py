@@ -65,9 +65,9 @@ def until(browser, what, wanted, seconds=60):
 
 
 def open_newest(browser, station):
-    """Opens the newest scan whose signals are kept, by its row; gives it."""
+    """Opens the newest scan that is whole and whose signals are kept, by its row; gives it."""
     scan = until(browser, "a scan that is kept", lambda: next(
-        (s for s in get(station, "/api/v1/scans?limit=5")["scans"] if s["kept"]), None))
+        (s for s in get(station, "/api/v1/scans?limit=5")["scans"] if s["kept"] and not s["spoiled"]), None))
     row = f"#scans tr[data-id='{scan['id']}'] button"
     until(browser, "its row", lambda: browser.run("return !!document.querySelector(arguments[0])", row))
     browser.run("document.querySelector(arguments[0]).click()", row)
@@ -160,12 +160,35 @@ def a_stalled_device_is_grey(browser, station, shots):
     until(browser, "live traces again", lambda: browser.run(stalled) == 0)
 
 
+def the_camera_shows_its_region_and_its_light(browser, shots):
+    """What a station with a camera says of it, said here by the test: the recordings' are cut already."""
+    camera = ".camera:has(img[alt$=' ca1'])"
+    text = lambda: browser.text(f"{camera} div") or ""
+    until(browser, "a picture", lambda: browser.run(
+        "return document.querySelector(arguments[0] + ' img')?.naturalWidth === 320", camera))
+    assert "all of it is compared" in text(), text()
+    view = {"source": "ca1", "region": {"left": 0.25, "top": 0, "width": 0.5, "height": 1}, "flash": "on"}
+    browser.run("import('/camera.js').then(({ view }) => view(arguments[0]))", view)
+    until(browser, "the light", lambda: "flash on" in text())
+    assert "inside the frame" in text(), text()
+    left, width, whole = browser.run(
+        "const [region, view] = ['.region', '.view'].map(s => document.querySelector(arguments[0] + ' ' + s).getBoundingClientRect());"
+        "return [(region.left - view.left) / view.width, region.width / view.width, view.width]", camera)
+    assert abs(left - 0.25) < 0.03 and abs(width - 0.5) < 0.03 and whole > 50, (left, width, whole)
+    shots_of(browser, shots, "camera")
+    browser.run("import('/camera.js').then(({ view }) => view(null))")
+    until(browser, "the camera as before", lambda: "all of it is compared" in text())
+    # Recordings have no whole picture; that the page asked for one is the test's doing.
+    browser.log("browser")
+
+
 def check(browser, station, shots, wrong):
     browser.resize(1280, 1000)
     browser.scheme("light")
     browser.open(station.url + "/")
     opens_and_says_why(browser, station, shots)
     browser.keys("\ue00c")
+    the_camera_shows_its_region_and_its_light(browser, shots)
     a_stalled_device_is_grey(browser, station, shots)
     open_newest(browser, station)
     a_wrong_answer_is_corrected(browser, station, shots)

@@ -235,19 +235,24 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let control = Flash::Control(FlashControl { id: 7, on: 1, off: 0 });
     let ca2 = SourceId::new("ca2").unwrap();
     let camera = camera(video).flash(ca2, control, Duration::from_millis(80));
-    let shutter = camera.shutter();
+    let (shutter, finder) = (camera.shutter(), camera.viewfinder());
     let mut running = start(camera);
     running.states(&[Opening, Streaming]);
+    assert_eq!(finder.view().flash, FlashState::Off);
     shutter.flash();
     let mut lit = Vec::new();
+    let mut shown_on = false;
     let begin = Instant::now();
     while lit.is_empty() && begin.elapsed() < Duration::from_secs(5) {
+        shown_on |= finder.view().flash == FlashState::On;
         running.taps[1].drain(|_, image| lit.push(image.pixel(0, 0)));
         std::thread::sleep(Duration::from_millis(5));
     }
     std::thread::sleep(Duration::from_millis(200));
     let (mut taps, _) = running.end();
     assert_eq!(lit, [[255, 90, 90]]);
+    assert!(shown_on && finder.view().flash == FlashState::Off);
+    assert!(finder.view().region.is_some() && finder.jpeg().is_some());
     taps[0].drain(|_, image| assert_eq!(image.pixel(0, 0), [90, 90, 90]));
     assert_eq!(*light.lock().unwrap(), [1, 0]);
 }
@@ -268,9 +273,11 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
         let video = scripted(|_, _| Act::Frame(grey()));
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
         camera.shutter().flash();
+        let finder = camera.viewfinder();
         let running = start(camera);
         let said = running.warning();
         assert!(said.contains(part), "{said}");
+        assert_eq!(finder.view().flash, FlashState::Failed);
         let (mut taps, _) = running.end();
         assert!(!taps[1].drain(|_, _| {}));
     }

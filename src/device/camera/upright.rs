@@ -1,6 +1,7 @@
 //! The upright region of 320 × 480 pixels (wide × high) that is compared, out of any picture.
 
 use super::Rgb;
+use super::viewfinder::Region;
 use crate::trial::Image;
 
 /// By how much a camera's picture is turned clockwise to stand upright.
@@ -33,7 +34,20 @@ impl Turn {
     pub fn swaps(self) -> bool {
         matches!(self, Self::Right | Self::Left)
     }
+
+    /// Width and height of a picture once it is turned.
+    fn upright_size(self, picture: &Rgb) -> (usize, usize) {
+        match self.swaps() {
+            true => (picture.height, picture.width),
+            false => (picture.width, picture.height),
+        }
+    }
 }
+
+/// Width of the region that is compared, in heights.
+const ASPECT: f64 = Image::COLS as f64 / Image::ROWS as f64;
+/// Longer side of a picture that is only looked at, in pixels.
+const LONGEST: usize = 480;
 
 /// Turns a picture, cuts the largest region of 2:3 (wide : high) out of its centre, and scales it
 /// to 320 × 480 pixels, each of which is the mean of the area that it covers.
@@ -43,15 +57,51 @@ pub fn upright(picture: &Rgb, turn: Turn) -> Option<Image> {
     if picture.width == 0 || picture.height == 0 {
         return None;
     }
-    // In the picture as it lies, where the region is on its side if the turn swaps its sides.
-    let (cols, rows) = match turn.swaps() {
-        true => (Image::ROWS, Image::COLS),
-        false => (Image::COLS, Image::ROWS),
+    let aspect = match turn.swaps() {
+        true => ASPECT.recip(),
+        false => ASPECT,
     };
-    let ((left, width), (top, height)) =
-        centre(picture.width as f64, picture.height as f64, cols as f64 / rows as f64);
-    let across = Weights::new(left, width, cols, picture.width);
-    let down = Weights::new(top, height, rows, picture.height);
+    let part = centre(picture.width as f64, picture.height as f64, aspect);
+    let rgb = cut(picture, part, (Image::COLS, Image::ROWS), turn);
+    Image::new(Image::COLS, Image::ROWS, rgb).ok()
+}
+
+/// Where [`upright`] cuts, in the picture turned upright.
+pub fn region(picture: &Rgb, turn: Turn) -> Region {
+    let (width, height) = turn.upright_size(picture);
+    let (width, height) = (width as f64, height as f64);
+    let ((left, w), (top, h)) = centre(width, height, ASPECT);
+    Region { left: left / width, top: top / height, width: w / width, height: h / height }
+}
+
+/// Turns a whole picture, and scales it down until its longer side has no more than [`LONGEST`]
+/// pixels.
+///
+/// None if the picture is empty.
+pub fn small(picture: &Rgb, turn: Turn) -> Option<Rgb> {
+    if picture.width == 0 || picture.height == 0 {
+        return None;
+    }
+    let (width, height) = turn.upright_size(picture);
+    let longest = width.max(height);
+    let fit = |side: usize| (side * LONGEST.min(longest) / longest).max(1);
+    let (width, height) = (fit(width), fit(height));
+    let whole = ((0.0, picture.width as f64), (0.0, picture.height as f64));
+    Some(Rgb { width, height, bytes: cut(picture, whole, (width, height), turn) })
+}
+
+/// Scales a part (begin and extent, in x and in y) of a picture as it lies, and turns it: the result
+/// is `width` × `height` upright.
+fn cut(
+    picture: &Rgb,
+    ((left, across), (top, down)): ((f64, f64), (f64, f64)),
+    (width, height): (usize, usize),
+    turn: Turn,
+) -> Vec<u8> {
+    // In the picture as it lies, where the part is on its side if the turn swaps its sides.
+    let (cols, rows) = if turn.swaps() { (height, width) } else { (width, height) };
+    let across = Weights::new(left, across, cols, picture.width);
+    let down = Weights::new(top, down, rows, picture.height);
     let lying = scale(picture, &across, &down);
     let at = |row: usize, col: usize| match turn {
         Turn::None => (row, col),
@@ -59,15 +109,15 @@ pub fn upright(picture: &Rgb, turn: Turn) -> Option<Image> {
         Turn::Over => (rows - 1 - row, cols - 1 - col),
         Turn::Left => (col, cols - 1 - row),
     };
-    let mut rgb = Vec::with_capacity(Image::ROWS * Image::COLS * 3);
-    for row in 0..Image::ROWS {
-        for col in 0..Image::COLS {
+    let mut rgb = Vec::with_capacity(width * height * 3);
+    for row in 0..height {
+        for col in 0..width {
             let (row, col) = at(row, col);
             let start = (row * cols + col) * 3;
             rgb.extend_from_slice(&lying[start..start + 3]);
         }
     }
-    Image::new(Image::COLS, Image::ROWS, rgb).ok()
+    rgb
 }
 
 /// Begin and extent, in x and in y, of the largest region of this aspect (width / height) that

@@ -6,9 +6,18 @@ export const $ = (id) => document.getElementById(id);
 const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
 export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 
+// Where a long name may go on in the next line: after `_` and `/`, and where words are joined by
+// capital letters. Hyphens and spaces are the browser's.
+const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
+
+function write(element, text) {
+  const parts = printable(text).split(JOINTS);
+  element.replaceChildren(...parts.flatMap((part, at) => (at ? [document.createElement("wbr"), part] : [part])));
+}
+
 export function make(tag, text, className) {
   const element = document.createElement(tag);
-  if (text !== undefined) element.textContent = printable(text);
+  if (text !== undefined) write(element, text);
   if (className) element.className = className;
   return element;
 }
@@ -27,8 +36,7 @@ export function fill(id, elements) {
 }
 
 export function say(id, text) {
-  const shown = printable(text);
-  if ($(id).textContent !== shown) $(id).textContent = shown;
+  if ($(id).textContent !== printable(text)) write($(id), text);
 }
 
 export function hide(id, hidden) {

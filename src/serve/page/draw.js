@@ -1,5 +1,7 @@
 // Draws the signals: the last seconds of each stream, or its spectrum.
 
+import { picture } from "./camera.js";
+
 const WINDOW_S = 6;
 // Without data for so long, a stream is shown as stalled.
 const STALLED_MS = 700;
@@ -7,6 +9,8 @@ const STALLED_MS = 700;
 const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
+// Devices that are not there.
+let gone = new Set();
 let view = "traces";
 let colours = {};
 let due = false;
@@ -68,43 +72,10 @@ export function trace(event) {
     s.bins.splice(0, first);
     s.fresh = true;
     s.arrived = performance.now();
-    if (s.stalled) revive(s);
+    if (s.stalled && !gone.has(s.device)) revive(s);
   }
-  for (const source of event.pictures ?? []) picture(source);
+  for (const source of event.pictures ?? []) picture(place, source);
   if (view === "traces") ask();
-}
-
-const cameras = new Map();
-
-// What a camera sees: its latest picture, at most twice a second, and the next one only once the
-// last has come.
-function picture(source) {
-  let camera = cameras.get(source);
-  if (!camera) {
-    place.querySelector(".empty")?.remove();
-    const box = document.createElement("figure");
-    box.className = "plot camera";
-    const image = document.createElement("img");
-    image.alt = `what the camera sees, ${source}`;
-    const head = document.createElement("div");
-    const name = document.createElement("strong");
-    name.textContent = source;
-    const note = document.createElement("span");
-    note.textContent = "the whole picture is compared";
-    head.append(name, note);
-    box.append(head, image);
-    place.append(box);
-    camera = { box, image, note, busy: false, asked: 0, arrived: 0 };
-    image.addEventListener("load", () => (camera.busy = false));
-    image.addEventListener("error", () => (camera.busy = false));
-    cameras.set(source, camera);
-  }
-  camera.arrived = performance.now();
-  delete camera.box.dataset.stalled;
-  if (camera.busy || camera.arrived - camera.asked < 500 || document.hidden) return;
-  [camera.busy, camera.asked] = [true, camera.arrived];
-  camera.note.textContent = "the whole picture is compared";
-  camera.image.src = `/api/v1/pictures/${source}.jpg?at=${Math.round(camera.arrived)}`;
 }
 
 function revive(s) {
@@ -121,7 +92,7 @@ function findStalled() {
     // A recording's tap comes now and then; a device that is there always brings something.
     const device = [...streams.values()].filter((other) => other.device === s.device);
     const silent_ms = now - Math.max(...device.map((other) => other.arrived));
-    if (silent_ms < STALLED_MS) {
+    if (silent_ms < STALLED_MS && !gone.has(s.device)) {
       if (s.stalled) revive(s);
       continue;
     }
@@ -139,15 +110,11 @@ function findStalled() {
 }
 setInterval(findStalled, 250);
 
-// A camera takes its time between pictures.
-setInterval(() => {
-  for (const camera of cameras.values()) {
-    const silent_ms = performance.now() - camera.arrived;
-    if (silent_ms < 5 * STALLED_MS) continue;
-    camera.box.dataset.stalled = "true";
-    camera.note.textContent = `no picture for ${(silent_ms / 1000).toFixed(0)} s`;
-  }
-}, 1000);
+// Takes in how the devices are: what one that was lost sent last is grey at once.
+export function devices(list) {
+  gone = new Set(list.filter(({ state }) => state === "lost" || state === "absent").map(({ device }) => device));
+  findStalled();
+}
 
 // Takes in an event of type `spectrum`.
 export function spectrum(event) {

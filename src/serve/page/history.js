@@ -3,8 +3,12 @@
 import { corrected, nameOf, sureness } from "./answer.js";
 import { $, ask, button, clock, hide, make, many, printable, say } from "./dom.js";
 
-const MOST = 300;
+// Scans that are read at a time.
+const PAGE = 300;
+let most = PAGE;
 let scans = [];
+// Whether there are older ones than those.
+let more = false;
 let changed = () => {};
 let shown = "";
 
@@ -15,15 +19,26 @@ export function onChange(act) {
 
 // Reads the list anew.
 export async function load() {
-  const said = await ask(`scans?limit=${MOST}`);
-  if (said) scans = said.scans;
+  const said = await ask(`scans?limit=${PAGE}`);
+  if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
   changed();
 }
 
-// A scan was answered.
+// Reads older ones than those that are shown.
+export async function older() {
+  const last = scans[scans.length - 1];
+  const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}`));
+  if (!said) return;
+  scans = [...scans, ...said.scans];
+  [most, more] = [most + PAGE, said.scans.length === PAGE];
+  changed();
+}
+
+// A scan was answered, or could not be named.
 export function add(answer) {
   if (scans.some((scan) => scan.id === answer.id)) return;
-  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans].slice(0, MOST);
+  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans];
+  if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 
 // A scan was corrected, or became a trial.
@@ -51,10 +66,11 @@ function row(scan) {
   open.setAttribute("aria-label", printable(`open scan ${scan.scan}: ${nameOf(scan)}`));
   name.append(open);
   if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`nearest: ${scan.ranked[0].surface}`, ""));
+  if (scan.state === "unnamed") name.append(make("small", scan.reasons.join(" · ")));
   if (scan.spoiled.length) name.append(badge("spoiled", "", scan.spoiled.join("\n")));
   if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
   if (scan.became) name.append(badge("in the library", "good", scan.became));
-  line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", scan.state === "nearest" ? "" : sureness(scan)),
+  line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", sureness(scan)),
     make("td", `${scan.scan_s.toFixed(1)} s`, "wide"), make("td", `${scan.latency_ms.toFixed(0)} ms`, "wide"),
     make("td", scan.lost_samples));
   return line;
@@ -63,7 +79,7 @@ function row(scan) {
 // Shows the list, if it reads otherwise than before.
 export function render(counts) {
   const only = $("unknown-only").checked;
-  const wanted = scans.filter((scan) => !only || scan.state === "unknown" || scan.state === "unsure");
+  const wanted = scans.filter((scan) => !only || ["unknown", "unsure", "unnamed"].includes(scan.state));
   const text = wanted.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join()).join();
   if (text !== shown) {
     shown = text;
@@ -72,6 +88,9 @@ export function render(counts) {
     if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] button`)?.focus();
   }
   hide("no-scans", wanted.length > 0);
-  const { scans: count, unknown, unsure } = counts;
-  say("counts", count ? `${many(count, "scan")} · ${unknown} unknown · ${unsure} unsure` : "");
+  hide("older", !more);
+  const { scans: count, unknown, unsure, unnamed } = counts;
+  const parts = [many(count, "scan"), `${unknown} unknown`, `${unsure} unsure`];
+  if (unnamed) parts.push(`${unnamed} not named`);
+  say("counts", count || unnamed ? parts.join(" · ") : "");
 }

@@ -2,9 +2,11 @@
 // as markup.
 
 import { certainty, nameOf } from "./answer.js";
+import * as camera from "./camera.js";
 import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
-import { losses, show, spectrum, trace } from "./draw.js";
+import { devices, losses, show, spectrum, trace } from "./draw.js";
 import * as history from "./history.js";
+import * as precision from "./precision.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
 
@@ -170,16 +172,30 @@ function render() {
   });
 }
 
+// The last scan, named or not.
+function answered(answer) {
+  state.answer = answer;
+  state.guess = null;
+  if (answer.state !== "named") state.counts[answer.state] += 1;
+  history.add(answer);
+  announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
+}
+
 // What each type of event changes.
 const changes = {
   state: (whole) => {
     state = whole;
+    camera.view(state.camera);
+    devices(state.devices);
     history.load();
+    precision.load();
   },
+  camera: camera.view,
   advice: (advice) => (state.advice = advice),
   device: (device) => {
     state.devices = state.devices.filter((other) => other.device !== device.device).concat(device);
     state.devices.sort((a, b) => (a.device < b.device ? -1 : 1));
+    devices(state.devices);
   },
   phase: ({ scan, phase }) => {
     if (state.scan !== scan || phase === null) state.guess = null;
@@ -187,14 +203,14 @@ const changes = {
   },
   guess: (guess) => (state.guess = guess),
   answer: (answer) => {
-    state.answer = answer;
-    state.guess = null;
     state.counts.scans += 1;
-    if (answer.state !== "named") state.counts[answer.state] += 1;
-    history.add(answer);
-    announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
+    answered(answer);
   },
-  correction: history.change,
+  unnamed: answered,
+  correction: (scan) => {
+    history.change(scan);
+    precision.load();
+  },
   check: shelf.checked,
   enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
@@ -226,6 +242,8 @@ function follow() {
       render();
     });
   }
+  // A page that is left keeps no connection: a browser has six for each station.
+  window.addEventListener("pagehide", () => events.close(), { once: true });
   events.addEventListener("trace", ({ data }) => trace(JSON.parse(data)));
   events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
 }
@@ -247,6 +265,7 @@ $("reload").addEventListener("click", () => ask("reload", {}));
 $("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
 $("view-traces").addEventListener("click", () => choose("traces"));
 $("view-spectra").addEventListener("click", () => choose("spectra"));
+$("older").addEventListener("click", history.older);
 $("unknown-only").addEventListener("change", render);
 history.onChange(render);
 $("enroll-form").addEventListener("submit", async (event) => {
@@ -270,4 +289,5 @@ document.addEventListener("keydown", (event) => {
   keys[event.key]();
 });
 
+window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();

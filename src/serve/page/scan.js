@@ -6,6 +6,8 @@ import { $, ask, button, clock, hide, make, percent, say } from "./dom.js";
 
 const dialog = $("scan");
 let open = null;
+// The address that opened it.
+let address = "";
 let before = null;
 
 const digits = (p) => (p === null ? "none" : p.toFixed(p < 0.1 ? 3 : 2));
@@ -49,12 +51,14 @@ function reasons(why) {
   return box;
 }
 
-function ranking(scan, ranked) {
+// As it was answered.
+function ranking(scan) {
   const box = make("section");
+  if (scan.ranked.length === 0) return box;
   box.append(heading("Ranking"));
   const list = make("ol", undefined, "ranking");
   const share = (score) => (scan.confidence !== null ? percent(1 / score) : score.toPrecision(3));
-  for (const { surface, score } of ranked.slice(0, 8)) {
+  for (const { surface, score } of scan.ranked.slice(0, 8)) {
     const item = make("li");
     item.append(make("span", surface), make("b", share(score)));
     list.append(item);
@@ -113,10 +117,14 @@ function signals(scan, { scan: own, nearest }) {
 
 // The forms that say what it was.
 function showCorrection(scan) {
-  say("was-now", scan.correction ? `${corrected(scan)}${scan.became ? ` · trial ${scan.became}` : ""}` : "Not reviewed yet.");
+  const spoiled = scan.spoiled.length > 0;
+  const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
+  if (scan.became) parts.push(`trial ${scan.became}`);
+  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
+  say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
   hide("was-clear", !scan.correction || Boolean(scan.became));
-  hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept);
+  hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept || spoiled);
   for (const id of ["was-right", "was-unknown", "was-bad", "was-other"]) $(id).disabled = Boolean(scan.became);
 }
 
@@ -128,10 +136,12 @@ function showHead(scan) {
 }
 
 async function load(id) {
+  const wanted = location.hash;
   const scan = await ask(`scans/${encodeURIComponent(id)}`);
-  if (!scan) return;
+  // Closed in the meantime, or another one.
+  if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
-  open = scan;
+  [open, address] = [scan, wanted];
   showHead(scan);
   const body = $("scan-body");
   body.replaceChildren();
@@ -140,13 +150,13 @@ async function load(id) {
     dialog.showModal();
   }
   if (!scan.kept) {
-    body.append(ranking(scan, scan.ranked), make("p", "The signals of this scan are not kept (any more).", "empty"));
+    body.append(ranking(scan), make("p", "The signals of this scan are not kept (any more).", "empty"));
     return;
   }
   const notes = await ask(`scans/${scan.id}/why`);
   if (!notes || open !== scan) return;
   if (notes.why) body.append(reasons(notes.why));
-  body.append(ranking(scan, notes.why?.ranked ?? scan.ranked), signals(scan, notes));
+  body.append(ranking(scan), signals(scan, notes));
   dialog.dataset.shown = scan.id;
 }
 
@@ -164,10 +174,14 @@ function follow() {
 }
 
 dialog.addEventListener("close", () => {
+  // A correction draws the row anew.
+  const row = open && `#scans tr[data-id="${CSS.escape(open.id)}"] button`;
+  const back = before?.isConnected ? before : row && document.querySelector(row);
   open = null;
   delete dialog.dataset.shown;
-  if (location.hash) history.pushState(null, "", "/");
-  before?.focus?.();
+  // By now the address may be that of another scan.
+  if (location.hash === address) history.pushState(null, "", "/");
+  back?.focus();
 });
 $("scan-close").addEventListener("click", () => dialog.close());
 $("was-right").addEventListener("click", () => correct({ surface: open.surface }));

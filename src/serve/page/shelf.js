@@ -1,6 +1,6 @@
 // The library, opened: its trials, how they do when they are left out, and edits that can be undone.
 
-import { $, ask, button, fill, hide, make, many, percent, printable, say } from "./dom.js";
+import { $, ask, button, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 
 const dialog = $("shelf");
 let listed = { trials: [], removed: [], undo: null };
@@ -40,8 +40,12 @@ function verdict(of) {
   const cell = make("td");
   if (!of) return cell;
   if (of.verdict === "untested") cell.append(make("span", "only one", "soft"));
-  else if (of.verdict === "right") cell.append(make("span", `right, by ${of.margin.toFixed(1)}`));
-  else cell.append(make("span", `wrong: ${of.named ?? "not named"}, by ${of.margin.toFixed(1)}`, "wrong"));
+  else {
+    // How much more alike than what comes next.
+    const by = times(Math.exp(of.margin));
+    const wrong = of.verdict !== "right";
+    cell.append(make("span", wrong ? `wrong: ${of.named ?? "not named"}, by ${by}` : `right, by ${by}`, wrong ? "wrong" : undefined));
+  }
   if (of.mislabelled) cell.append(make("span", "mislabelled?", "badge"));
   return cell;
 }
@@ -191,6 +195,7 @@ $("shelf-open").addEventListener("click", () => {
   dialog.showModal();
   load();
 });
+dialog.addEventListener("close", () => hide("relabel", true));
 $("shelf-close").addEventListener("click", () => dialog.close());
 $("undo").addEventListener("click", () => edit("undo", {}));
 $("check").addEventListener("click", begin);

@@ -46,6 +46,11 @@ fn what_a_file_leaves_out_is_the_default_and_what_it_says_holds() {
 }
 
 #[test]
+fn the_page_has_one_default_address() {
+    assert_eq!(StationConfig::embedded().serve, crate::serve::Settings::default().address);
+}
+
+#[test]
 fn mistakes_are_reported_with_their_line() {
     let refused = |text: &str, parts: &[&str]| {
         let error = parse(&format!("format = 1\n{text}")).unwrap_err();

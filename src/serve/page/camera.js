@@ -1,0 +1,75 @@
+// What the cameras see: the newest picture of each, the region of it that is compared, and the light.
+
+import { make } from "./dom.js";
+
+// Without a picture for so long, a camera is shown as stalled: it takes its time between two.
+const STALLED_MS = 3500;
+const cameras = new Map();
+// How the station's own camera is: its source, the region that is compared, its light.
+let own = null;
+
+function box(place, source) {
+  place.querySelector(".empty")?.remove();
+  const figure = make("figure", undefined, "plot camera");
+  const head = make("div");
+  const note = make("span");
+  const light = make("span", undefined, "light");
+  head.append(make("strong", source), note, light);
+  const view = make("div", undefined, "view");
+  const image = make("img");
+  image.alt = `what the camera sees, ${source}`;
+  const region = make("i", undefined, "region");
+  view.append(image, region);
+  figure.append(head, view);
+  place.append(figure);
+  const camera = { source, figure, image, note, light, region, busy: false, asked: 0, arrived: performance.now() };
+  image.addEventListener("load", () => (camera.busy = false));
+  image.addEventListener("error", () => (camera.busy = false));
+  cameras.set(source, camera);
+  return camera;
+}
+
+const share = (part) => `${(part * 100).toFixed(2)}%`;
+
+// Whether the whole picture is to be seen, of which a region is compared.
+const isWhole = (camera) => own?.source === camera.source && own.region !== null;
+
+function describe(camera) {
+  const whole = isWhole(camera);
+  const { left, top, width, height } = whole ? own.region : { left: 0, top: 0, width: 1, height: 1 };
+  camera.figure.dataset.whole = String(whole);
+  Object.assign(camera.region.style, { left: share(left), top: share(top), width: share(width), height: share(height) });
+  const all = width > 0.999 && height > 0.999;
+  camera.note.textContent = all ? "all of it is compared" : "what is inside the frame is compared";
+  const flash = own?.source === camera.source ? own.flash : "none";
+  camera.light.textContent = { on: "flash on", off: "flash off", failed: "the flash cannot be switched" }[flash] ?? "";
+  camera.light.dataset.flash = flash;
+}
+
+// A camera has a new picture: shown at most twice a second, and the next one only once the last has
+// come.
+export function picture(place, source) {
+  const camera = cameras.get(source) ?? box(place, source);
+  camera.arrived = performance.now();
+  delete camera.figure.dataset.stalled;
+  describe(camera);
+  if (camera.busy || camera.arrived - camera.asked < 500 || document.hidden) return;
+  [camera.busy, camera.asked] = [true, camera.arrived];
+  camera.image.src = `/api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
+}
+
+// Takes in how the station's camera is; null where it has none.
+export function view(camera) {
+  own = camera;
+  const shown = own && cameras.get(own.source);
+  if (shown && !shown.figure.dataset.stalled) describe(shown);
+}
+
+setInterval(() => {
+  for (const camera of cameras.values()) {
+    const silent_ms = performance.now() - camera.arrived;
+    if (silent_ms < STALLED_MS) continue;
+    camera.figure.dataset.stalled = "true";
+    camera.note.textContent = `no picture for ${(silent_ms / 1000).toFixed(0)} s`;
+  }
+}, 1000);

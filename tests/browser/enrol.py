@@ -1,0 +1,92 @@
+#!/usr/bin/env python3
+"""Enrolment that cannot mislabel, in headless Chromium: a trial that looks like another surface is
+said to, and is confirmed or taken back there.
+
+    tests/browser/enrol.py target/release/surfaced [FOLDER FOR SCREENSHOTS]
+
+Needs chromium and chromedriver (Debian: chromium chromium-driver).
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from page import Station, scene
+from review import get, shots_of
+from webdriver import Browser
+
+# Seconds that each synthetic scan lasts.
+DRAG = "1.5"
+LIKE = "This looks like slate, which you have."
+
+
+def enrol(browser, surface, trials):
+    """Orders trials of a surface by the form, and waits until they are kept; the newest stands first."""
+    browser.run("document.getElementById('trials').value = arguments[0]", str(trials))
+    browser.type("#surface", surface)
+    browser.click("#enroll")
+    browser.wait(f"{trials} to come", lambda: surface in (browser.text("#enrolling-what") or ""))
+    kept = "return [...document.querySelectorAll('#enrolled li')].filter(li => li.innerText.includes(arguments[0])).length"
+    browser.wait("the trials", lambda: browser.run(kept, f"kept as {surface}") >= trials, 90)
+
+
+def press(browser, text):
+    """Presses the first button under the enrolment that begins like this."""
+    found = browser.run(
+        "const b = [...document.querySelectorAll('#enrolled button')].find(b => b.innerText.startsWith(arguments[0]));"
+        "b?.click(); return Boolean(b)", text)
+    assert found, f"no button {text!r} in {browser.text('#enrolled')!r}"
+
+
+def known(browser, surface):
+    return lambda: surface in (browser.text("#surfaces") or "")
+
+
+def check(browser, station, shots):
+    browser.open(station.url + "/")
+    browser.wait("the form", lambda: browser.run("return document.getElementById('surface').offsetParent !== null"))
+
+    # A new surface, which looks like none of the library's.
+    enrol(browser, "slate", 3)
+    assert "This looks like" not in browser.text("#enrolled"), browser.text("#enrolled")
+    browser.wait("the library with slate", known(browser, "slate"))
+
+    # The same surface under another name: it looks like slate, which is in the library.
+    enrol(browser, "granite", 1)
+    asked = browser.text("#enrolled li")
+    assert LIKE in asked and "Is it granite?" in asked, asked
+    shots_of(browser, shots, "enrol")
+    press(browser, "No, take it back")
+    browser.wait("the trial taken back", lambda: "taken back" in browser.text("#enrolled li"))
+    names = lambda key: [trial["trial"] for trial in get(station, "/api/v1/library/trials")[key]]
+    assert not any(name.startswith("granite/") for name in names("trials")), names("trials")
+    assert any(name.startswith("granite/") for name in names("removed")), "it can come back"
+    browser.wait("the library without granite", lambda: not known(browser, "granite")())
+
+    # Said to be right all the same, it stays, and is not asked about again.
+    enrol(browser, "basalt", 1)
+    browser.wait("the question", lambda: LIKE in browser.text("#enrolled li"))
+    press(browser, "Yes, basalt")
+    browser.wait("no question", lambda: LIKE not in browser.text("#enrolled li"))
+    assert any(name.startswith("basalt/") for name in names("trials")), names("trials")
+    # A trial that was kept rightly can be taken back just so.
+    press(browser, "Undo")
+    browser.wait("the undo", lambda: not any(name.startswith("basalt/") for name in names("trials")))
+    console = browser.log("browser")
+    assert not console, f"the console stays empty: {console}"
+
+
+def main():
+    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
+    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
+        library, data = scene(surfaced, Path(folder), trials="40", users="0", kept=6, seconds=DRAG)
+        station = Station(surfaced, library, data)
+        try:
+            check(browser, station, shots)
+        finally:
+            station.end()
+    print("no trial is mislabelled unseen")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+#!/usr/bin/env python3
+"""Ten thousand past scans, in headless Chromium: the page opens in under a second, and the memory of
+the station does not grow with use.
+
+    tests/browser/many.py target/release/surfaced
+
+Needs chromium and chromedriver (Debian: chromium chromium-driver).
+"""
+
+import json
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+from page import Station, scene
+from review import get
+from webdriver import Browser
+
+SCANS = 10_000
+# Rows that the page shows at first.
+ROWS = 300
+
+
+def past(library, answer):
+    """A history of answers like this one, corrected now and then."""
+    folder = Path(library) / ".history"
+    folder.mkdir(exist_ok=True)
+    begin = answer["unix_ms"] - SCANS * 60_000
+    with open(folder / "answers.jsonl", "w") as log:
+        for scan in range(1, SCANS + 1):
+            ms = begin + scan * 60_000
+            moment = time.strftime("%Y%m%d-%H%M%S", time.gmtime(ms / 1000))
+            name = f"{moment}.{ms % 1000:03}-{scan:02}"
+            log.write(json.dumps({"answer": {**answer, "id": name, "link": f"/#scan={name}", "unix_ms": ms, "scan": scan}}) + "\n")
+            if scan % 10 == 0:
+                was = {"was": "surface", "surface": answer["ranked"][scan // 10 % 2]["surface"]}
+                log.write(json.dumps({"correction": {"id": name, "correction": was}}) + "\n")
+
+
+def resident_mb(station):
+    status = Path(f"/proc/{station.process.pid}/status").read_text()
+    return int(status.split("VmRSS:")[1].split()[0]) / 1024
+
+
+def timed(act):
+    begin = time.monotonic()
+    act()
+    return time.monotonic() - begin
+
+
+def opened(browser, station):
+    """Seconds from the address to the rows of the history."""
+    browser.open("about:blank")
+    # No person opens it so often that requests are refused.
+    time.sleep(0.6)
+
+    def act():
+        browser.open(station.url + "/")
+        browser.wait("the rows", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= ROWS, 20)
+
+    return timed(act)
+
+
+def use(browser, station):
+    """What an operator and a program do all day."""
+    opened(browser, station)
+    get(station, "/api/v1/history")
+    for path in ("/api/v1/scans.csv", "/api/v1/scans.jsonl"):
+        with urllib.request.urlopen(station.url + path, timeout=60) as answer:
+            assert len(answer.read().splitlines()) >= SCANS
+
+
+def older_ones(browser):
+    """The page shows older scans on demand."""
+    browser.click("#older")
+    rows = "return [...document.querySelectorAll('#scans tr')].map(r => r.dataset.id)"
+    names = browser.wait("older rows", lambda: len(shown := browser.run(rows)) >= 2 * ROWS and shown, 20)
+    assert len(set(names)) == len(names), "no scan twice"
+    # Names begin with their moment.
+    assert names == sorted(names, reverse=True), "the newest first"
+
+
+def check(browser, station):
+    assert get(station, "/api/v1/history")["scans"] >= SCANS
+    answer_s = min(timed(lambda: get(station, f"/api/v1/scans?limit={ROWS}")) for _ in range(5))
+    page_s = min(opened(browser, station) for _ in range(5))
+    older_ones(browser)
+    # The first uses fill what stays: buffers, the allocator's pages.
+    for _ in range(3):
+        use(browser, station)
+    before = resident_mb(station)
+    for _ in range(12):
+        use(browser, station)
+    after = resident_mb(station)
+    print(f"{SCANS} scans: the first {ROWS} in {answer_s * 1e3:.0f} ms, the page in {page_s * 1e3:.0f} ms, "
+          f"{before:.0f} MB before and {after:.0f} MB after twelve more uses")
+    assert page_s < 1.0, f"the page takes {page_s:.2f} s"
+    assert after < before + 16, f"memory grows from {before:.0f} to {after:.0f} MB"
+
+
+def main():
+    surfaced = sys.argv[1]
+    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
+        library, data = scene(surfaced, Path(folder), trials="10", users="0", kept=3, seconds="1.0")
+        station = Station(surfaced, library, data)
+        browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)
+        answer = get(station, "/api/v1/scans?limit=1")["scans"][0]
+        station.end()
+        for added in ("correction", "became", "kept"):
+            del answer[added]
+        past(library, answer)
+        station = Station(surfaced, library, data)
+        try:
+            check(browser, station)
+        finally:
+            station.end()
+    print("a long history opens at once")
+
+
+if __name__ == "__main__":
+    main()
