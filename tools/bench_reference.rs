@@ -91,7 +91,7 @@ fn kernel() {
             let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
             let cross = |b: &PaddedPoints| {
                 timed(400, || {
-                    black_box(lane_sum_with(set, black_box(&a), black_box(&b)));
+                    black_box(lane_sum_with(set, black_box(&a), black_box(b)));
                 })
             };
             let itself = timed(400, || {
