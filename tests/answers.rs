@@ -1,4 +1,4 @@
-//! Answers while a scan goes on, when they are settled, and scans of surfaces that are not in the
+//! Answers during a scan, when they are settled, and scans of surfaces that are not in the
 //! library: on the real sounds where they are there, and on made ones.
 
 mod common;
@@ -43,7 +43,7 @@ fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     (scene, Arc::new(model), users[1].clone())
 }
 
-/// What is said at the looks at a scan whose frames come in pieces of so many seconds.
+/// What is said at the looks at a scan whose frames come in pieces of that many seconds.
 fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -> Vec<GuessSoFar> {
     follower.begin();
     let mut said = Vec::new();
@@ -131,7 +131,7 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 }
 
 #[test]
-fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end() {
+fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
     let (scene, model, scan) = made();
     let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let mut without = scan.clone();
@@ -156,9 +156,9 @@ fn a_dead_or_stuck_source_is_left_out_while_the_scan_goes_on_as_it_is_at_its_end
         forces.view_mut().rows_mut().into_iter().skip(stop).for_each(|mut row| row.assign(&last));
     }
     halfway.signals.remove(&id("ca1"));
-    let told = said(&mut *follower, &scene, &halfway, 0.1);
-    assert_eq!(told.last().unwrap().named, expected.last().unwrap().named);
-    assert_ne!(told[2].named, expected[2].named);
+    let halfway_said = said(&mut *follower, &scene, &halfway, 0.1);
+    assert_eq!(halfway_said.last().unwrap().named, expected.last().unwrap().named);
+    assert_ne!(halfway_said[2].named, expected[2].named);
 }
 
 #[test]
@@ -249,7 +249,7 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
 }
 
 #[test]
-fn a_method_or_a_library_that_cannot_tell_says_so() {
+fn a_method_or_a_library_that_gives_no_p_value_says_so() {
     let (scene, model, _) = made();
     let error = model.rejection(Some(0.01)).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });

@@ -312,7 +312,7 @@ fn with_two_bad_files() -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn eval_names_all_bad_files_at_once_and_goes_on_without_them_when_it_may() {
+fn eval_names_all_bad_files_at_once_and_continues_without_them_when_it_may() {
     let (_dir, path) = with_two_bad_files();
     let eval = |more: &[&str]| {
         let mut command = assert_cmd::Command::cargo_bin("surfaced").unwrap();

@@ -10,7 +10,7 @@ fn surfaced(args: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
 }
 
-fn told(output: &Output) -> String {
+fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -27,8 +27,8 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
     assert!(surfaced(&[&synth[..], &["--seconds", "0.8"]].concat()).status.success());
     let said = ["chart", &data, "--sources", "mi2,ir", "--surfaces", "3", "--out", &svg];
     let output = surfaced(&said);
-    assert!(output.status.success() && output.stdout.is_empty(), "{}", told(&output));
-    assert!(told(&output).contains("to go)"), "it tells how far it is");
+    assert!(output.status.success() && output.stdout.is_empty(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("to go)"), "it says how far it is");
 
     let mut chart = read(Path::new(&json_path));
     assert_eq!(chart["synthetic"], true);
@@ -76,7 +76,7 @@ fn several_charts_are_drawn_side_by_side() {
     for (protocol, out) in protocols.iter().zip(&charts) {
         let said = ["chart", &data, "--sources", "ir", "--brief", "--protocol", protocol];
         let output = surfaced(&[&said[..], &["--out", out]].concat());
-        assert!(output.status.success(), "{}", told(&output));
+        assert!(output.status.success(), "{}", stderr(&output));
     }
     let json = charts.map(|out| out.replace(".svg", ".json"));
     let chart = read(Path::new(&json[0]));
@@ -86,14 +86,14 @@ fn several_charts_are_drawn_side_by_side() {
     assert!(points.iter().all(|point| point["query_seconds"].is_null()));
 
     let output = surfaced(&["chart", &json[0], &json[1], "--out", &svg]);
-    assert!(output.status.success(), "{}", told(&output));
+    assert!(output.status.success(), "{}", stderr(&output));
     let picture = std::fs::read_to_string(&svg).unwrap();
     for protocol in protocols {
         assert!(picture.contains(protocol), "{protocol}");
     }
     let output = surfaced(&["chart", &json[0], &data, "--out", &svg]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(told(&output).contains("chart these recordings first"), "{}", told(&output));
+    assert!(stderr(&output).contains("chart these recordings first"), "{}", stderr(&output));
 }
 
 #[test]
@@ -103,5 +103,5 @@ fn what_is_no_chart_is_refused() {
     std::fs::write(&path, "{}").unwrap();
     let output = surfaced(&["chart", path.to_str().unwrap(), "--out", "never.svg"]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(told(&output).contains("chart.json: missing field"), "{}", told(&output));
+    assert!(stderr(&output).contains("chart.json: missing field"), "{}", stderr(&output));
 }

@@ -287,7 +287,7 @@ fn a_library_of_one_class_or_one_trial_is_refused() {
 }
 
 #[test]
-fn a_stuck_sensor_is_told_of() {
+fn a_stuck_sensor_is_reported() {
     let dir = scene();
     let file = dir.path().join("scene/Synth001Mesh/user1-01/ir.wav");
     common::write_wav(&file, 10_000, 1, &[500; 3000]);

@@ -1,4 +1,4 @@
-//! An end takes less than five seconds, whatever goes on; nothing recorded is lost, and every scan
+//! An end takes less than five seconds, whatever happens; nothing recorded is lost, and every scan
 //! without an answer is reported.
 
 mod common;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    LibraryShape, MethodName, MethodSpec, Precision, Ranking, RecogniseError, Reference,
-    ReferenceOptions, Stage, prepare_library,
+    LibraryShape, MethodName, MethodSpec, Ranking, RecogniseError, Reference, ReferenceOptions,
+    Stage, SumPrecision, prepare_library,
 };
 use surfaced::scene::Scene;
 use surfaced::trial::{EXPERT, Trial};
@@ -47,7 +47,7 @@ fn assert_close(a: &[Ranking], b: &[Ranking], relative: f64) {
 #[test]
 fn tables_and_fast_sums_rank_as_the_oracle_does() {
     let (library, queries) = scene();
-    let oracle = ReferenceOptions { precision: Precision::Oracle, ..options() };
+    let oracle = ReferenceOptions { precision: SumPrecision::Oracle, ..options() };
     let oracle = rankings(oracle, &library, &queries);
     let plain = ReferenceOptions { tabulate: false, ..options() };
     // Eight factors, each within 1e-4 relative or absolute.

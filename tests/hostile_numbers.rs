@@ -10,8 +10,8 @@ use common::id;
 use proptest::prelude::*;
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Method, MethodName, MethodSpec, Precision, Ranking, RecogniseError, Reference,
-    ReferenceOptions, prepare_library,
+    Method, MethodName, MethodSpec, Ranking, RecogniseError, Reference, ReferenceOptions,
+    SumPrecision, prepare_library,
 };
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
@@ -76,7 +76,7 @@ fn ranking(
     model.rank(&model.prepare(&Entry::in_memory(Arc::clone(&query)), &query)?)
 }
 
-fn reference(scene: Scene, precision: Precision) -> Reference {
+fn reference(scene: Scene, precision: SumPrecision) -> Reference {
     let options =
         ReferenceOptions { samples: 120, repetitions: 2, precision, ..ReferenceOptions::default() };
     Reference::new(scene, options)
@@ -104,7 +104,7 @@ proptest! {
         let kinds = of_like_size(kinds);
         let scene = || Scene::lmt108().only(&[id(["mi2", "ac", "ir"][source])]).unwrap();
         let ranked = |precision| ranking(&reference(scene(), precision), kinds, seed, identical);
-        let (fast, oracle) = (ranked(Precision::Fast).unwrap(), ranked(Precision::Oracle).unwrap());
+        let (fast, oracle) = (ranked(SumPrecision::Fast).unwrap(), ranked(SumPrecision::Oracle).unwrap());
         let score = |r: &Ranking, surface: &str| {
             r.ranked.iter().find(|s| s.surface == surface).unwrap().score
         };
@@ -125,7 +125,7 @@ proptest! {
     ) {
         let ranked = |name: MethodName| {
             let method: Box<dyn Method> = match name {
-                MethodName::Reference => Box::new(reference(Scene::lmt108(), Precision::Fast)),
+                MethodName::Reference => Box::new(reference(Scene::lmt108(), SumPrecision::Fast)),
                 other => MethodSpec::from(other).build(&Scene::lmt108()),
             };
             ranking(&*method, kinds, seed, identical)

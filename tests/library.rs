@@ -109,7 +109,7 @@ fn a_ninth_source_needs_only_library_toml() {
         Signal::Series(Series::new(2200.0, 1, vec![0.5, -1.0]).unwrap())
     );
     let Signal::Series(sound) = &read.signals["mi2"] else { panic!("a sound is a series") };
-    assert_eq!(sound.rate_hz(), 48_000.0, "the header tells where library.toml is silent");
+    assert_eq!(sound.rate_hz(), 48_000.0, "the header counts where library.toml is silent");
 }
 
 #[test]

@@ -17,7 +17,7 @@ const TAP_S: [f64; 2] = [1.2, 1.26];
 const DRAG_S: [f64; 2] = [2.0, 3.6];
 const TOTAL_S: f64 = 4.6;
 
-/// A sensor that samples in real time, with a clock of its own, and tells late.
+/// A sensor that samples in real time, with a clock of its own, and reports late.
 struct Sensor {
     stream: &'static str,
     rate_hz: f64,

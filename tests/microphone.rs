@@ -20,9 +20,9 @@ const SOUND: &str = "data/LMT_108_SurfaceMaterials_Database/SoundScans/Movement/
 /// Silence before and after the sound, in seconds: time for the player to start, and to drain.
 const MARGIN_S: f64 = 1.5;
 
-/// The best normalised cross-correlation of `sound` with a stretch of `heard`, and where it is.
-fn find(sound: &[f32], heard: &[f32]) -> (f64, usize) {
-    let n = (sound.len() + heard.len()).next_power_of_two();
+/// The best normalised cross-correlation of `sound` with a stretch of `recorded`, and where it is.
+fn find(sound: &[f32], recorded: &[f32]) -> (f64, usize) {
+    let n = (sound.len() + recorded.len()).next_power_of_two();
     let mut planner = RealFftPlanner::<f64>::new();
     let (forward, back) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
     let spectrum = |x: &[f32]| {
@@ -33,17 +33,17 @@ fn find(sound: &[f32], heard: &[f32]) -> (f64, usize) {
         bins
     };
     let mut product: Vec<_> =
-        spectrum(heard).iter().zip(spectrum(sound)).map(|(h, s)| h * s.conj()).collect();
+        spectrum(recorded).iter().zip(spectrum(sound)).map(|(h, s)| h * s.conj()).collect();
     // What rounding left there, the inverse would refuse.
     (product[0].im, product[n / 2].im) = (0.0, 0.0);
     let mut lags = back.make_output_vec();
     back.process(&mut product, &mut lags).unwrap();
     let squares = |x: &[f32]| x.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
     let energy = squares(sound);
-    (0..=heard.len() - sound.len())
+    (0..=recorded.len() - sound.len())
         .map(|lag| (lags[lag] / n as f64, lag))
         .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(sum, lag)| (sum / (energy * squares(&heard[lag..lag + sound.len()])).sqrt(), lag))
+        .map(|(sum, lag)| (sum / (energy * squares(&recorded[lag..lag + sound.len()])).sqrt(), lag))
         .unwrap()
 }
 
@@ -75,14 +75,14 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
 
     // When the first sound was streamed, and the player that was started then.
     let mut playing: Option<(Instant, Child)> = None;
-    let (mut heard, mut lost, mut warnings) = (Vec::new(), 0, Vec::new());
+    let (mut recorded, mut lost, mut warnings) = (Vec::new(), 0, Vec::new());
     let begin = Instant::now();
     let length = Duration::from_secs_f64(sound_s + 2.0 * MARGIN_S);
     while playing.as_ref().is_none_or(|(since, _)| since.elapsed() < length) {
         assert!(begin.elapsed() < Duration::from_secs(60), "the microphone never streamed");
         let _ = woken.recv_timeout(Duration::from_millis(10));
         tap.drain(|piece| match piece {
-            Piece::Samples(samples) => heard.extend_from_slice(samples),
+            Piece::Samples(samples) => recorded.extend_from_slice(samples),
             Piece::Missing(frames) => lost += frames,
         });
         for report in reports.try_iter() {
@@ -101,7 +101,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
             }
         }
     }
-    let heard_s = heard.len() as f64 / f64::from(RATE_HZ);
+    let recorded_s = recorded.len() as f64 / f64::from(RATE_HZ);
     let (since, mut player) = playing.unwrap();
     let open_s = since.elapsed().as_secs_f64();
     stop.request();
@@ -109,13 +109,13 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     assert!(player.wait().unwrap().success(), "paplay failed");
     assert_eq!((lost, tap.meter().counts().lost), (0, 0), "samples were lost");
     // As much sound as time has passed, but for what the server's buffer held or holds.
-    assert!((heard_s - open_s).abs() < 0.5, "{heard_s} s of sound in {open_s} s");
+    assert!((recorded_s - open_s).abs() < 0.5, "{recorded_s} s of sound in {open_s} s");
 
     // The server's sink may swallow a little while it starts and stops to play.
     let rim = (0.1 * f64::from(RATE_HZ)) as usize;
-    let (correlation, at) = find(&sound[rim..sound.len() - rim], &heard);
+    let (correlation, at) = find(&sound[rim..sound.len() - rim], &recorded);
     eprintln!(
-        "captured {heard_s:.3} s in {open_s:.3} s, none lost; the sound is at {:.3} s with a \
+        "captured {recorded_s:.3} s in {open_s:.3} s, none lost; the sound is at {:.3} s with a \
          correlation of {correlation:.6}; {warnings:?}",
         at as f64 / f64::from(RATE_HZ),
     );

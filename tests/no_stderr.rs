@@ -1,4 +1,4 @@
-//! A program whose stderr is closed, full or unread goes on, and exits as it should.
+//! A program whose stderr is closed, full or unread continues, and exits as it should.
 
 #[path = "common/bench.rs"]
 mod bench;

@@ -19,9 +19,9 @@ use surfaced::trial::{Signal, Trial, TrialKey};
 #[test]
 fn a_scan_holds_the_data_of_the_recording_and_not_its_name() {
     let trials = [whole_trial(1, 9_000), whole_trial(2, 4_000)];
-    let heard = listen(replay(&trials).synthetic(true), Options::default());
-    assert!(same_signals(&heard.scans, &trials));
-    for (scan, trial) in heard.scans.iter().zip(&trials) {
+    let reported = listen(replay(&trials).synthetic(true), Options::default());
+    assert!(same_signals(&reported.scans, &trials));
+    for (scan, trial) in reported.scans.iter().zip(&trials) {
         assert_eq!(scan.truth.as_ref(), Some(&trial.key));
         assert_eq!(scan.trial.key, TrialKey::new("", "", scan.number));
         assert!(scan.synthetic && scan.spoiled.is_empty() && scan.lost_samples == 0);
@@ -31,8 +31,11 @@ fn a_scan_holds_the_data_of_the_recording_and_not_its_name() {
         });
         assert_eq!(scan.scan_s, drag_s.into_iter().fold(0.0, f64::max));
     }
-    assert_eq!((heard.totals.scans, heard.totals.lost(), heard.totals.failed.len()), (2, 0, 0));
-    assert!(heard.warnings.is_empty());
+    assert_eq!(
+        (reported.totals.scans, reported.totals.lost(), reported.totals.failed.len()),
+        (2, 0, 0)
+    );
+    assert!(reported.warnings.is_empty());
 }
 
 proptest! {
@@ -45,9 +48,9 @@ proptest! {
         let trials: Vec<_> =
             frames.iter().enumerate().map(|(i, &n)| whole_trial(i as u32 + 1, n)).collect();
         let options = Options { ring_s, ring_images, ..Options::default() };
-        let heard = listen(replay(&trials).chunk_s(chunk_s), options);
-        prop_assert!(same_signals(&heard.scans, &trials));
-        prop_assert_eq!(heard.totals.lost(), 0);
+        let reported = listen(replay(&trials).chunk_s(chunk_s), options);
+        prop_assert!(same_signals(&reported.scans, &trials));
+        prop_assert_eq!(reported.totals.lost(), 0);
     }
 
     #[test]
@@ -102,8 +105,8 @@ fn a_reader_that_never_reads_holds_up_no_live_device() {
 fn progress_is_a_prefix_of_the_scan() {
     let trials = [whole_trial(1, 6_000)];
     let options = Options { progress_every_s: Some(0.01), ..Options::default() };
-    let heard = listen(replay(&trials), options);
-    assert!(heard.so_far.iter().all(|(number, _, so_far)| {
+    let reported = listen(replay(&trials), options);
+    assert!(reported.so_far.iter().all(|(number, _, so_far)| {
         *number == 1
             && so_far.signals.iter().all(|(id, signal)| match (signal, &trials[0].signals[id]) {
                 (Signal::Series(part), Signal::Series(whole)) => {
@@ -112,9 +115,9 @@ fn progress_is_a_prefix_of_the_scan() {
                 (part, whole) => part == whole,
             })
     }));
-    let (_, scan_s, last) = heard.so_far.last().unwrap();
+    let (_, scan_s, last) = reported.so_far.last().unwrap();
     assert_eq!(last.signals.len(), 5);
-    assert!(*scan_s <= heard.scans[0].scan_s && heard.scans[0].scan_s - scan_s < 0.01 + 1e-9);
+    assert!(*scan_s <= reported.scans[0].scan_s && reported.scans[0].scan_s - scan_s < 0.01 + 1e-9);
 }
 
 #[test]
@@ -125,23 +128,23 @@ fn trials_may_differ_in_sources_rates_and_channels() {
         trial(3, vec![("ac", series(2_800.0, 1, 300, 3))]),
         trial(4, vec![("ca1", picture(7))]),
     ];
-    let heard = listen(replay(&trials), Options::default());
-    assert!(same_signals(&heard.scans, &trials));
+    let reported = listen(replay(&trials), Options::default());
+    assert!(same_signals(&reported.scans, &trials));
 }
 
 #[test]
 fn a_source_that_does_not_fit_the_scene_is_left_out_and_said() {
     let trials =
         [trial(1, vec![("mi2", series(8_000.0, 2, 50, 1)), ("ir", series(50.0, 1, 9, 1))])];
-    let heard = listen(replay(&trials), Options::default());
-    assert_eq!(heard.scans[0].trial.signals.keys().cloned().collect::<Vec<_>>(), [id("ir")]);
-    assert!(heard.warnings[0].contains("mi2 is left out"), "{:?}", heard.warnings);
+    let reported = listen(replay(&trials), Options::default());
+    assert_eq!(reported.scans[0].trial.signals.keys().cloned().collect::<Vec<_>>(), [id("ir")]);
+    assert!(reported.warnings[0].contains("mi2 is left out"), "{:?}", reported.warnings);
 }
 
 #[test]
 fn a_trial_without_any_source_is_spoiled() {
-    let heard = listen(replay(&[trial(1, vec![])]), Options::default());
-    assert!(heard.scans[0].spoiled[0].contains("no source"));
+    let reported = listen(replay(&[trial(1, vec![])]), Options::default());
+    assert!(reported.scans[0].spoiled[0].contains("no source"));
 }
 
 #[test]
@@ -149,9 +152,9 @@ fn what_a_small_ring_loses_is_counted_to_the_frame() {
     let trials = [whole_trial(1, 8_000), whole_trial(2, 8_000)];
     // Each chunk is ten times what the ring holds, so that most is lost on any machine.
     let options = Options { ring_s: 0.002, ..Options::default() };
-    let heard = listen(replay(&trials).speed(Speed::RealTime(50.0)).chunk_s(0.02), options);
-    assert_eq!(heard.scans.len(), 2);
-    for scan in &heard.scans {
+    let reported = listen(replay(&trials).speed(Speed::RealTime(50.0)).chunk_s(0.02), options);
+    assert_eq!(reported.scans.len(), 2);
+    for scan in &reported.scans {
         assert!(scan.lost_by_source["mi2"] > 0 && !scan.spoiled.is_empty());
         assert_eq!(scan.lost_samples, scan.lost_by_source.values().sum::<u64>());
         // Time is kept: what was lost is filled, not closed up.
@@ -159,22 +162,22 @@ fn what_a_small_ring_loses_is_counted_to_the_frame() {
         assert_eq!(sound.frames(), 8_000);
     }
     let mut lost = 0;
-    for (source, counts) in &heard.totals.streams {
+    for (source, counts) in &reported.totals.streams {
         assert_eq!(counts.pushed, counts.received + counts.lost, "{source}");
         assert_eq!(counts.fill, 0);
         lost += counts.lost;
     }
-    assert_eq!(heard.totals.streams["mi2"].pushed, 16_000);
-    assert_eq!(lost, heard.scans.iter().map(|scan| scan.lost_samples).sum::<u64>());
+    assert_eq!(reported.totals.streams["mi2"].pushed, 16_000);
+    assert_eq!(lost, reported.scans.iter().map(|scan| scan.lost_samples).sum::<u64>());
 }
 
 #[test]
 fn in_real_time_with_room_nothing_is_lost() {
     let trials = [whole_trial(1, 8_000)];
     let options = Options { ring_s: 10.0, ..Options::default() };
-    let heard = listen(replay(&trials).speed(Speed::RealTime(50.0)), options);
-    assert!(same_signals(&heard.scans, &trials));
-    assert!(heard.scans[0].spoiled.is_empty());
+    let reported = listen(replay(&trials).speed(Speed::RealTime(50.0)), options);
+    assert!(same_signals(&reported.scans, &trials));
+    assert!(reported.scans[0].spoiled.is_empty());
 }
 
 /// A sensor at 1 kHz that loses what the test says, at an index of its only scan of 100 frames.
@@ -275,10 +278,10 @@ impl Device for Failing {
 
 #[test]
 fn a_device_that_panics_ends_in_an_event() {
-    let heard = listen(Failing(|_| panic!("out of cheese")), Options::default());
-    assert!(heard.lost[0].contains("out of cheese"));
-    assert_eq!(heard.totals.failed[0].0, "failing");
-    assert!(heard.warnings[0].contains("scan 1 was cut off"), "{:?}", heard.warnings);
+    let reported = listen(Failing(|_| panic!("out of cheese")), Options::default());
+    assert!(reported.lost[0].contains("out of cheese"));
+    assert_eq!(reported.totals.failed[0].0, "failing");
+    assert!(reported.warnings[0].contains("scan 1 was cut off"), "{:?}", reported.warnings);
 }
 
 #[test]
@@ -334,10 +337,12 @@ fn a_trial_that_cannot_be_read_is_passed_over_and_said() {
     let damaged =
         |panics| Entry::new(TrialKey::new("slate", "expert", 1), vec![], Arc::new(Damaged(panics)));
     let entries = vec![damaged(false), damaged(true), Entry::in_memory(whole_trial(3, 10))];
-    let heard = listen(Replay::new(&Scene::lmt108(), entries), Options::default());
-    assert_eq!((heard.scans.len(), heard.warnings.len()), (1, 2));
-    assert!(heard.warnings[0].contains("slate") && heard.warnings[0].contains("it is truncated"));
-    assert!(heard.warnings[1].contains("the file is damaged"));
+    let reported = listen(Replay::new(&Scene::lmt108(), entries), Options::default());
+    assert_eq!((reported.scans.len(), reported.warnings.len()), (1, 2));
+    assert!(
+        reported.warnings[0].contains("slate") && reported.warnings[0].contains("it is truncated")
+    );
+    assert!(reported.warnings[1].contains("the file is damaged"));
 }
 
 #[test]

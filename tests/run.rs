@@ -169,7 +169,7 @@ fn a_killed_enrolment_leaves_whole_trials() {
     for entry in &kept.entries {
         assert_eq!(entry.load().unwrap().signals.len(), 4);
     }
-    // And the next one goes on where this one was ended.
+    // And the next one continues where this one was ended.
     let enroll = bench.surfaced(&args);
     fake.wait_for_start();
     let seconds = bench.play(&fake, &trial(&data, 0, 2), 1.5);

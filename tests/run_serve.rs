@@ -23,7 +23,7 @@ fn served(run: &Surfaced) -> Client {
     Client(address.parse().unwrap())
 }
 
-/// Asks until the answer is as wanted, while the stylus goes on.
+/// Asks until the answer is as wanted, while the stylus keeps sending.
 fn until(
     station: Client,
     path: &str,
@@ -92,9 +92,9 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
         assert_eq!(line["surface"], data.surfaces()[surface], "{line} {}", run.said());
         // What the page shows is what the line said.
         let at = format!("/api/v1/scans/{scan}");
-        let told = until(station, &at, &mut fake, |told| told["scan"] == scan);
-        assert_eq!(told["surface"], line["surface"]);
-        assert_eq!(told["lost_samples"], 0);
+        let answer = until(station, &at, &mut fake, |answer| answer["scan"] == scan);
+        assert_eq!(answer["surface"], line["surface"]);
+        assert_eq!(answer["lost_samples"], 0);
         if scan == 5 {
             assert_eq!(station.post("/api/v1/reload", "").status, 202);
             until(station, "/api/v1/state", &mut fake, ready);

@@ -1,4 +1,4 @@
-//! A real dragging sound, played into a real sound server, is heard and named by `surfaced run`.
+//! A real dragging sound, played into a real sound server, is recorded and named by `surfaced run`.
 #![cfg(feature = "microphone")]
 
 mod common;
@@ -53,11 +53,11 @@ fn dragging_sounds_are_named_against_the_other_trials() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    let (tell, heard) = unbounded();
+    let (sender, lines) = unbounded();
     let (out, err) = (run.stdout.take().unwrap(), run.stderr.take().unwrap());
-    let said = tell.clone();
+    let said = sender.clone();
     std::thread::spawn(move || {
-        BufReader::new(out).lines().for_each(|line| drop(tell.send((true, line.unwrap()))));
+        BufReader::new(out).lines().for_each(|line| drop(sender.send((true, line.unwrap()))));
     });
     std::thread::spawn(move || {
         BufReader::new(err).lines().for_each(|line| drop(said.send((false, line.unwrap()))));
@@ -67,7 +67,7 @@ fn dragging_sounds_are_named_against_the_other_trials() {
     let mut until = |text: Option<&str>| -> String {
         let limit = Instant::now() + Duration::from_secs(120);
         loop {
-            let (json, line) = heard.recv_deadline(limit).unwrap_or_else(|_| panic!("{log}"));
+            let (json, line) = lines.recv_deadline(limit).unwrap_or_else(|_| panic!("{log}"));
             log.push_str(&line);
             log.push('\n');
             match text {

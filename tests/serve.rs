@@ -14,10 +14,10 @@ use surfaced::station::{
     Command, Enrolled, EnrolledOutcome, Enrolling, LibraryState, StationEvent,
 };
 
-/// A server that was told a short session.
-fn told() -> Served {
+/// A server that a short session was reported to.
+fn short_session() -> Served {
     let mut served = serve(|_| {});
-    served.tell(session());
+    served.report(session());
     served.until("/api/v1/state", |state| state["guess"].is_object());
     served
 }
@@ -78,7 +78,7 @@ fn every_answer_that_the_page_shows_is_what_a_server_says() {
     let mut wrong = String::new();
     for (command, shown) in samples {
         // Each is answered as if it were the first.
-        let served = told();
+        let served = short_session();
         let said = curl(&served, &command);
         if command.ends_with("/metrics") {
             for line in shown.lines().filter(|line| *line != "…") {
@@ -101,7 +101,7 @@ fn every_answer_that_the_page_shows_is_what_a_server_says() {
 
 #[test]
 fn orders_reach_the_station_and_nothing_else_does() {
-    let served = told();
+    let served = short_session();
     for (path, body, order) in [
         ("start", "", Command::Start),
         ("stop", "", Command::Stop),
@@ -125,14 +125,14 @@ fn orders_reach_the_station_and_nothing_else_does() {
 
 #[test]
 fn a_station_that_is_busy_or_gone_is_said_to_be() {
-    let mut served = told();
+    let mut served = short_session();
     for _ in 0..4 {
         assert_eq!(served.post("/api/v1/start", "").status, 202);
     }
     let busy = served.post("/api/v1/start", "");
     assert_eq!((busy.status, busy.json()["error"].as_str()), (503, Some("busy")));
     assert_eq!(served.get("/healthz").status, 200);
-    served.tell([StationEvent::Finished(Arc::new(Totals::default()))]);
+    served.report([StationEvent::Finished(Arc::new(Totals::default()))]);
     served.until("/api/v1/state", |state| state["finished"] == true);
     let ended = served.post("/api/v1/start", "");
     assert_eq!((ended.status, ended.json()["error"].as_str()), (409, Some("ended")));
@@ -144,12 +144,12 @@ fn a_library_that_is_being_read_is_said_to_be() {
     let mut served = serve(|_| {});
     let mut events = Events::open(&served, "");
     assert_eq!(events.next("state")["reading"], false);
-    served.tell([StationEvent::Reading]);
+    served.report([StationEvent::Reading]);
     assert_eq!(events.next("reading"), json!(true));
     let advice = events.next("advice");
     assert_eq!((&advice["do"], &advice["text"]), (&json!("wait"), &json!("reading the library")));
     assert_eq!(served.get("/api/v1/state").json()["reading"], true);
-    served.tell([StationEvent::Library(LibraryState::default())]);
+    served.report([StationEvent::Library(LibraryState::default())]);
     assert_eq!(events.next("advice")["text"], "wait for the stylus");
     assert_eq!(served.get("/api/v1/state").json()["reading"], false);
 }
@@ -163,11 +163,11 @@ fn a_station_without_a_library_to_keep_scans_in_says_so() {
 }
 
 #[test]
-fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
-    let mut served = told();
+fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
+    let mut served = short_session();
     let mut events = Events::open(&served, "");
     assert_eq!(events.next("state")["scan"], 3);
-    served.tell([
+    served.report([
         StationEvent::Phase { scan: 3, phase: None },
         StationEvent::Answer(Arc::new(answer(3, Some("beech")))),
         StationEvent::Device {
@@ -177,8 +177,8 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
         },
     ]);
     assert_eq!(events.next("phase"), json!({ "scan": 3, "phase": null }));
-    let told = events.next("answer");
-    assert_eq!((&told["scan"], &told["surface"]), (&json!(3), &json!("beech")));
+    let answer = events.next("answer");
+    assert_eq!((&answer["scan"], &answer["surface"]), (&json!(3), &json!("beech")));
     assert_eq!(events.next("device")["state"], "lost");
     assert_eq!(events.next("advice")["do"], "wait", "without the stylus there is nothing to do");
     served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
@@ -186,7 +186,7 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
         let left = Enrolling { surface: "ash".into(), user: "anna".into(), wanted: Some(wanted) };
         StationEvent::Enrolling(Some(left).filter(|_| wanted > 0))
     };
-    served.tell([ash(2)]);
+    served.report([ash(2)]);
     assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "anna", "wanted": 2}));
     for wanted in [1, 0] {
         let enrolled = StationEvent::Enrolled(Enrolled {
@@ -200,7 +200,7 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
             nearest: None,
             wanted,
         });
-        served.tell([enrolled, ash(wanted)]);
+        served.report([enrolled, ash(wanted)]);
         assert_eq!(events.next("enrolled")["wanted"], wanted);
         let left = events.next("enrolling");
         assert_eq!(left["wanted"], if wanted == 0 { Value::Null } else { json!(wanted) });
@@ -209,7 +209,7 @@ fn the_stream_of_events_begins_with_the_state_and_tells_what_changes() {
 
 #[test]
 fn a_reader_gets_the_types_that_it_names() {
-    let mut served = told();
+    let mut served = short_session();
     let mut events = Events::open(&served, "?types=trace,answer");
     let fresh = |start| Fresh {
         source: id("ac"),
@@ -221,7 +221,7 @@ fn a_reader_gets_the_types_that_it_names() {
     // The reader may come a moment later than the first.
     let begin = std::time::Instant::now();
     for n in 0.. {
-        served.tell([StationEvent::Trace(Arc::new(Trace {
+        served.report([StationEvent::Trace(Arc::new(Trace {
             fresh: vec![fresh(n * 500)],
             images: vec![],
         }))]);
@@ -232,7 +232,7 @@ fn a_reader_gets_the_types_that_it_names() {
         }
         assert!(begin.elapsed() < common::http::SOON);
     }
-    served.tell([StationEvent::Answer(Arc::new(answer(4, None)))]);
+    served.report([StationEvent::Answer(Arc::new(answer(4, None)))]);
     let trace = events.next("trace");
     let stream = &trace["streams"][0];
     assert_eq!((&stream["source"], &stream["bin_s"]), (&json!("ac"), &json!(0.005)));
@@ -246,7 +246,7 @@ fn a_reader_gets_the_types_that_it_names() {
 
 #[test]
 fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
-    let served = told();
+    let served = short_session();
     for (path, kind) in [
         ("/", "text/html"),
         ("/style.css", "text/css"),
@@ -277,7 +277,7 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
 }
 
 #[test]
-fn with_a_token_nothing_is_told_without_it() {
+fn with_a_token_nothing_is_revealed_without_it() {
     let secret = "0123456789abcdef";
     let served = serve(|settings| settings.token = Some(Token::new(secret).unwrap()));
     let with = |line: &str| served.request("GET", "/api/v1/state", &[line], "").status;

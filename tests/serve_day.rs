@@ -25,7 +25,7 @@ fn a_scan_that_cannot_be_named_is_among_the_past_scans_with_its_reason() {
     });
     let text = format!("scan 4 was not named: {why}");
     let unnamed = Unnamed { answer, text: text.clone(), too_little: true };
-    served.tell([StationEvent::Unnamed(unnamed)]);
+    served.report([StationEvent::Unnamed(unnamed)]);
     let row = served.until("/api/v1/scans/4", |scan| scan["state"] == "unnamed");
     assert_eq!((&row["reasons"], &row["surface"]), (&json!([why]), &Value::Null));
     let state = served.until("/api/v1/state", |state| state["counts"]["unnamed"] == 1);

@@ -102,9 +102,9 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     let reply = served.post("/api/v1/enroll", &format!(r#"{{"surface": "{script}"}}"#));
     assert_eq!(reply.status, 400);
     assert!(served.orders.is_empty());
-    // A library may hold such a label already: then it is JSON, told as such.
+    // A library may hold such a label already: then it is JSON, sent as such.
     let surfaces = vec![(script.to_string(), 1)];
-    served.tell([
+    served.report([
         StationEvent::Library(LibraryState { surfaces, ..LibraryState::default() }),
         StationEvent::Answer(Arc::new(answer(1, Some(script)))),
     ]);
@@ -114,11 +114,11 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     assert!(reply.head.contains("content-type: application/json"));
     assert!(reply.head.contains("x-content-type-options: nosniff"));
     // Nor does a line break in a device's name break the metrics or the stream.
-    served.tell([StationEvent::Warning("event: answer\ndata: {}\n\n".into())]);
+    served.report([StationEvent::Warning("event: answer\ndata: {}\n\n".into())]);
     served.until("/api/v1/state", |state| state["warnings"] != serde_json::json!([]));
     let mut events = Events::open(&served, "");
     events.next("state");
-    served.tell([StationEvent::Warning("a\n\nevent: answer\ndata: 1".into())]);
+    served.report([StationEvent::Warning("a\n\nevent: answer\ndata: 1".into())]);
     assert_eq!(events.next("warning")["text"], "a\n\nevent: answer\ndata: 1");
 }
 
@@ -186,7 +186,7 @@ fn stalled_readers_cost_a_good_one_nothing() {
     // Enough to fill whatever the sockets hold.
     let text = "x".repeat(100_000);
     for n in 0..400 {
-        served.tell([
+        served.report([
             StationEvent::Warning(text.clone()),
             StationEvent::Answer(Arc::new(answer(n, None))),
         ]);
@@ -203,7 +203,7 @@ fn stalled_readers_cost_a_good_one_nothing() {
     let begin = Instant::now();
     while !served.get("/metrics").body.contains("surfaced_readers 1\n") {
         assert!(begin.elapsed() < SOON);
-        served.tell([StationEvent::Warning(text.clone())]);
+        served.report([StationEvent::Warning(text.clone())]);
         std::thread::sleep(Duration::from_millis(50));
     }
     drop(stalled);
@@ -256,7 +256,7 @@ fn an_address_that_is_taken_is_named() {
 #[test]
 fn after_all_of_it_the_server_ends_at_once() {
     let mut served = impatient();
-    served.tell(session());
+    served.report(session());
     let _readers: Vec<Events> = (0..10).map(|_| Events::open(&served, "")).collect();
     let _idle: Vec<TcpStream> = (0..10).map(|_| served.connect()).collect();
     let state: Value = served.until("/api/v1/state", |state| state["guess"].is_object());

@@ -33,7 +33,7 @@ fn scene(folder: &Path) -> String {
 }
 
 #[test]
-fn a_stress_run_measures_draws_and_tells_where_methods_break() {
+fn a_stress_run_measures_draws_and_says_where_methods_break() {
     let dir = tempfile::tempdir().unwrap();
     let data = scene(dir.path());
     let out = dir.path().join("stress.svg");
@@ -71,22 +71,22 @@ fn a_stress_run_measures_draws_and_tells_where_methods_break() {
     {
         assert!(dir.path().join(file).exists(), "{file}");
     }
-    let told = String::from_utf8(run.stderr).unwrap();
-    assert!(told.contains("| loses 5 points at | `embedding` | `naive-bayes` |"), "{told}");
-    assert!(told.contains("fails first"), "{told}");
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert!(said.contains("| loses 5 points at | `embedding` | `naive-bayes` |"), "{said}");
+    assert!(said.contains("fails first"), "{said}");
 
     let (json, both) = (out.with_extension("json"), dir.path().join("both.svg"));
     let (json, both) = (json.to_str().unwrap(), both.to_str().unwrap());
     let again = done(&["stress", json, "--beside", json, "--out", both]);
-    let told = String::from_utf8(again.stdout).unwrap();
-    assert!(told.contains("| `naive-bayes` | `embedding (stress)` |"), "{told}");
+    let said = String::from_utf8(again.stdout).unwrap();
+    assert!(said.contains("| `naive-bayes` | `embedding (stress)` |"), "{said}");
     let other = dir.path().join("other.json");
     let fewer = std::fs::read_to_string(json).unwrap().replace("\"queries\": 6", "\"queries\": 5");
     std::fs::write(&other, fewer).unwrap();
     let refused = surfaced(&["stress", json, "--beside", other.to_str().unwrap(), "--out", both]);
     assert_eq!(refused.status.code(), Some(2));
-    let told = String::from_utf8(refused.stderr).unwrap();
-    assert!(told.contains("its queries are 5 by expert-vs-users, and not 6 by"), "{told}");
+    let said = String::from_utf8(refused.stderr).unwrap();
+    assert!(said.contains("its queries are 5 by expert-vs-users, and not 6 by"), "{said}");
 }
 
 #[test]
@@ -109,8 +109,8 @@ fn a_query_with_a_dead_sensor_is_named_by_the_others_with_a_word() {
     common::write_wav(&ir, 10_000, 1, &[0; 5000]);
     let run =
         done(&["eval", &data, "--protocol", "expert-vs-users", "--method", "embedding", "--json"]);
-    let told = String::from_utf8(run.stderr).unwrap();
-    assert!(told.contains("ir is left out: channel 1 is stuck at 0"), "{told}");
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert!(said.contains("ir is left out: channel 1 is stuck at 0"), "{said}");
     let report: Value = serde_json::from_slice(&run.stdout).unwrap();
     assert!(report["accuracy_mean"].as_f64().unwrap() > 0.8);
 }

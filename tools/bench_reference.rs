@@ -1,7 +1,7 @@
-//! Speed of the method `reference`: `cargo bench --bench reference [-- kernel query halving cache]`.
+//! Speed of the method `reference`: `cargo bench --bench reference [-- kernel sums query halving cache]`.
 //!
 //! Prints, on synthetic sample sets: time of a kernel evaluation for 1 to 4 channels on each
-//! instruction set; one whole query against 1080 trials × 8 sources × R = 10, exact and with
+//! instruction set; time of a score by each way of summing, beside f64; one whole query against 1080 trials × 8 sources × R = 10, exact and with
 //! halving; how often halving gives the same label over 500 queries; and the time to load a library
 //! of 1080 trials prepared earlier. Times are the least of several runs, and their median; on a
 //! machine that is shared with others, the processor time says more (Linux only).
@@ -14,12 +14,16 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
+use ndarray::Array2;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::kernel::{
-    InstructionSet, PaddedPoints, Quality, lane_scale, lane_self_sum_with, lane_sum_with,
+    InstructionSet, PaddedPoints, lane_scale, lane_self_sum_with, lane_sum_with,
 };
 use surfaced::library::{Entry, LibraryError, LoadTrial, Outlines};
-use surfaced::recognise::{Reference, ReferenceOptions, STAGES, prepare_library};
+use surfaced::recognise::{
+    QuerySet, Reference, ReferenceOptions, STAGES, SampleSet, Scratch, SumPrecision,
+    prepare_library,
+};
 use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{EXPERT, Trial};
 
@@ -33,6 +37,9 @@ fn main() {
     let wants = |what: &str| asked.is_empty() || asked.iter().any(|a| a == what);
     if wants("kernel") {
         kernel();
+    }
+    if wants("sums") {
+        sums();
     }
     if ["query", "halving", "cache"].iter().any(|what| wants(what)) {
         library(wants("query"), wants("halving"), wants("cache"));
@@ -65,7 +72,7 @@ fn kernel() {
     println!("ns an evaluation, 400 × 400 samples, one core: least (median) of 400 runs");
     println!(
         "{:<12} {:>3}  {:<18} {:<18} {:<18}",
-        "", "ch", "near", "with far outliers", "with itself"
+        "", "ch", "with others", "with far outliers", "with itself"
     );
     for &set in InstructionSet::available() {
         for channels in 1..=4 {
@@ -84,11 +91,11 @@ fn kernel() {
             let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
             let cross = |b: &PaddedPoints| {
                 timed(400, || {
-                    black_box(lane_sum_with(set, black_box(&a), black_box(b), Quality::Quick));
+                    black_box(lane_sum_with(set, black_box(&a), black_box(b)));
                 })
             };
             let itself = timed(400, || {
-                black_box(lane_self_sum_with(set, black_box(&a), Quality::Fine));
+                black_box(lane_self_sum_with(set, black_box(&a)));
             });
             let show = |(least, median): (f64, f64)| {
                 format!("{:.3} ({:.3})", least / 160e-6, median / 160e-6)
@@ -101,6 +108,38 @@ fn kernel() {
                 show(itself)
             );
         }
+    }
+}
+
+/// A score of 400 samples a side, as [`QuerySet`] chooses to sum it and in f64.
+fn sums() {
+    println!("\nµs a score, 400 × 400 samples, one core: least (median) of 400 runs");
+    println!("{:<34} {:<18} {:<18}", "", "fast", "f64");
+    let samples = |channels: usize, values: Option<usize>, key: usize| {
+        Array2::from_shape_fn((400, channels), |(i, c)| {
+            let at = (i * (7 + c) + key) as f64 * 0.618_033_988_749;
+            let x = (1..=4).map(|k| (at * f64::from(k)).fract() - 0.5).sum::<f64>();
+            values.map_or(x, |n| (x * n as f64 / 4.0).round())
+        })
+    };
+    for (name, channels, values) in [
+        ("few distinct: by counts", 1, Some(4)),
+        ("one channel: on a line", 1, None),
+        ("two channels: over lanes", 2, None),
+        ("three channels: over lanes", 3, None),
+        ("four channels: over lanes", 4, None),
+    ] {
+        let z = SampleSet::new(&samples(channels, values, 1), None);
+        let mut y = SampleSet::new(&samples(channels, values, 2).mapv(|x| 1.5 * x), None);
+        y.tabulate();
+        let time = |precision| {
+            let (query, mut scratch) = (QuerySet::new(&z, true, precision), Scratch::default());
+            let (least, median) = timed(400, || {
+                black_box(query.score(black_box(&y), &mut scratch));
+            });
+            format!("{:.2} ({:.2})", least * 1e6, median * 1e6)
+        };
+        println!("{name:<34} {:<18} {:<18}", time(SumPrecision::Fast), time(SumPrecision::Oracle));
     }
 }
 
@@ -149,12 +188,12 @@ fn library(query: bool, halving: bool, cache: bool) {
     }
     let wanted: BTreeSet<usize> = (0..entries.len()).collect();
     let prepare = || {
-        let told = |done: usize, of: usize| {
+        let progress = |done: usize, of: usize| {
             if done.is_multiple_of(100) {
                 eprint!("\rpreparing {done} of {of}  ");
             }
         };
-        prepare_library(&exact, &entries, &wanted, Some(&folder), &told)
+        prepare_library(&exact, &entries, &wanted, Some(&folder), &progress)
             .unwrap_or_else(|error| panic!("{error}"))
     };
     let start = Instant::now();

@@ -4,7 +4,7 @@
 
 use rustix::time::{ClockId, clock_gettime};
 use surfaced::duration::{
-    CORRELATION, OnlineDuration, OnlineSettings, Rule, Search, Settings, Trials, VALUES,
+    Algorithm1Settings, CORRELATION, OnlineDuration, OnlineSettings, Rule, Search, Trials, VALUES,
     at_needed_rate, simulate,
 };
 use surfaced::kernel::Threshold;
@@ -51,7 +51,8 @@ fn algorithm1() -> Result<(), Box<dyn std::error::Error>> {
     for (name, threshold) in
         [("100 permutations", Threshold::Permutations(100)), ("gamma", Threshold::Gamma)]
     {
-        let settings = Settings { threshold, rule: Rule::MeanCi, ..Settings::default() };
+        let settings =
+            Algorithm1Settings { threshold, rule: Rule::MeanCi, ..Algorithm1Settings::default() };
         let mut search = Search::new(&trials, settings)?;
         let start = cpu_s();
         let kappa: f64 = (1..=1000).map(|lag| search.at(lag).kappa).sum();

@@ -17,8 +17,8 @@ use std::path::Path;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use surfaced::duration::{
-    Answer, CORRELATION, PooledEstimate, Rule, Search, Settings, Trials, VALUES, at_needed_rate,
-    simulate,
+    Algorithm1Settings, CORRELATION, PooledAnswer, PooledEstimate, Rule, Search, Trials, VALUES,
+    at_needed_rate, simulate,
 };
 use surfaced::kernel::Threshold;
 use surfaced::seed;
@@ -161,7 +161,7 @@ impl Case {
         match self.wanted {
             Wanted::InTau(..) | Wanted::NearTruthOrLittleData => Some(10f64.ln()),
             Wanted::NearTruth => match self.estimate(u64::MAX, TRUTH).answer {
-                Answer::Found { t_star, .. } => Some(t_star / self.tau),
+                PooledAnswer::Found { t_star, .. } => Some(t_star / self.tau),
                 _ => None,
             },
             Wanted::One => Some(1.0),
@@ -232,12 +232,12 @@ fn at(sorted: &[f64], share: f64) -> Option<f64> {
     sorted.get((sorted.len().saturating_sub(1) as f64 * share).round() as usize).copied()
 }
 
-fn reason(answer: Answer) -> &'static str {
+fn reason(answer: PooledAnswer) -> &'static str {
     match answer {
-        Answer::Found { .. } => "",
-        Answer::Never => "never",
-        Answer::NotWithinRange => "not within the range",
-        Answer::TooLittleData { .. } => "too little data",
+        PooledAnswer::Found { .. } => "",
+        PooledAnswer::Never => "never",
+        PooledAnswer::NotWithinRange => "not within the range",
+        PooledAnswer::TooLittleData { .. } => "too little data",
     }
 }
 
@@ -276,7 +276,7 @@ fn holds(
             near_truth() && others.into_iter().all(|r| r.is_empty() || r == "too little data")
         }
         Wanted::One => t_star.iter().filter(|&&t| t == 1.0).count() >= most,
-        Wanted::Never => found.iter().filter(|e| e.answer == Answer::Never).count() >= most,
+        Wanted::Never => found.iter().filter(|e| e.answer == PooledAnswer::Never).count() >= most,
     }
 }
 
@@ -293,7 +293,12 @@ fn algorithm1_on_processes() -> Result<(), Failure> {
             let series = simulate::trials(q, 1e4, make).expect("finite samples");
             let trials = Trials::new(series).expect("enough trials");
             let threshold = Threshold::Gamma;
-            let settings = Settings { draws: 200, threshold, seed: run, ..Settings::default() };
+            let settings = Algorithm1Settings {
+                draws: 200,
+                threshold,
+                seed: run,
+                ..Algorithm1Settings::default()
+            };
             let mut search = Search::new(&trials, settings).expect("possible settings");
             [Rule::Quantile, Rule::MeanCi].map(|rule| search.find(rule).t_star())
         });

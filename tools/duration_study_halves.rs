@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use surfaced::duration::{
-    CORRELATION, Estimator, PooledSettings, Question, Rule, Settings, SourceDuration, report,
+    Algorithm1Settings, CORRELATION, Estimator, PooledSettings, Question, Rule, SourceDuration,
+    report,
 };
 use surfaced::kernel::Threshold;
 use surfaced::library::Library;
@@ -28,11 +29,11 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
         Library { entries, ..library.clone() }
     };
     let algorithm1 = |rule| {
-        Estimator::Algorithm1(Settings {
+        Estimator::Algorithm1(Algorithm1Settings {
             rule,
             threshold: Threshold::Gamma,
             largest_lag: 5512,
-            ..Settings::default()
+            ..Algorithm1Settings::default()
         })
     };
     let estimators = [

@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut intake = Intake::new(wanted.clone(), 10_000);
         intake.feed(&hello, 0.0, |_| {});
         for part in line.chunks(4096) {
-            intake.feed(part, 0.0, |heard| match heard {
+            intake.feed(part, 0.0, |found| match found {
                 IntakeEvent::Frames { stream, samples } => lost += sinks[stream].push(samples),
                 IntakeEvent::Missing { frames, .. } => lost += frames,
                 _ => lost += 1,

@@ -128,7 +128,7 @@ fn prepare(dir: &Path) -> Result<Vec<Trial>, Failed> {
     Ok(scans)
 }
 
-/// Drags over one surface after the other, until `done`; tells how late it was at most, in seconds.
+/// Drags over one surface after the other, until `done`; gives how late it was at most, in seconds.
 fn sample(link: &Path, scans: &[Trial], done: &AtomicBool) -> Result<f64, String> {
     let mut noise = Noise(1);
     let tape: Vec<Sample> =
@@ -176,11 +176,11 @@ impl Station {
             .ok_or("surfaced serves nowhere")?;
         std::thread::spawn(move || said.map_while(Result::ok).for_each(|line| eprintln!("{line}")));
         let lines = Arc::<Mutex<Vec<f64>>>::default();
-        let (out, tell) = (child.stdout.take().ok_or("no stdout")?, lines.clone());
+        let (out, latencies) = (child.stdout.take().ok_or("no stdout")?, lines.clone());
         std::thread::spawn(move || {
             for line in BufReader::new(out).lines().map_while(Result::ok) {
                 let json: Value = serde_json::from_str(&line).unwrap_or_default();
-                if let (Some(ms), Ok(mut all)) = (json["latency_ms"].as_f64(), tell.lock()) {
+                if let (Some(ms), Ok(mut all)) = (json["latency_ms"].as_f64(), latencies.lock()) {
                     all.push(ms);
                 }
             }

@@ -104,12 +104,12 @@ fn compare_trials(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        tell(&report, args.alpha);
+        show(&report, args.alpha);
     }
     Ok(())
 }
 
-fn tell(report: &Report, alpha: f64) {
+fn show(report: &Report, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
     result!("A  {}\nB  {}{mark}\n", report.a, report.b);
     result!("source     score n·MMD²    MMD²          σ             κ             p");

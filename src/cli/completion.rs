@@ -1,9 +1,8 @@
 //! `surfaced completion`: what a shell needs to complete commands, made from their definitions.
 
-use clap::CommandFactory;
 use clap_complete::Shell;
 
-use super::{Cli, Done};
+use super::common::Done;
 
 /// Print what a shell needs to complete commands and options
 #[derive(clap::Args)]
@@ -19,10 +18,10 @@ pub struct Args {
     shell: Shell,
 }
 
-/// Runs the command.
-pub fn run(args: &Args) -> Done {
+/// Runs the command, for a program of these commands.
+pub fn run(args: &Args, mut program: clap::Command) -> Done {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "surfaced", &mut script);
+    clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);
     // A reader that has gone away wants no more.
     Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
 }

@@ -1,7 +1,7 @@
 //! `surfaced devices`: what is plugged in, by names that stay, and what is wrong with each.
 
 use super::{Done, Failure, show};
-use crate::device::list::{self, Listed};
+use crate::device::list::{self, ListedDevice};
 
 /// List serial ports, microphones and cameras with stable ids, and what is wrong with each
 #[derive(clap::Args)]
@@ -26,13 +26,13 @@ struct Inventory {
 struct DeviceClass {
     /// Whether this build has the drivers for them.
     built: bool,
-    devices: Vec<Listed>,
+    devices: Vec<ListedDevice>,
     /// Why the list is empty although there may be some; what to do.
     problem: Option<String>,
 }
 
 impl DeviceClass {
-    fn of<E: std::fmt::Display>(listed: Result<Vec<Listed>, E>) -> Self {
+    fn of<E: std::fmt::Display>(listed: Result<Vec<ListedDevice>, E>) -> Self {
         match listed {
             Ok(devices) => Self { built: true, devices, problem: None },
             Err(error) => {
@@ -106,7 +106,7 @@ fn show_class(name: &str, class: &DeviceClass) {
         None => {}
     }
     for device in &class.devices {
-        let Listed { id, name, node, problem } = device;
+        let ListedDevice { id, name, node, problem } = device;
         let node = match node {
             Some(node) if node != id => format!(" (now {node})"),
             _ => String::new(),

@@ -25,7 +25,7 @@ use crate::scene::SourceId;
 /// Find how long to drag, and T*, the minimum time between independent samples
 ///
 /// How long: the earliest time by which the library's own trials, each left out in turn, are named
-/// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to tell
+/// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to say
 /// what the first did not.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced duration lib\n  \

@@ -16,7 +16,7 @@ use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolledOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
+    EnrolmentOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
     UnknownOutcome, enrol, folds,
 };
 use crate::library::lock::LibraryLock;
@@ -216,7 +216,7 @@ fn measured(
     let measured = run.measure()?;
     let enrolled = match args.enrolled {
         0 => None,
-        count => Some(EnrolledOutcome::of(&run, &measured, before, count)?),
+        count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
     };
     Ok(Report {
         outcome: measured.outcome,

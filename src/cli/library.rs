@@ -10,7 +10,7 @@ use super::plan::ComparingArgs;
 use super::{Done, Failure, check, show};
 use crate::evaluate::{TrialCheck, TrialVerdict};
 use crate::library::lock::LibraryLock;
-use crate::record::edit::{self, Editor, Listed, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
@@ -138,7 +138,7 @@ fn done(library: &Path, step: &Step) {
 #[derive(Serialize)]
 struct Row {
     #[serde(flatten)]
-    listed: Listed,
+    listed: ListedTrial,
     /// What it is named when it is left out; absent with `--quick`.
     verdict: Option<TrialVerdict>,
     named: Option<String>,
@@ -159,7 +159,7 @@ fn list(args: &ListArgs) -> Done {
         checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
     }
     drop(lock);
-    let row = |listed: Listed| {
+    let row = |listed: ListedTrial| {
         let of = checked.remove(&listed.key);
         let (verdict, flaws) =
             (of.as_ref().map(|of| of.verdict), of.as_ref().map(|of| of.flaws.clone()));
@@ -176,7 +176,7 @@ fn list(args: &ListArgs) -> Done {
 }
 
 fn print(row: &Row) {
-    let Listed { trial, key, started_at, seconds, .. } = &row.listed;
+    let ListedTrial { trial, key, started_at, seconds, .. } = &row.listed;
     let verdict = match (row.verdict, &row.named) {
         (Some(TrialVerdict::Right), _) => "right".into(),
         (Some(TrialVerdict::Wrong), Some(named)) => format!("wrong: {named}"),

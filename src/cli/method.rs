@@ -5,8 +5,8 @@ use clap::builder::PossibleValue;
 
 use super::Failure;
 use crate::recognise::{
-    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, PositionMode, Precision,
-    ReferenceOptions, STAGES, TreeOptions,
+    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, PositionMode, ReferenceOptions, STAGES,
+    SumPrecision, TreeOptions,
 };
 
 /// A method's name on the command line.
@@ -163,14 +163,14 @@ impl MethodArgs {
                 Some(Positions::PerPair) => PositionMode::PerPair,
             },
             seed: self.seed,
-            precision: if self.exact { Precision::Oracle } else { Precision::Fast },
+            precision: if self.exact { SumPrecision::Oracle } else { SumPrecision::Fast },
             tabulate: !self.no_tables,
             halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
         }
     }
 }
 
-/// The options that ask for a method, as far as charts and people tell settings apart by them.
+/// The options that ask for a method, as far as charts and people distinguish settings by them.
 pub fn options_of(method: &MethodSpec) -> String {
     let mut options = format!("--method {}", method.name().as_str());
     if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {

@@ -11,6 +11,7 @@ mod bad_files;
 mod chart;
 mod check;
 mod choose;
+mod common;
 mod compare;
 mod completion;
 mod dependence;
@@ -42,15 +43,13 @@ mod synth;
 mod tally;
 mod terminal;
 
-use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use crate::dataset;
-use crate::library::Library;
-use crate::scene::{Scene, SourceId};
+use self::common::{Done, Failure, SourceArgs, open};
+use self::show::shown;
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
 #[derive(Parser)]
@@ -89,26 +88,6 @@ enum CliCommand {
     Completion(completion::Args),
 }
 
-/// How a command ended that did not do all of its work.
-#[derive(Debug)]
-pub(crate) enum Failure {
-    /// Exit code 1.
-    Failed(String),
-    /// Exit code 2.
-    Usage(String),
-    /// Exit code 3: done, but something in use was lost or damaged.
-    Damaged(String),
-}
-
-/// Anything that went wrong while working is a failure; wrong usage says so itself.
-impl<E: std::error::Error> From<E> for Failure {
-    fn from(error: E) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
-type Done = Result<(), Failure>;
-
 /// The exit code of [`Failure::Damaged`].
 const DAMAGED: u8 = 3;
 
@@ -134,7 +113,7 @@ pub fn run() -> ExitCode {
         CliCommand::Devices(args) => devices::run(&args),
         CliCommand::Export(args) => export::export(&args),
         CliCommand::Import(args) => export::import(&args),
-        CliCommand::Completion(args) => completion::run(&args),
+        CliCommand::Completion(args) => completion::run(&args, Cli::command()),
     };
     let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -146,40 +125,8 @@ pub fn run() -> ExitCode {
     ExitCode::from(code)
 }
 
-/// Which sources a comparison uses.
-#[derive(Clone, Debug, clap::Args)]
-pub(crate) struct SourceArgs {
-    /// Sources to compare, with commas between them (default: all that the data have)
-    #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
-    sources: Vec<SourceId>,
-}
-
-impl SourceArgs {
-    /// The scene with only the sources that were named.
-    fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
-        if self.sources.is_empty() {
-            return Ok(scene);
-        }
-        scene.only(&self.sources).map_err(|error| Failure::Usage(error.to_string()))
-    }
-}
-
-/// Opens recordings of any form, and says on stderr what was found.
-pub(crate) fn open(path: &Path) -> Result<Library, Failure> {
-    let library = dataset::open(path, &Scene::lmt108())?;
-    show::library(&library);
-    Ok(library)
-}
-
-/// A file that a person named, for messages.
-pub(crate) fn shown(path: &Path) -> String {
-    path.display().to_string()
-}
-
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     /// The commands of a page: indented lines that begin with `surfaced`, without their comments.

@@ -222,7 +222,7 @@ fn play(args: &Args, how: &Comparing, stage: &Stage, reading: Option<LibraryLock
 }
 
 /// What names the queries, each by the library of its fold, and whether it follows scans while they
-/// go on; tells people what its answers rest on.
+/// go on; says what its answers rest on.
 fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser, bool), Failure> {
     let models = models(&*how.method.build(&stage.scene), stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();

@@ -6,7 +6,6 @@ use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::shown;
 use crate::evaluate::LeftOut;
 use crate::library::Library;
 use crate::station::{Answer, AnswerState};
@@ -138,4 +137,9 @@ impl Drop for Steps {
             bar.finish_and_clear();
         }
     }
+}
+
+/// A file that a person named, for messages.
+pub(super) fn shown(path: &Path) -> String {
+    path.display().to_string()
 }

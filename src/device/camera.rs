@@ -22,10 +22,10 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 pub use flash::{Flash, FlashControl, FlashLine, Shutter};
 pub use frame::{Frame, FrameError, FrameFormat, Rgb};
 pub use reader::{Frames, Video};
-pub use upright::{Turn, upright};
+pub use upright::{Region, Turn, upright};
 #[cfg(feature = "camera")]
 pub use v4l::{V4l, cameras};
-pub use viewfinder::{CameraView, FlashState, Region, Viewfinder};
+pub use viewfinder::{CameraView, FlashState, Viewfinder};
 
 use self::flash::{Cycle, Light};
 use self::reader::{ControlRequest, News};

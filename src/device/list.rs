@@ -11,7 +11,7 @@ use serialport::SerialPortType;
 
 /// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Listed {
+pub struct ListedDevice {
     /// Names it in a configuration. It stays the same when something else is plugged in, unless
     /// `problem` says otherwise.
     pub id: String,
@@ -27,17 +27,18 @@ pub struct Listed {
 ///
 /// # Errors
 /// If the system refuses the list.
-pub fn serial_ports() -> Result<Vec<Listed>, serialport::Error> {
+pub fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
     // The crate relies on this folder.
     if !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
     }
-    let mut ports: Vec<Listed> = serialport::available_ports()?.iter().map(serial_port).collect();
+    let mut ports: Vec<ListedDevice> =
+        serialport::available_ports()?.iter().map(serial_port).collect();
     ports.sort_by(|a, b| a.id.cmp(&b.id));
     Ok(ports)
 }
 
-fn serial_port(port: &serialport::SerialPortInfo) -> Listed {
+fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
     let node = Path::new(&port.port_name);
     let (id, name, stays) = match &port.port_type {
         SerialPortType::UsbPort(usb) => {
@@ -56,7 +57,7 @@ fn serial_port(port: &serialport::SerialPortInfo) -> Listed {
         let text = "it has no name that stays (no udev?); its number may change at the next plug";
         (!stays).then(|| text.to_string())
     };
-    Listed {
+    ListedDevice {
         id: id.display().to_string(),
         name: name.trim_end().to_string(),
         problem: node_problem(node, "dialout").or_else(unstable),

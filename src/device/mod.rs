@@ -6,6 +6,7 @@
 
 pub mod camera;
 mod control;
+mod error;
 pub mod list;
 mod mark;
 pub mod microphone;
@@ -15,12 +16,13 @@ pub mod serial;
 
 pub use camera::Camera;
 pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
+pub use error::DeviceError;
 pub use mark::{Begin, Mark, Open};
 pub use microphone::Microphone;
 pub use open::OpenError;
 pub use replay::{Replay, Speed};
 
-use crate::ring::{Sink, Stopped};
+use crate::ring::Sink;
 use crate::scene::SourceId;
 
 /// A source of streams.
@@ -68,15 +70,4 @@ pub enum StreamKind {
     },
     /// Pictures.
     Images,
-}
-
-/// Why a device cannot continue.
-#[derive(Debug, thiserror::Error)]
-pub enum DeviceError {
-    /// a stop was requested while it waited; no failure
-    #[error(transparent)]
-    Stopped(#[from] Stopped),
-    /// what is wrong, and what to do
-    #[error("{0}")]
-    Failed(String),
 }

@@ -4,15 +4,16 @@
 //! progress together in time. A recording carries its marks, and these override any detection.
 
 mod player;
+mod speed;
 
-use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
-use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
 use self::player::Player;
+use self::speed::SPEEDS;
+pub use self::speed::Speed;
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::library::{Entry, LibraryError};
 use crate::ring::{Sink, Stopped};
@@ -21,34 +22,6 @@ use crate::trial::Trial;
 
 /// Sizes the ring of a source whose rate the scene leaves open.
 const ANY_RATE_HZ: f64 = 44_100.0;
-
-/// Bounds of a speed: slower, nothing would ever come; faster, no clock can tell.
-const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
-
-/// How fast a recording is played.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Speed {
-    /// This many times as fast as it was recorded, from 0.001 to 10 000; what the session does not take is lost.
-    RealTime(f64),
-    /// As fast as the session takes it; nothing is lost.
-    Max,
-}
-
-impl FromStr for Speed {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.parse::<f64>() {
-            _ if text == "max" => Ok(Self::Max),
-            Ok(factor) if SPEEDS.contains(&factor) => Ok(Self::RealTime(factor)),
-            _ => Err(format!(
-                "`{text}` is no speed; expected a number from {} to {}, or `max`",
-                SPEEDS.start(),
-                SPEEDS.end()
-            )),
-        }
-    }
-}
 
 /// Plays trials, one after the other.
 #[derive(Debug)]
@@ -154,7 +127,17 @@ impl Device for Replay {
                 }
             };
             control.state(DeviceState::Streaming, "");
-            Player { replay: self, sinks, control, due: Instant::now() }.play(trial)?;
+            let player = Player {
+                specs: &self.specs,
+                speed: self.speed,
+                chunk_s: self.chunk_s,
+                pause_s: self.pause_s,
+                synthetic: self.synthetic,
+                sinks,
+                control,
+                due: Instant::now(),
+            };
+            player.play(trial)?;
         }
         Ok(())
     }

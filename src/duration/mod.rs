@@ -17,7 +17,7 @@
 //! Two samples T* apart depend on each other no more than those of a Gaussian process with a
 //! correlation of 0.1 do: they are fresh evidence about the surface. This holds for any source that
 //! is a series in time, whatever it is compared by. Where that is the spectrum, T* is no distance of
-//! bins: it says how far apart two pieces of one drag must lie for the second to tell what the first
+//! bins: it says how far apart two pieces of one drag must lie for the second to say what the first
 //! did not, and how many such pieces a drag holds. Images, and taps, which are over before they
 //! repeat themselves, have no T*.
 //!
@@ -45,11 +45,13 @@ mod report;
 pub mod simulate;
 mod trials;
 
-pub use algorithm1::{CurvePoint, Estimate, Outcome, Rule, Search, Settings, t_star};
+pub use algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule, Search, t_star};
 pub use figure::{AccuracyCurve, figure};
 pub use need::{SAMPLES, START_S, ScanNeed, Second, worth};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};
-pub use pooled::{Answer, CORRELATION, Dependence, PooledEstimate, VALUES, at_needed_rate};
+pub use pooled::{
+    CORRELATION, PooledAnswer, PooledDependence, PooledEstimate, VALUES, at_needed_rate,
+};
 pub use report::{
     ByRule, DurationReport, Estimator, PooledRow, PooledSettings, Question, ReportError,
     SceneDuration, SourceDuration, report,

@@ -309,7 +309,9 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     }
     if keys.len() < FOR_UNKNOWN {
         let n = FOR_UNKNOWN - keys.len();
-        advice.push(format!("{n} more trials tell unknown surfaces at 1 % false rejections"));
+        advice.push(format!(
+            "{n} more trials let unknown surfaces be recognised at 1 % false rejections"
+        ));
     }
     advice
 }

@@ -39,7 +39,7 @@ fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
 /// Answers with a user's own first trials in the library, and without, to the same queries. Shares
 /// are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct EnrolledOutcome {
+pub struct EnrolmentOutcome {
     /// Trials of each surface that the user enrolled.
     pub trials: usize,
     /// Share of queries named right with them.
@@ -54,7 +54,7 @@ pub struct EnrolledOutcome {
     pub gain: f64,
 }
 
-impl EnrolledOutcome {
+impl EnrolmentOutcome {
     /// Measures without enrolled trials what `with` was measured with. `before` are the folds from
     /// which those of the run came by [`enrol`].
     ///
@@ -141,7 +141,7 @@ mod tests {
         let method = MethodSpec::from(MethodName::Knn).build(&scene);
         let run = evaluation.prepare(&*method).unwrap();
         let measured = run.measure().unwrap();
-        let outcome = EnrolledOutcome::of(&run, &measured, &before, 1).unwrap();
+        let outcome = EnrolmentOutcome::of(&run, &measured, &before, 1).unwrap();
         assert_eq!((measured.outcome.queries, outcome.accuracy), (4, 1.0));
         assert_eq!((outcome.accuracy_without, outcome.gain), (0.5, 0.5));
     }

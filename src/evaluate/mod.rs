@@ -1,13 +1,14 @@
 //! How well a method names surfaces: protocols, folds, accuracies.
 //!
 //! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
-//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolledOutcome`] measure
+//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure
 //! what else there is to know of a run; [`chart`], [`plan`], [`stress`] and [`paper`] are studies of
 //! many runs.
 
 pub mod chart;
 mod check;
 mod enrolled;
+mod error;
 mod evaluation;
 mod fold;
 mod loudness;
@@ -19,7 +20,8 @@ pub mod stress;
 mod unknown;
 
 pub use check::{CheckReport, SurfaceCheck, TrialCheck, TrialVerdict, check};
-pub use enrolled::{EnrolledOutcome, enrol};
+pub use enrolled::{EnrolmentOutcome, enrol};
+pub use error::EvaluateError;
 pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
 pub use fold::{Fold, Protocol, folds};
 pub use loudness::Loudness;
@@ -29,44 +31,3 @@ pub use outcome::{
 };
 pub use settled::{SettledOutcome, follow};
 pub use unknown::UnknownOutcome;
-
-use crate::recognise::{RecogniseError, RejectionError};
-use crate::scene::SceneError;
-
-/// Why an evaluation cannot be done.
-#[derive(Debug, thiserror::Error)]
-pub enum EvaluateError {
-    /// the data do not hold what the protocol needs
-    #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
-    Protocol {
-        /// its name
-        protocol: &'static str,
-        /// what it needs
-        needs: &'static str,
-        /// what was found
-        found: String,
-        /// the protocol that fits the data, if one does
-        fits: String,
-    },
-    /// every query was enrolled
-    #[error("no user has more than {count} trial(s) of a surface, so none is left to name")]
-    AllEnrolled {
-        /// trials of each surface that were to be enrolled
-        count: usize,
-    },
-    /// a trial cannot be compared
-    #[error(transparent)]
-    Recognise(#[from] RecogniseError),
-    /// a source that the data do not describe
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// unknown surfaces cannot be recognised
-    #[error(transparent)]
-    Rejection(#[from] RejectionError),
-    /// a method that says nothing before the end of a scan
-    #[error("the method {method} cannot follow a scan in progress")]
-    Follow {
-        /// the method
-        method: &'static str,
-    },
-}

@@ -6,10 +6,12 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock};
 
+use super::error::HistoryError;
 use super::log::Log;
-use super::{HistoryError, SCANS};
 use crate::library::{ABOUT_FILE, About};
 
+/// Name of the folder of scans.
+pub(super) const SCANS: &str = "scans";
 /// Name of the log.
 const LOG: &str = "answers.jsonl";
 

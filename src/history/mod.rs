@@ -14,6 +14,7 @@
 mod bands;
 mod csv;
 mod entries;
+mod error;
 mod file;
 mod keeper;
 mod log;
@@ -22,6 +23,7 @@ mod view;
 
 pub use self::csv::CsvWriter;
 pub use bands::{Bands, bands};
+pub use error::HistoryError;
 pub use keeper::Keeper;
 pub use review::{Correction, Precision, precision};
 pub use view::{View, four_digits, jpeg};
@@ -32,15 +34,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde_json::Value;
 
 use self::entries::{Entry, Inner, Text};
-use self::file::Disk;
+use self::file::{Disk, SCANS};
 use self::log::{Head, Line};
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
 /// Answers that are remembered where none is written to disk.
 const IN_MEMORY: usize = 1000;
-/// Name of the folder of scans.
-const SCANS: &str = "scans";
 /// Name of the history's folder, in that of the library that names its scans.
 pub const FOLDER: &str = ".history";
 /// Name of the file that says why a scan was named as it was, in the scan's folder.
@@ -49,38 +49,6 @@ pub const NOTES: &str = ".why.json";
 /// Name of the nearest trial's picture of a source, in the scan's folder.
 pub fn nearest_picture(source: &SourceId) -> String {
     format!(".nearest-{source}.jpg")
-}
-
-/// Why scans cannot be kept, read or corrected.
-#[derive(Debug, thiserror::Error)]
-pub enum HistoryError {
-    /// the file system said no
-    #[error("{}: {error}", path.display())]
-    Io {
-        /// the file or folder
-        path: PathBuf,
-        /// what the file system said
-        error: std::io::Error,
-    },
-    /// another program keeps its scans there
-    #[error("{}: another surfaced keeps its scans here", .0.display())]
-    InUse(PathBuf),
-    /// no such scan
-    #[error("there is no scan {0}")]
-    NoScan(String),
-    /// a scan whose signals have made room for newer ones
-    #[error("the signals of scan {0} are no longer kept")]
-    NoSignals(String),
-    /// the trial of a scan cannot be read or written
-    #[error(transparent)]
-    Library(#[from] crate::library::LibraryError),
-}
-
-impl HistoryError {
-    fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_path_buf();
-        |error| Self::Io { path, error }
-    }
 }
 
 /// All answers and scans that are kept.

@@ -1,5 +1,5 @@
 //! The Hilbert–Schmidt independence criterion of two sets of paired samples, and the threshold
-//! that tells dependence from chance.
+//! that separates dependence from chance.
 //!
 //! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4;
 //! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a

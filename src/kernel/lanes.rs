@@ -5,24 +5,14 @@
 //! polynomial that the compiler vectorises, for AVX2 with FMA, for NEON, or for what the target has.
 //! Lanes add up one row at a time and rows in f64.
 //!
-//! Relative error of a sum, beside that of the coordinates: below 9e-7 for every single kernel value
-//! 2^(−q/16) of note ([`Quality::Fine`]: 3e-7), with 4e-9·q more far out, and in several channels
-//! 5e-9·(‖a‖² + ‖b‖²) more; of changing sign, so that sums over spread-out samples are good to 2e-7
-//! (tested). Sums never are NaN.
+//! Relative error of a sum, beside that of the coordinates: below 3e-7 for every single kernel value
+//! 2^(−q/16), with 4e-9·q more far out; of changing sign, so that sums over spread-out samples are
+//! good to 2e-7 (tested). Sums never are NaN.
 
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;
 
 use super::padded_points::{LANES, PaddedPoints};
-
-/// How well each kernel value is computed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quality {
-    /// To 9e-7, and more for values 2^(−q/16) far out: see the module.
-    Quick,
-    /// To 3e-7, and as much more far out; for sums that are not compared with others of their kind.
-    Fine,
-}
 
 /// A set of instructions that sums are written for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,76 +40,48 @@ impl InstructionSet {
 ///
 /// # Panics
 /// If the sets differ in their number of channels.
-pub fn lane_sum(a: &PaddedPoints, b: &PaddedPoints, quality: Quality) -> f64 {
-    lane_sum_with(InstructionSet::available()[0], a, b, quality)
+pub fn lane_sum(a: &PaddedPoints, b: &PaddedPoints) -> f64 {
+    lane_sum_with(InstructionSet::available()[0], a, b)
 }
 
 /// The same over all pairs of one set's points, for little more than half the work.
-pub fn lane_self_sum(a: &PaddedPoints, quality: Quality) -> f64 {
-    lane_self_sum_with(InstructionSet::available()[0], a, quality)
+pub fn lane_self_sum(a: &PaddedPoints) -> f64 {
+    lane_self_sum_with(InstructionSet::available()[0], a)
 }
 
 /// [`lane_sum`] with given instructions; those that the machine lacks are replaced.
-pub fn lane_sum_with(
-    set: InstructionSet,
-    a: &PaddedPoints,
-    b: &PaddedPoints,
-    quality: Quality,
-) -> f64 {
+pub fn lane_sum_with(set: InstructionSet, a: &PaddedPoints, b: &PaddedPoints) -> f64 {
     assert_eq!(a.channels, b.channels, "points of equal channels");
-    dispatch::<false>(set, a, b, quality)
+    dispatch::<false>(set, a, b)
 }
 
 /// [`lane_self_sum`] with given instructions; those that the machine lacks are replaced.
-pub fn lane_self_sum_with(set: InstructionSet, a: &PaddedPoints, quality: Quality) -> f64 {
-    dispatch::<true>(set, a, a, quality)
+pub fn lane_self_sum_with(set: InstructionSet, a: &PaddedPoints) -> f64 {
+    dispatch::<true>(set, a, a)
 }
 
-fn dispatch<const SELF: bool>(
-    set: InstructionSet,
-    a: &PaddedPoints,
-    b: &PaddedPoints,
-    quality: Quality,
-) -> f64 {
+fn dispatch<const SELF: bool>(set: InstructionSet, a: &PaddedPoints, b: &PaddedPoints) -> f64 {
     match a.channels {
-        1 => of_channels::<1, SELF>(set, a, b, quality),
-        2 => of_channels::<2, SELF>(set, a, b, quality),
-        3 => of_channels::<3, SELF>(set, a, b, quality),
-        4 => of_channels::<4, SELF>(set, a, b, quality),
+        1 => of_channels::<1, SELF>(set, a, b),
+        2 => of_channels::<2, SELF>(set, a, b),
+        3 => of_channels::<3, SELF>(set, a, b),
+        4 => of_channels::<4, SELF>(set, a, b),
         // Never filled.
         _ => 0.0,
     }
-}
-
-/// Whether no point lies far out, and none is filling.
-#[cfg(target_arch = "x86_64")]
-fn is_near(points: &PaddedPoints) -> bool {
-    points.points.is_multiple_of(LANES) && -points.farthest <= super::simd::NEAREST
 }
 
 fn of_channels<const C: usize, const SELF: bool>(
     set: InstructionSet,
     a: &PaddedPoints,
     b: &PaddedPoints,
-    quality: Quality,
 ) -> f64 {
     let (rows, from, to) = (a.points, a.channels::<C>(), b.channels::<C>());
     #[cfg(target_arch = "x86_64")]
     if set == InstructionSet::Avx512 && super::simd::is_available() {
-        use super::simd::{FAR, FINE, NEAR, Points, sum};
-        let of_a = Points { channels: from, minus_norms: &a.minus_norms };
-        let of_b = Points { channels: to, minus_norms: &b.minus_norms };
-        let is_near = !SELF && is_near(a) && is_near(b);
         // SAFETY: the machine has what `sum` asks for, as `is_available` has just found.
-        return unsafe {
-            match quality {
-                Quality::Fine => sum::<C, FINE, SELF>(of_a, rows, of_b),
-                Quality::Quick if is_near => sum::<C, NEAR, false>(of_a, rows, of_b),
-                Quality::Quick => sum::<C, FAR, SELF>(of_a, rows, of_b),
-            }
-        };
+        return unsafe { super::simd::sum::<C, SELF>(from, rows, to) };
     }
-    let _ = quality;
     let slices: (&[&[f32]], &[&[f32]]) = (&from, &to);
     match (C, set == InstructionSet::Portable) {
         (1, true) => portable_sum::<1, SELF, false>(narrow(slices.0), rows, narrow(slices.1)),

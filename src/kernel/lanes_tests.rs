@@ -41,20 +41,17 @@ fn exp2_is_good_to_2e_7() {
 }
 
 #[test]
-fn every_single_value_is_good_to_its_quality() {
+fn every_single_value_is_good_to_3e_7() {
     for &set in InstructionSet::available() {
-        for (quality, bound) in [(Quality::Quick, 9e-7), (Quality::Fine, 3e-7)] {
-            for i in 0..40_000 {
-                let (mut a, mut b) = (PaddedPoints::default(), PaddedPoints::default());
-                let x = f64::from(i as f32 * 1.1e-3);
-                // 16 points: no filling, so that both ways of bounding the distance are met.
-                a.fill(1, 1.0, |_| [0.0].into_iter());
-                b.fill(1, 1.0, |_| [x; 16].into_iter());
-                let error = lane_sum_with(set, &a, &b, quality) / plain_sum(&a, &b) - 1.0;
-                // Far out, rounding q = x² in f32 weighs more than the polynomial.
-                let bound = bound + 4e-9 * x * x;
-                assert!(error.abs() < bound, "{set:?} {quality:?} at {x}: {error:e}");
-            }
+        for i in 0..40_000 {
+            let (mut a, mut b) = (PaddedPoints::default(), PaddedPoints::default());
+            let x = f64::from(i as f32 * 1.1e-3);
+            a.fill(1, 1.0, |_| [0.0].into_iter());
+            b.fill(1, 1.0, |_| [x; 16].into_iter());
+            let error = lane_sum_with(set, &a, &b) / plain_sum(&a, &b) - 1.0;
+            // Far out, rounding q = x² in f32 weighs more than the polynomial.
+            let bound = 3e-7 + 4e-9 * x * x;
+            assert!(error.abs() < bound, "{set:?} at {x}: {error:e}");
         }
     }
 }
@@ -71,8 +68,10 @@ fn with_several_channels_every_value_is_good_to_what_its_distance_from_the_centr
                 let (mut a, mut b) = (PaddedPoints::default(), PaddedPoints::default());
                 a.fill(channels, 1.0, |c| [place(0, c); 16].into_iter());
                 b.fill(channels, 1.0, |c| [place(0, c) + 0.4 * place(7, c); 16].into_iter());
-                let error = lane_sum_with(set, &a, &b, Quality::Quick) / plain_sum(&a, &b) - 1.0;
-                let squared = -f64::from(a.minus_norms[0] + b.minus_norms[0]);
+                let error = lane_sum_with(set, &a, &b) / plain_sum(&a, &b) - 1.0;
+                let squared: f64 = (0..channels)
+                    .map(|c| place(0, c).powi(2) + (place(0, c) + 0.4 * place(7, c)).powi(2))
+                    .sum();
                 let bound = 9e-7 + 5e-9 * squared;
                 assert!(error.abs() < bound, "{set:?} {channels} at {squared}: {error:e}");
             }
@@ -83,18 +82,15 @@ fn with_several_channels_every_value_is_good_to_what_its_distance_from_the_centr
 #[test]
 fn sums_over_spread_out_points_are_good_to_2e_7() {
     for &set in InstructionSet::available() {
-        for quality in [Quality::Quick, Quality::Fine] {
-            for channels in 1..=4 {
-                // At 400 but a few pairs are in reach, and errors hardly average out.
-                for (spread, bound) in
-                    [(3.0, 2e-7), (9.0, 2e-7), (14.0, 2e-7), (30.0, 2e-7), (400.0, 6e-7)]
-                {
-                    let (a, b) =
-                        (lanes(400, channels, spread, 0.0), lanes(384, channels, spread, 0.0));
-                    let error = lane_sum_with(set, &a, &b, quality) / plain_sum(&a, &b) - 1.0;
-                    let what = format!("{set:?} {quality:?} {channels} × {spread}: {error:e}");
-                    assert!(error.abs() < bound, "{what}");
-                }
+        for channels in 1..=4 {
+            // At 400 but a few pairs are in reach, and errors hardly average out.
+            for (spread, bound) in
+                [(3.0, 2e-7), (9.0, 2e-7), (14.0, 2e-7), (30.0, 2e-7), (400.0, 6e-7)]
+            {
+                let (a, b) = (lanes(400, channels, spread, 0.0), lanes(384, channels, spread, 0.0));
+                let error = lane_sum_with(set, &a, &b) / plain_sum(&a, &b) - 1.0;
+                let what = format!("{set:?} {channels} × {spread}: {error:e}");
+                assert!(error.abs() < bound, "{what}");
             }
         }
     }
@@ -106,11 +102,9 @@ fn a_self_sum_is_the_sum_with_itself() {
         for points in [1, 15, 16, 17, 90, 400] {
             for channels in 1..=4 {
                 let a = lanes(points, channels, 9.0, 0.0);
-                for quality in [Quality::Quick, Quality::Fine] {
-                    let half = lane_self_sum_with(set, &a, quality);
-                    let error = half / plain_sum(&a, &a) - 1.0;
-                    assert!(error.abs() < 4e-7, "{set:?} {points} × {channels}: {error:e}");
-                }
+                let half = lane_self_sum_with(set, &a);
+                let error = half / plain_sum(&a, &a) - 1.0;
+                assert!(error.abs() < 4e-7, "{set:?} {points} × {channels}: {error:e}");
             }
         }
     }
@@ -123,7 +117,7 @@ fn intrinsics_agree_with_plain_rust_on_lattices_and_outliers() {
             let mut a = lanes(400, channels, 20.0, step);
             let b = lanes(399, channels, 20.0, step);
             let all = |a: &PaddedPoints| {
-                let sum = |&set| lane_sum_with(set, a, &b, Quality::Quick);
+                let sum = |&set| lane_sum_with(set, a, &b);
                 InstructionSet::available().iter().map(sum).collect::<Vec<f64>>()
             };
             let sums = all(&a);
@@ -139,7 +133,7 @@ fn intrinsics_agree_with_plain_rust_on_lattices_and_outliers() {
 fn far_points_add_nothing() {
     let one = lanes(1, 1, 0.0, 0.0);
     for &set in InstructionSet::available() {
-        let sum = lane_sum_with(set, &one, &one, Quality::Fine);
+        let sum = lane_sum_with(set, &one, &one);
         assert!((sum - 1.0).abs() < 1e-9, "{sum}");
     }
 }

@@ -21,9 +21,7 @@ pub use hsic::{
     Dependence, FEWEST_PAIRS, HsicError, PERMUTATIONS, Threshold, centred, hsic_b, kernel_matrix,
     permuted, quantile_index, test_independence,
 };
-pub use lanes::{
-    InstructionSet, Quality, lane_self_sum, lane_self_sum_with, lane_sum, lane_sum_with,
-};
+pub use lanes::{InstructionSet, lane_self_sum, lane_self_sum_with, lane_sum, lane_sum_with};
 pub use length_scale::{MEDIAN_SUBSET, length_scale, length_scale_of};
 pub use line::LineSum;
 pub use mmd::{CrossSums, kernel_sum, mmd2_biased, mmd2_from_sums};

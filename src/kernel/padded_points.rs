@@ -1,8 +1,6 @@
 //! Points as the sums over lanes take them: channel after channel, centred, scaled, in f32, and
 //! filled up to whole lanes.
 
-use multiversion::multiversion;
-
 /// Values that are worked on together.
 pub(super) const LANES: usize = 16;
 
@@ -14,10 +12,6 @@ pub struct PaddedPoints {
     pub(super) channels: usize,
     /// Channel-major, `points` rounded up to whole lanes a channel.
     pub(super) values: Vec<f32>,
-    /// −‖x‖², filled up with zeros.
-    pub(super) minus_norms: Vec<f32>,
-    /// The least of these.
-    pub(super) farthest: f32,
 }
 
 /// A coordinate so far away that the kernel vanishes; its square still is a number.
@@ -51,37 +45,12 @@ impl PaddedPoints {
             self.values.extend(coordinates.map(scaled));
             self.values.resize(start + self.points.next_multiple_of(LANES), FAR);
         }
-        self.minus_norms.clear();
-        self.minus_norms.resize(self.points.next_multiple_of(LANES), 0.0);
-        let norms = &mut self.minus_norms[..self.points];
-        self.farthest = minus_norms(&self.values, norms);
     }
 
     pub(super) fn channels<const C: usize>(&self) -> [&[f32]; C] {
         let padded = self.points.next_multiple_of(LANES);
         std::array::from_fn(|c| &self.values[c * padded..(c + 1) * padded])
     }
-}
-
-/// −‖x‖² of points, whose channels are padded to whole lanes; returns the least.
-#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2+fma", "aarch64+neon"))]
-fn minus_norms(values: &[f32], norms: &mut [f32]) -> f32 {
-    let padded = norms.len().next_multiple_of(LANES);
-    let mut least = 0f32;
-    // In f64, block by block, and rounded once.
-    for (block, norms) in norms.chunks_mut(LANES).enumerate() {
-        let mut sums = [0f64; LANES];
-        for channel in values.chunks_exact(padded) {
-            for (sum, &x) in sums.iter_mut().zip(&channel[block * LANES..]) {
-                *sum -= f64::from(x) * f64::from(x);
-            }
-        }
-        for (norm, sum) in norms.iter_mut().zip(sums) {
-            *norm = sum as f32;
-            least = if *norm < least { *norm } else { least };
-        }
-    }
-    least
 }
 
 /// The factor on coordinates that turns exp(−d²/(2σ²)) into 2^(−d²/16).

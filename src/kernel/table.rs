@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_as_good_as_it_was_asked_to_be_or_absent() {
+    fn a_table_meets_its_tolerance_or_is_absent() {
         let uniform = |key: &str, channels| {
             let mut rng = rng(1, &[key.as_bytes()]);
             Array2::from_shape_fn((120, channels), |_| rng.random::<f64>() - 0.5)

@@ -7,7 +7,7 @@ use std::os::unix::fs::MetadataExt;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use super::{LibraryError, series_file};
+use super::{LibraryError, series_header};
 use crate::scene::SourceId;
 use crate::seed;
 
@@ -65,7 +65,7 @@ impl Listed {
         let extension = self.stem_and_extension().1;
         !self.is_dir
             && self.unusable.is_none()
-            && series_file::EXTENSIONS.contains(&extension.as_str())
+            && series_header::EXTENSIONS.contains(&extension.as_str())
     }
 
     /// The name without its extension, and the extension in lower case.

@@ -12,7 +12,7 @@ use symphonia_core::io::MediaSourceStream;
 
 use super::LibraryError;
 use super::files::{self, EMPTY_FILE};
-use super::series_file::{Header, too_long};
+use super::series_header::{Header, too_long};
 use crate::trial::Series;
 
 /// Reads a header.

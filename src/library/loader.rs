@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::series_file::{self, Header};
+use super::series_file;
+use super::series_header::Header;
 use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
 use crate::scene::{Domain, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};

@@ -12,6 +12,7 @@ mod picture;
 pub mod recording;
 pub(crate) mod seen;
 pub(crate) mod series_file;
+pub(crate) mod series_header;
 mod text;
 mod wav;
 

@@ -18,7 +18,7 @@ use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
 use super::loose;
 use super::seen::Seen;
-use super::series_file;
+use super::series_header;
 use super::{About, Entry, Library, LibraryError, Opened};
 use crate::scene::{Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED};
@@ -294,7 +294,7 @@ impl<'a> Opening<'a> {
     /// What one file of a trial is, if it is a source.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
-        let is_series = series_file::EXTENSIONS.contains(&extension.as_str());
+        let is_series = series_header::EXTENSIONS.contains(&extension.as_str());
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
         if item.is_hidden() || item.is_dir || !(picture || is_series) {
             return Ok(None);

@@ -12,7 +12,7 @@ use hound::{SampleFormat, WavReader};
 
 use super::LibraryError;
 use super::files::{self, EMPTY_FILE};
-use super::series_file::{Header, too_long};
+use super::series_header::{Header, too_long};
 use crate::trial::Series;
 
 /// Reads a header and checks that the file is long enough to hold what it promises.

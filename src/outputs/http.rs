@@ -13,7 +13,8 @@ use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 
-use super::{BackOff, HttpAddress, PATIENCE, QUEUE};
+use super::{BackOff, PATIENCE, QUEUE};
+use crate::station::config::HttpAddress;
 use crate::station::{End, Listener, StationEvent};
 
 /// How long one attempt may take.

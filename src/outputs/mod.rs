@@ -6,11 +6,9 @@
 //! answers are dropped, with a warning. Answers carry an `id` that stays, by which a receiver knows
 //! one that comes twice.
 
-mod address;
 mod http;
 mod mqtt;
 
-pub use address::{HttpAddress, MqttAddress};
 pub use http::HttpOutput;
 pub use mqtt::MqttOutput;
 

@@ -8,7 +8,8 @@ use std::time::Duration;
 use crossbeam_channel::bounded;
 use rumqttc::{Client, Connection, Event, MqttOptions, Outgoing, QoS};
 
-use super::{BackOff, MqttAddress, PATIENCE, QUEUE};
+use super::{BackOff, PATIENCE, QUEUE};
+use crate::station::config::MqttAddress;
 use crate::station::{End, Listener, StationEvent};
 
 /// How often something is sent on a silent line.

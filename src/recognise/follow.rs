@@ -1,4 +1,4 @@
-//! Following a scan while it goes on: what it looks like so far, and whether that will change.
+//! Following a scan in progress: what it looks like so far, and whether that will change.
 //!
 //! Scan time comes from the samples, never from a clock, and looks are taken at whole steps of it,
 //! so that neither the size of the pieces in which samples come nor the speed at which they are

@@ -43,9 +43,9 @@ pub use prepared::Prepared;
 pub use prepared_library::{PreparedLibrary, prepare_library};
 pub use rank::{Candidate, RankedSurface, Ranking, rank};
 pub use reference::{
-    DomainSamples, Extent, IMAGE_COLS, IMAGE_ROWS, PositionMode, Positions, Precision,
-    PreparedTrial, QuerySet, Reference, ReferenceModel, ReferenceOptions, SCORE_FLOOR, STAGES,
-    SampleScore, SampleSet, Scratch, Stage, draw_positions, image_grid, log_score, score_samples,
+    DomainExtent, DomainSamples, IMAGE_COLS, IMAGE_ROWS, PositionMode, Positions, PreparedTrial,
+    QuerySet, Reference, ReferenceModel, ReferenceOptions, SCORE_FLOOR, STAGES, SampleScore,
+    SampleSet, Scratch, Stage, SumPrecision, draw_positions, image_grid, log_score, score_samples,
     score_sets,
 };
 pub use shape::{LibraryShape, SourceShape};

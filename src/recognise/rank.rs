@@ -37,7 +37,7 @@ pub struct Ranking {
     /// Probability of the first surface, by a method that gives one.
     pub confidence: Option<f64>,
     /// Share of left-out library trials that fit their nearest surface no better than the query
-    /// fits the first (a conformal p-value), by a method and a library that can tell.
+    /// fits the first (a conformal p-value), by a method and a library that give one.
     #[serde(rename = "fit")]
     pub p_value: Option<f64>,
 }

@@ -8,13 +8,16 @@
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
-use super::{Meter, NAP, Stop, Stopped, Waker};
+use super::{Meter, Stop, Stopped, Waker};
 
+/// The longest time for which a waiting producer relies on being woken.
+const NAP: Duration = Duration::from_millis(2);
 /// Stretches under way at once; when they are more, the latest one grows instead.
 const STRETCHES: usize = 256;
 

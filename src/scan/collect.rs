@@ -15,10 +15,11 @@ use super::cut::cut;
 use super::event_queue::EventQueue;
 use super::layout::ScanCommand;
 use super::mark::Marked;
+use super::options::Options;
 use super::progress::{self, SnapshotLengths};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;
-use super::{Event, Options, Totals};
+use super::{Event, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 

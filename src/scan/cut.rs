@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Scan;
-use super::history::SeriesHistory;
+use super::history::{SeriesHistory, narrow};
 use super::mark::{Cut, Marked};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
@@ -114,12 +114,4 @@ fn cut_series(source: &SourceId, cut: &Cut, end: u64, history: &SeriesHistory) -
             Piece { signal: None, lost, spoiled }
         }
     }
-}
-
-/// The first `channels` of frames that have `wide` channels.
-pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
-    if wide == channels {
-        return samples.to_vec();
-    }
-    samples.chunks(wide).flat_map(|frame| &frame[..channels]).copied().collect()
 }

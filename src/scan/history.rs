@@ -144,6 +144,14 @@ impl ImageHistory {
     }
 }
 
+/// The first `channels` of frames that have `wide` channels.
+pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
+    if wide == channels {
+        return samples.to_vec();
+    }
+    samples.chunks(wide).flat_map(|frame| &frame[..channels]).copied().collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -12,6 +12,7 @@ mod group;
 mod history;
 mod layout;
 mod mark;
+mod options;
 mod progress;
 mod scan_detector;
 mod session;
@@ -20,8 +21,9 @@ mod timeline;
 
 pub use history::{ImageHistory, SeriesHistory};
 pub use layout::{CutFrom, Detection, ScanCommand};
+pub use options::Options;
 pub use progress::{Fresh, PartialScan, Progress, Trace};
-pub use session::{Options, Session, SessionError, StreamMeter};
+pub use session::{Session, SessionError, StreamMeter};
 
 use std::collections::BTreeMap;
 use std::time::Instant;

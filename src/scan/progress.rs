@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::cut::narrow;
+use super::history::narrow;
 use super::mark::{Cut, Marked};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
 use super::problem::Problem;
+use super::request::Shared;
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
 use super::{metrics, order, page, scans, shelf};
@@ -68,8 +69,6 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .layer(axum::middleware::from_fn_with_state(checks, guard))
         .with_state(hub)
 }
-
-pub type Shared = State<Arc<Hub>>;
 
 async fn state(State(hub): Shared) -> Response {
     Json(hub.lock().whole()).into_response()

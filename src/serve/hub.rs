@@ -13,9 +13,9 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
+use super::checks::{CheckView, Checks};
 use super::metrics::{Around, Metrics};
 use super::settings::{Settings, Shelf};
-use super::shelf::{CheckView, Checks};
 use super::spectrum;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};

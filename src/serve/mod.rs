@@ -13,6 +13,7 @@
 
 mod accept;
 mod api;
+mod checks;
 mod client;
 mod error;
 #[cfg(any(test, fuzzing))]
@@ -26,6 +27,7 @@ mod page;
 mod problem;
 mod rates;
 mod reporter;
+mod request;
 mod scans;
 mod server;
 mod settings;

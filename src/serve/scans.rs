@@ -12,10 +12,10 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::api::Shared;
 use super::hub::Hub;
 use super::label;
 use super::problem::Problem;
+use super::request::{Shared, aside, body};
 use super::settings::Shelf;
 use crate::history::{
     Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,
@@ -62,14 +62,6 @@ impl From<LibraryError> for Problem {
     fn from(error: LibraryError) -> Self {
         Self::Failed(error.to_string())
     }
-}
-
-/// Does what may wait for the disk, on another thread than the server's own.
-pub async fn aside<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
-) -> Result<T, Problem> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
 
 #[derive(Deserialize)]
@@ -238,17 +230,6 @@ impl Was {
             _ => Err(Problem::Bad("a scan was one of `surface`, `unknown` and `bad`".into())),
         }
     }
-}
-
-/// The body of a request as JSON; an empty one as `{}`.
-pub fn body<T: serde::de::DeserializeOwned>(
-    body: Result<Bytes, BytesRejection>,
-    expected: &str,
-) -> Result<T, Problem> {
-    let body = body?;
-    let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
-    serde_json::from_slice(text)
-        .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
 }
 
 async fn correct(

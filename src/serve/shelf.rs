@@ -1,6 +1,6 @@
 //! The library for programs and the page: its trials, edits of them, and its audit.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Bytes;
@@ -11,16 +11,14 @@ use axum::response::Json;
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::api::Shared;
+use super::checks::CheckView;
 use super::hub::Hub;
 use super::label;
 use super::problem::Problem;
-use super::scans::{aside, body};
-use super::settings::Audit;
+use super::request::{Shared, aside, body};
 use super::state::unix_ms;
-use crate::evaluate::CheckReport;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, Listed, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step};
 use crate::station::Command;
 
 /// Most trials of one edit.
@@ -40,8 +38,8 @@ pub fn router() -> Router<Arc<Hub>> {
 
 #[derive(Serialize)]
 struct Trials {
-    trials: Vec<Listed>,
-    removed: Vec<Listed>,
+    trials: Vec<ListedTrial>,
+    removed: Vec<ListedTrial>,
     /// The step that can be undone.
     undo: Option<Step>,
 }
@@ -128,39 +126,6 @@ async fn edited(
     // A station that is too busy for it leaves it to the operator.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
-}
-
-/// How the audit is.
-#[derive(Clone, Debug, Serialize)]
-pub struct CheckView {
-    /// `none`, `running`, `done` or `failed`.
-    state: &'static str,
-    /// Since when.
-    unix_ms: u64,
-    /// For people: why it failed.
-    problem: Option<String>,
-    /// What was found last.
-    report: Option<Arc<CheckReport>>,
-}
-
-/// Audits, one at a time.
-#[derive(Debug)]
-pub struct Checks {
-    audit: Option<Audit>,
-    view: Mutex<CheckView>,
-}
-
-impl Checks {
-    /// None has run yet.
-    pub fn new(audit: Option<Audit>) -> Self {
-        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
-        Self { audit, view: Mutex::new(view) }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, CheckView> {
-        // Each change is one assignment.
-        self.view.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 async fn check(State(hub): Shared) -> Json<CheckView> {

@@ -140,13 +140,13 @@ pub struct State {
     pub version: &'static str,
     /// When the server was started.
     pub started_unix_ms: u64,
-    /// Number of the scan that goes on.
+    /// Number of the scan in progress.
     pub scan: Option<u32>,
     /// Its part.
     pub phase: Option<Phase>,
     /// What to do now.
     pub advice: Advice,
-    /// How the scan that goes on looks so far.
+    /// How the scan in progress looks so far.
     pub guess: Option<Guess>,
     /// The last scan that was named.
     pub answer: Option<Arc<Answer>>,

@@ -67,7 +67,7 @@ fn doubts(case: &Case<'_>) -> Vec<String> {
     doubts
 }
 
-/// A probability with as many digits as tell.
+/// A probability with as many digits as mean something.
 fn digits(p: f64) -> String {
     if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
 }

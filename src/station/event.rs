@@ -1,6 +1,5 @@
 //! What a station reports, and the commands that it takes.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -8,10 +7,10 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::answer::{Answer, AnsweredScan, Unnamed};
+use super::library_state::LibraryState;
 use crate::device::DeviceState;
-use crate::library::Entry;
 use crate::scan::{StreamMeter, Totals, Trace};
-use crate::scene::{Phase, SourceId};
+use crate::scene::Phase;
 
 /// A surface and its probability.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -45,42 +44,6 @@ impl Guess {
     /// A scan of which nothing can be said yet.
     pub fn nothing(scan: u32, scan_s: f64) -> Self {
         Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None, enough: false }
-    }
-}
-
-/// The library that scans are compared with.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct LibraryState {
-    /// Its name, or its folder's.
-    pub name: String,
-    /// Its surfaces, sorted, with the number of trials of each.
-    pub surfaces: Vec<(String, usize)>,
-    /// Its sources.
-    pub sources: Vec<SourceId>,
-    /// Made by a generator, not measured.
-    pub synthetic: bool,
-    /// For people: why scans cannot be named with it, if they cannot.
-    pub problem: Option<String>,
-    /// For people: what answers rest on, a line each.
-    pub remarks: Vec<String>,
-}
-
-impl LibraryState {
-    /// The state of a library of these trials.
-    pub fn of(name: &str, entries: &[Entry], synthetic: bool) -> Self {
-        let (mut surfaces, mut sources) = (BTreeMap::new(), BTreeSet::new());
-        for entry in entries {
-            *surfaces.entry(entry.key.surface.clone()).or_insert(0) += 1;
-            sources.extend(entry.sources.iter().cloned());
-        }
-        Self {
-            name: name.to_string(),
-            surfaces: surfaces.into_iter().collect(),
-            sources: sources.into_iter().collect(),
-            synthetic,
-            problem: None,
-            remarks: Vec::new(),
-        }
     }
 }
 

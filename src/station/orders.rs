@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn the_stations_own_order_goes_on_after_each_other_one() {
+    fn the_stations_own_order_continues_after_each_other_one() {
         let mut orders = Orders::default();
         orders.set_own(keep("felt", None));
         assert_eq!(label(orders.claim(1)).as_deref(), Some("felt"));

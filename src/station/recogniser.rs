@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::answer::{Remark, RemarkKind};
-use super::event::LibraryState;
+use super::library_state::LibraryState;
+use super::remark::{Remark, RemarkKind};
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{

@@ -42,7 +42,7 @@ pub struct SourceSays {
     pub for_winner: Option<f64>,
     /// The surface that it would name alone.
     pub alone: Option<String>,
-    /// Whether it counts: sources that the library cannot tell how far to trust do not, where
+    /// Whether it counts: sources of which the library cannot say how far to trust them do not, where
     /// others can.
     pub counts: bool,
 }

@@ -173,7 +173,7 @@ impl ChannelFlaws {
 pub struct SeriesFlaws(Vec<ChannelFlaws>);
 
 impl SeriesFlaws {
-    /// Of a series of so many channels that has no frame yet.
+    /// Of a series of this many channels that has no frame yet.
     pub fn new(channels: usize) -> Self {
         Self(vec![ChannelFlaws::default(); channels])
     }

@@ -148,7 +148,7 @@ pub struct Surfaced {
 }
 
 impl Surfaced {
-    /// The next line of JSON, while the stylus goes on.
+    /// The next line of JSON, while the stylus keeps sending.
     pub fn line(&self, fake: &mut Fake) -> Value {
         let limit = Instant::now() + Duration::from_secs(60);
         loop {
@@ -165,7 +165,7 @@ impl Surfaced {
         self.said.lock().unwrap().clone()
     }
 
-    /// Waits until it has said this, while the stylus goes on.
+    /// Waits until it has said this, while the stylus keeps sending.
     pub fn until_said(&self, text: &str, mut fake: Option<&mut Fake>) {
         let limit = Instant::now() + Duration::from_secs(60);
         while !self.said().contains(text) {
@@ -183,7 +183,7 @@ impl Surfaced {
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
     }
 
-    /// Waits for its end, while the stylus goes on.
+    /// Waits for its end, while the stylus keeps sending.
     pub fn end(&mut self, fake: &mut Fake) -> ExitStatus {
         let limit = Instant::now() + Duration::from_secs(60);
         loop {

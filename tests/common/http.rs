@@ -26,7 +26,7 @@ pub const SOON: Duration = Duration::from_secs(20);
 #[derive(Clone, Copy)]
 pub struct Client(pub SocketAddr);
 
-/// A server on a free port, what it is told with, and what it orders.
+/// A server on a free port, what reports to it, and what it orders.
 pub struct Served {
     pub server: Server,
     client: Client,
@@ -60,7 +60,7 @@ pub fn serve(change: impl FnOnce(&mut Settings)) -> Served {
 }
 
 impl Served {
-    pub fn tell(&mut self, notices: impl IntoIterator<Item = StationEvent>) {
+    pub fn report(&mut self, notices: impl IntoIterator<Item = StationEvent>) {
         notices.into_iter().for_each(|notice| self.reporter.on_event(&notice));
     }
 }
@@ -163,7 +163,7 @@ impl Device for Stylus {
     }
 }
 
-/// The notices of a short session: a library, one scan named, one unknown, a third that goes on.
+/// The notices of a short session: a library, one scan named, one unknown, a third in progress.
 pub fn session() -> Vec<StationEvent> {
     let session = Session::start(vec![Box::new(Stylus)], Options::default()).unwrap();
     let meters = session.meters().to_vec();

@@ -1,4 +1,4 @@
-//! Trials that are played, and what a session told of them.
+//! Trials that are played, and what a session reported of them.
 
 use surfaced::device::{Device, DeviceState, Replay};
 use surfaced::library::Entry;
@@ -47,8 +47,8 @@ pub fn replay(trials: &[Trial]) -> Replay {
     Replay::new(&Scene::lmt108(), entries)
 }
 
-/// What a session told.
-pub struct Heard {
+/// What a session reported.
+pub struct Reported {
     pub scans: Vec<Scan>,
     pub so_far: Vec<(u32, f64, Trial)>,
     pub warnings: Vec<String>,
@@ -57,7 +57,7 @@ pub struct Heard {
 }
 
 /// Runs a device to its end.
-pub fn listen(device: impl Device + 'static, options: Options) -> Heard {
+pub fn listen(device: impl Device + 'static, options: Options) -> Reported {
     let session = Session::start(vec![Box::new(device)], options).unwrap();
     let (mut sum, mut scans, mut so_far) = (PartialScan::default(), Vec::new(), Vec::new());
     let (mut warnings, mut lost) = (Vec::new(), Vec::new());
@@ -77,7 +77,7 @@ pub fn listen(device: impl Device + 'static, options: Options) -> Heard {
         }
     }
     assert!(finished);
-    Heard { scans, so_far, warnings, lost, totals: session.wait().unwrap() }
+    Reported { scans, so_far, warnings, lost, totals: session.wait().unwrap() }
 }
 
 /// Whether scans hold the data of trials, and nothing else.

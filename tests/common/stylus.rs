@@ -15,7 +15,7 @@ pub const NAMES: [&str; 7] = ["acc_x", "acc_y", "acc_z", "fsr_1", "fsr_2", "ir",
 /// The value of a sample by its index and channel.
 pub type Values = Box<dyn Fn(u64, usize) -> i16 + Send>;
 
-/// A value that tells index and channel.
+/// A value that shows index and channel.
 pub fn value(index: u64, channel: usize) -> i16 {
     (index % 4000) as i16 * 7 + channel as i16
 }

@@ -199,7 +199,7 @@ pub fn measure() -> Option<[i16; STYLUS_CHANNELS]> {
 pub fn serve_uart<const R: usize, const T: usize>(received: &ByteRing<R>, line: &ByteRing<T>) {
     let uart = &peripherals().USART1;
     while uart.sr.read().rxne().bit_is_set() {
-        // Eight data bits. A byte too many is lost; the frame's checksum tells.
+        // Eight data bits. A byte too many is lost; the frame's checksum shows it.
         received.push(&[uart.dr.read().bits() as u8]);
     }
     while uart.sr.read().txe().bit_is_set() {

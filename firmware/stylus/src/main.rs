@@ -78,7 +78,7 @@ fn main() -> ! {
     }
 }
 
-/// Nothing can be told any more; a reset brings the stylus back with a new hello.
+/// Nothing can be reported any more; a reset brings the stylus back with a new hello.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     cortex_m::peripheral::SCB::sys_reset()

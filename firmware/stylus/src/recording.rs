@@ -32,7 +32,7 @@ pub struct Feed {
     file: usize,
     exit: bool,
     reported: bool,
-    told: bool,
+    printed: bool,
 }
 
 impl Feed {
@@ -54,11 +54,11 @@ impl Feed {
         line[end] = 0; // the call wants a zero at the end
         // SAFETY: SYS_OPEN reads the path of the length given; mode 1 is "rb".
         let file = unsafe { syscall!(OPEN, line.as_ptr().wrapping_add(start), 1, end - start) };
-        let mut feed = Self { file, exit, reported: false, told: false };
+        let mut feed = Self { file, exit, reported: false, printed: false };
         if end == start || file == usize::MAX {
             hprintln!("no recording");
             ENDED.store(true, Ordering::Relaxed);
-            feed.told = true;
+            feed.printed = true;
         }
         feed.refill();
         feed
@@ -74,7 +74,7 @@ impl Feed {
     ) {
         self.refill();
         let ended = ENDED.load(Ordering::Relaxed) && READ.free() == ROOM && !sampling.is_on();
-        if self.told || !ended {
+        if self.printed || !ended {
             return;
         }
         if !self.reported {
@@ -82,7 +82,7 @@ impl Feed {
             self.reported = true;
             stylus.report();
         } else if idle && line.free() == T {
-            self.told = true;
+            self.printed = true;
             hprintln!(
                 "frames_sent={} messages_sent={} overruns={} dropped={}",
                 stylus.samples_sent(),

@@ -1,7 +1,7 @@
 //! Settings of the published rules of `surfaced duration`.
 
 use crate::cli::method::at_least_one;
-use crate::duration::{Rule, Settings};
+use crate::duration::{Algorithm1Settings, Rule};
 use crate::kernel::Threshold;
 
 /// Settings of Algorithm 1, which its two rules share.
@@ -55,9 +55,9 @@ impl Algorithm1Args {
         .find_map(|(is_given, flag)| is_given.then_some(flag))
     }
 
-    pub fn settings(&self, rule: Rule) -> Settings {
-        let default = Settings::default();
-        Settings {
+    pub fn settings(&self, rule: Rule) -> Algorithm1Settings {
+        let default = Algorithm1Settings::default();
+        Algorithm1Settings {
             rule,
             draws: self.draws.unwrap_or(default.draws),
             latest_start: self.latest_start.unwrap_or(default.latest_start),

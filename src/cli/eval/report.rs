@@ -2,7 +2,7 @@
 
 use crate::cli::show;
 use crate::evaluate::{
-    EnrolledOutcome, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+    EnrolmentOutcome, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
 use crate::trial::TrialKey;
 
@@ -24,7 +24,7 @@ pub struct Report {
     pub unknown: Option<UnknownOutcome>,
     /// With `--enrolled`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub enrolled: Option<EnrolledOutcome>,
+    pub enrolled: Option<EnrolmentOutcome>,
     pub predictions: Vec<Answer>,
     /// For people: what was left out, and why, a line each.
     pub warnings: Vec<String>,
@@ -97,7 +97,7 @@ impl Report {
     }
 }
 
-fn print_enrolled(e: &EnrolledOutcome) {
+fn print_enrolled(e: &EnrolmentOutcome) {
     result!(
         "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
          ({} to {})",

@@ -103,7 +103,7 @@ fn numbers_text_and_cells_are_read_in_either_byte_order() {
 }
 
 #[test]
-fn the_first_bytes_of_an_element_tell_its_name_and_shape() {
+fn the_first_bytes_of_an_element_give_its_name_and_shape() {
     let w = Writer(Order::Little);
     let values: Vec<f64> = (0..2000).map(|i| f64::from(i).sin()).collect();
     let plain = w.doubles(&[1000, 2], "forceDrag_time", &values);

@@ -28,7 +28,7 @@ pub struct Embedded {
 
 /// The scene that is played where no data are given.
 ///
-/// A dozen surfaces that are easy to tell apart, but for three things that stations meet: two of
+/// A dozen surfaces that are easy to distinguish, but for three things that stations meet: two of
 /// them are almost alike, the library lacks a thirteenth, and a sensor is dead in one scan.
 pub fn embedded() -> Embedded {
     let size = Parameters { surfaces: SURFACES, trials: 4, users: 3, ..Parameters::default() };

@@ -20,7 +20,7 @@ pub struct Parameters {
     pub drag_seconds: f64,
     /// two surfaces that are almost alike
     pub twins: Option<Twins>,
-    /// how well sources tell surfaces apart, and how much hands differ
+    /// how well sources separate surfaces, and how much hands differ
     pub difficulty: Difficulty,
 }
 

@@ -213,7 +213,7 @@ fn the_calibrated_scene_is_harder_for_cameras_and_easier_for_taps_than_the_demon
 }
 
 #[test]
-fn between_users_of_the_calibrated_scene_reflectance_tells_little_without_the_shift() {
+fn between_users_of_the_calibrated_scene_reflectance_says_little_without_the_shift() {
     let [with, without] = [true, false].map(|shift| accuracy("ir", shift, Difficulty::lmt108()));
     assert!(with > without + 0.15, "{with} {without}");
 }

@@ -65,7 +65,7 @@ pub(super) enum Light {
 
 /// What to do about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Verdict {
+pub(super) struct FlashVerdict {
     pub light: Light,
     /// Switch the light now.
     pub switch: Option<bool>,
@@ -93,23 +93,25 @@ impl Cycle {
     }
 
     /// Judges a frame that arrived at `now`; `wanted` says whether a picture with flash is wanted.
-    pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> Verdict {
+    pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> FlashVerdict {
         let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
         match self.phase {
             Phase::Rising(since) if settled(since) => {
                 self.phase = Phase::Falling(now);
-                Verdict { light: Light::Flash, switch: Some(false) }
+                FlashVerdict { light: Light::Flash, switch: Some(false) }
             }
             Phase::Falling(since) if settled(since) => {
                 self.phase = Phase::Off;
-                Verdict { light: Light::Plain, switch: None }
+                FlashVerdict { light: Light::Plain, switch: None }
             }
-            Phase::Rising(_) | Phase::Falling(_) => Verdict { light: Light::Between, switch: None },
+            Phase::Rising(_) | Phase::Falling(_) => {
+                FlashVerdict { light: Light::Between, switch: None }
+            }
             Phase::Off if wanted() => {
                 self.phase = Phase::Rising(now);
-                Verdict { light: Light::Plain, switch: Some(true) }
+                FlashVerdict { light: Light::Plain, switch: Some(true) }
             }
-            Phase::Off => Verdict { light: Light::Plain, switch: None },
+            Phase::Off => FlashVerdict { light: Light::Plain, switch: None },
         }
     }
 

@@ -1,8 +1,22 @@
 //! The upright region of 320 × 480 pixels (wide × high) that is compared, out of any picture.
 
+use serde::Serialize;
+
 use super::Rgb;
-use super::viewfinder::Region;
 use crate::trial::Image;
+
+/// A part of a picture, in shares of its width and its height, from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Region {
+    /// Where it begins, from the left edge.
+    pub left: f64,
+    /// Where it begins, from the upper edge.
+    pub top: f64,
+    /// Its width.
+    pub width: f64,
+    /// Its height.
+    pub height: f64,
+}
 
 /// By how much a camera's picture is turned clockwise to stand upright.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -10,7 +10,7 @@ use nokhwa::utils::{
 use nokhwa::{Camera as Nokhwa, NokhwaError};
 
 use super::{Frame, FrameFormat, Frames, Turn, Video, name};
-use crate::device::list::{Listed, node_problem, permission_hint};
+use crate::device::list::{ListedDevice, node_problem, permission_hint};
 use crate::device::open::OpenError;
 use crate::trial::Image;
 
@@ -137,7 +137,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
 ///
 /// # Errors
 /// If V4L2 refuses the list.
-pub fn cameras() -> Result<Vec<Listed>, OpenError> {
+pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
     let found = nokhwa::query(ApiBackend::Video4Linux)
         .map_err(|error| OpenError::Failed(error.to_string()))?;
     let numbers: BTreeSet<(u32, String)> = found
@@ -148,7 +148,7 @@ pub fn cameras() -> Result<Vec<Listed>, OpenError> {
 }
 
 /// None for a node that is no camera: most cameras have another one for their metadata.
-fn listed(number: u32, name: String) -> Option<Listed> {
+fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
     let stable = name::stable(Path::new(DEV), &node);
     let id = stable.as_ref().unwrap_or(&node).display().to_string();
@@ -162,7 +162,7 @@ fn listed(number: u32, name: String) -> Option<Listed> {
     };
     let unstable = "it has no name that stays; its number may change at the next plug";
     let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
-    Some(Listed { id, name, node: Some(node.display().to_string()), problem })
+    Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
 }
 
 /// Whether a node is the first one of its hardware.
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_system_says_is_told_apart() {
+    fn errors_of_the_system_are_distinguished() {
         let said = |code| {
             let text = format!("V4L2 Error: it failed (os error {code})");
             explain(3, "eye", &NokhwaError::OpenDeviceError("3".into(), text))

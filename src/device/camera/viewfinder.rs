@@ -6,25 +6,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 
 use super::Rgb;
-use super::upright::{Turn, region, small};
+use super::upright::{Region, Turn, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
 
 /// Quality of pictures, of 100.
 const QUALITY: u8 = 80;
-
-/// A part of a picture, in shares of its width and its height, from 0 to 1.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Region {
-    /// Where it begins, from the left edge.
-    pub left: f64,
-    /// Where it begins, from the upper edge.
-    pub top: f64,
-    /// Its width.
-    pub width: f64,
-    /// Its height.
-    pub height: f64,
-}
 
 /// How the light beside a camera is, as far as is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -11,7 +11,7 @@ use cpal::{
 use crossbeam_channel::Sender;
 
 use super::{CallbackSink, Pcm, RATE_HZ, Sound, StreamError};
-use crate::device::list::Listed;
+use crate::device::list::ListedDevice;
 use crate::device::open::OpenError;
 
 /// Frames a callback, if the device lets one choose: 12 ms.
@@ -201,13 +201,13 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
 ///
 /// # Errors
 /// If ALSA refuses the list.
-pub fn microphones() -> Result<Vec<Listed>, OpenError> {
+pub fn microphones() -> Result<Vec<ListedDevice>, OpenError> {
     hush();
     let host = cpal::default_host();
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;
     let listed = devices.filter(DeviceTrait::supports_input).filter_map(|device| {
         let id = device.id().ok()?.id().to_string();
-        worth_listing(&id).then(|| Listed {
+        worth_listing(&id).then(|| ListedDevice {
             name: device.to_string(),
             problem: problem(&id, &device),
             node: None,

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dead_microphone_is_told_once_and_within_a_second() {
+    fn a_dead_microphone_is_reported_once_and_within_a_second() {
         let mut watch = LevelWatch::new(RATE as f64);
         assert_eq!(changes(&mut watch, &noise(3.0)), []);
         // A constant offset is no sound.
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clipped_microphone_is_told_once_and_within_a_second() {
+    fn a_clipped_microphone_is_reported_once_and_within_a_second() {
         let mut watch = LevelWatch::new(RATE as f64);
         let loud: Vec<_> =
             (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_without_a_pace_is_told_from_one_that_begins_with_a_full_buffer() {
+    fn a_stream_without_a_pace_is_distinguished_from_one_that_begins_with_a_full_buffer() {
         let mut pace = Pace::new(RATE_HZ);
         pace.arrived(0.0, 441);
         assert!(!pace.unpaced(0.1, 2 * 44_100));

@@ -205,7 +205,7 @@ fn a_pause_that_nobody_reports_is_counted_unless_its_sound_was_only_late() {
 }
 
 #[test]
-fn silence_and_clipping_are_told_once_a_change_and_within_a_second() {
+fn silence_and_clipping_are_reported_once_a_change_and_within_a_second() {
     let script: Script = |_, step| match step {
         0..60 => Act::Play(0.1),
         60..260 => Act::Play(0.0),

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::{Replay, Speed};
+use super::speed::Speed;
 use crate::device::{Begin, Control, DeviceError, Mark, Open};
 use crate::ring::{SeriesSink, Sink, Stopped};
 use crate::scene::{Phase, SourceSpec};
@@ -10,7 +10,13 @@ use crate::trial::{Image, Series, Signal, Trial};
 
 /// One trial on its way into the rings.
 pub(super) struct Player<'a> {
-    pub replay: &'a Replay,
+    pub specs: &'a [SourceSpec],
+    pub speed: Speed,
+    /// Pushed at a time, in seconds of the recording.
+    pub chunk_s: f64,
+    /// Silence after the trial, in seconds of the recording.
+    pub pause_s: f64,
+    pub synthetic: bool,
     pub sinks: &'a mut [Sink],
     pub control: &'a Control,
     /// When, at the set speed, what was played so far ends.
@@ -32,12 +38,12 @@ impl Player<'_> {
     /// # Errors
     /// If a stop was requested.
     pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
-        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
+        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.synthetic };
         self.control.mark(Mark::Begin(begin));
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
             let mut tracks = Vec::new();
-            for index in 0..self.replay.specs.len() {
-                let spec = &self.replay.specs[index];
+            for index in 0..self.specs.len() {
+                let spec = &self.specs[index];
                 let signal = match spec.phase == phase {
                     true => trial.signals.remove(&spec.id),
                     false => None,
@@ -58,8 +64,8 @@ impl Player<'_> {
             self.series(tracks)?;
         }
         self.control.mark(Mark::End { at: Instant::now() });
-        if let Speed::RealTime(factor) = self.replay.speed {
-            let pause = Duration::from_secs_f64(self.replay.pause_s / factor);
+        if let Speed::RealTime(factor) = self.speed {
+            let pause = Duration::from_secs_f64(self.pause_s / factor);
             if !self.control.sleep_until(self.due + pause) {
                 return Err(Stopped.into());
             }
@@ -79,21 +85,21 @@ impl Player<'_> {
     }
 
     fn open(&self, index: usize, start: u64, rate_hz: f64, channels: usize) {
-        let spec = &self.replay.specs[index];
+        let spec = &self.specs[index];
         let (source, stream) = (spec.id.clone(), spec.id.clone());
         let open = Open { source, stream, start, phase: spec.phase, rate_hz, channels };
         self.control.mark(Mark::Open(open));
     }
 
     fn close(&self, index: usize) {
-        let source = self.replay.specs[index].id.clone();
+        let source = self.specs[index].id.clone();
         self.control.mark(Mark::Close { source, end: self.sinks[index].position() });
     }
 
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
-            if self.replay.speed == Speed::Max {
+            if self.speed == Speed::Max {
                 sink.push_waiting(image.into(), self.control.stop())?;
             } else {
                 sink.push(image.into());
@@ -113,8 +119,8 @@ impl Player<'_> {
         let mut step = 0_u32;
         while !tracks.is_empty() {
             step += 1;
-            let played_s = f64::from(step) * self.replay.chunk_s;
-            if let Speed::RealTime(factor) = self.replay.speed {
+            let played_s = f64::from(step) * self.chunk_s;
+            if let Speed::RealTime(factor) = self.speed {
                 let longest =
                     tracks.iter().map(|track| track.series.duration_s()).fold(0.0, f64::max);
                 self.due = from + Duration::from_secs_f64(played_s.min(longest) / factor);
@@ -160,7 +166,7 @@ impl Player<'_> {
         let stop = self.control.stop();
         let Some(sink) = self.sinks[index].series() else { return Ok(()) };
         let sink: &mut SeriesSink = sink;
-        match self.replay.speed {
+        match self.speed {
             Speed::Max => sink.push_waiting(samples, stop),
             Speed::RealTime(_) => {
                 sink.push(samples);

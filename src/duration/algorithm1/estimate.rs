@@ -24,7 +24,7 @@ impl std::fmt::Display for Rule {
 
 /// Parameters of Algorithm 1. The defaults are the paper's, with the authors' program's rule.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Settings {
+pub struct Algorithm1Settings {
     /// What CB+ is.
     pub rule: Rule,
     /// R: how often a start t₁ is drawn for each lag.
@@ -46,7 +46,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for Algorithm1Settings {
     fn default() -> Self {
         Self {
             rule: Rule::MeanCi,

@@ -24,5 +24,5 @@ mod estimate;
 mod lanes;
 mod search;
 
-pub use estimate::{CurvePoint, Estimate, Outcome, Rule, Settings};
+pub use estimate::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
 pub use search::{Search, t_star};

@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::batch::Batch;
-use super::estimate::{CurvePoint, Estimate, Outcome, Rule, Settings};
+use super::estimate::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
 use crate::duration::trials::{DurationError, Trials};
 use crate::kernel::{Threshold, quantile_index};
 use crate::seed;
@@ -13,7 +13,7 @@ use crate::seed;
 /// Computes curves of HSIC against the lag for one set of trials.
 pub struct Search<'a> {
     trials: &'a Trials,
-    settings: Settings,
+    settings: Algorithm1Settings,
     largest_lag: usize,
     starts: usize,
     student: f64,
@@ -26,9 +26,10 @@ impl<'a> Search<'a> {
     ///
     /// # Errors
     /// If the settings are not possible, or the trials too short for the largest lag.
-    pub fn new(trials: &'a Trials, settings: Settings) -> Result<Self, DurationError> {
+    pub fn new(trials: &'a Trials, settings: Algorithm1Settings) -> Result<Self, DurationError> {
         let fail = |text: String| Err(DurationError::Settings(text));
-        let Settings { draws, alpha, threshold, largest_lag, latest_start, .. } = settings;
+        let Algorithm1Settings { draws, alpha, threshold, largest_lag, latest_start, .. } =
+            settings;
         if !(alpha > 0.0 && alpha < 0.5) {
             return fail(format!("α = {alpha}; expected a number between 0 and 0.5"));
         }
@@ -62,7 +63,7 @@ impl<'a> Search<'a> {
         if let Some(&point) = self.curve.get(&lag) {
             return point;
         }
-        let Settings { draws, alpha, threshold, seed, .. } = self.settings;
+        let Algorithm1Settings { draws, alpha, threshold, seed, .. } = self.settings;
         let mut rng = seed::rng(seed, &[b"duration", &lag.to_le_bytes()]);
         let mut order: Vec<usize> = (0..self.trials.count()).collect();
         let mut hsic = Vec::with_capacity(draws + Batch::TESTS);
@@ -181,7 +182,7 @@ fn below(rng: &mut impl Rng, n: usize) -> usize {
 ///
 /// # Errors
 /// If the settings are not possible.
-pub fn t_star(trials: &Trials, settings: Settings) -> Result<Estimate, DurationError> {
+pub fn t_star(trials: &Trials, settings: Algorithm1Settings) -> Result<Estimate, DurationError> {
     Ok(Search::new(trials, settings)?.find(settings.rule))
 }
 
@@ -199,8 +200,8 @@ mod tests {
         Trials::new(simulate::trials(count, 1e4, || make(&mut rng)).unwrap()).unwrap()
     }
 
-    fn gamma(draws: usize) -> Settings {
-        Settings { draws, threshold: Threshold::Gamma, ..Settings::default() }
+    fn gamma(draws: usize) -> Algorithm1Settings {
+        Algorithm1Settings { draws, threshold: Threshold::Gamma, ..Algorithm1Settings::default() }
     }
 
     #[test]
@@ -209,7 +210,7 @@ mod tests {
             let trials = trials(10, seed, |rng| simulate::ar1(24_000, tau, rng));
             for (rule, look_beyond) in [(Rule::Quantile, false), (Rule::MeanCi, true)] {
                 let [coarse, plain] = [false, true].map(|exhaustive| {
-                    let settings = Settings { exhaustive, look_beyond, ..gamma(100) };
+                    let settings = Algorithm1Settings { exhaustive, look_beyond, ..gamma(100) };
                     Search::new(&trials, settings).unwrap().find(rule).outcome
                 });
                 assert_eq!(coarse, plain, "τ = {tau}, {rule}");
@@ -222,7 +223,7 @@ mod tests {
         let at_once = (0..40)
             .filter(|&seed| {
                 let trials = trials(10, seed, |rng| simulate::ar1(3000, 0.0, rng));
-                let settings = Settings { latest_start: 2000, ..gamma(100) };
+                let settings = Algorithm1Settings { latest_start: 2000, ..gamma(100) };
                 t_star(&trials, settings).unwrap().t_star() == Some(1)
             })
             .count();
@@ -244,7 +245,7 @@ mod tests {
     fn more_trials_see_weaker_dependence() {
         let at = |count| {
             let trials = trials(count, 9, |rng| simulate::ar1(22_000, 20.0, rng));
-            let settings = Settings { latest_start: 20_000, ..gamma(200) };
+            let settings = Algorithm1Settings { latest_start: 20_000, ..gamma(200) };
             t_star(&trials, settings).unwrap().t_star().unwrap()
         };
         let (few, many) = (at(10), at(40));
@@ -262,10 +263,10 @@ mod tests {
     fn impossible_settings_are_refused() {
         let trials = trials(10, 3, |rng| simulate::ar1(5000, 3.0, rng));
         for settings in [
-            Settings { alpha: 0.0, ..gamma(50) },
-            Settings { draws: 3, ..gamma(50) },
-            Settings { largest_lag: 0, ..gamma(50) },
-            Settings { threshold: Threshold::Permutations(5), ..gamma(50) },
+            Algorithm1Settings { alpha: 0.0, ..gamma(50) },
+            Algorithm1Settings { draws: 3, ..gamma(50) },
+            Algorithm1Settings { largest_lag: 0, ..gamma(50) },
+            Algorithm1Settings { threshold: Threshold::Permutations(5), ..gamma(50) },
         ] {
             assert!(matches!(t_star(&trials, settings), Err(DurationError::Settings(_))));
         }

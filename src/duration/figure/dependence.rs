@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use crate::draw::{Area, COLOURS, Drawn, drawing};
-use crate::duration::pooled::Dependence;
+use crate::duration::pooled::PooledDependence;
 use crate::duration::report::{ByRule, PooledRow, SourceDuration};
 use crate::scene::SourceId;
 
@@ -58,7 +58,7 @@ pub(super) fn panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         .label_style((FONT, 15))
         .draw()
         .map_err(drawing)?;
-    let line = |row: &PooledRow, f: fn(&Dependence) -> f64| {
+    let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };
     for (_, row) in others {

@@ -56,7 +56,7 @@ pub fn figure(
 #[cfg(test)]
 mod tests {
     use super::super::report::{Estimator, row_of};
-    use super::super::{PooledSettings, Settings, simulate};
+    use super::super::{Algorithm1Settings, PooledSettings, simulate};
     use super::*;
     use crate::kernel::Threshold;
     use crate::recognise::AccuracyAt;
@@ -69,7 +69,11 @@ mod tests {
 
     #[test]
     fn a_figure_of_algorithm_1_marks_t_star() {
-        let settings = Settings { draws: 50, threshold: Threshold::Gamma, ..Settings::default() };
+        let settings = Algorithm1Settings {
+            draws: 50,
+            threshold: Threshold::Gamma,
+            ..Algorithm1Settings::default()
+        };
         let row = row("G1 <mesh>", 20.0, Estimator::Algorithm1(settings));
         let svg = figure(std::slice::from_ref(&row), None).unwrap();
         assert!(svg.contains("T* =") && svg.contains("&lt;mesh&gt;"), "{svg}");

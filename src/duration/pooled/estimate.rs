@@ -1,7 +1,7 @@
 //! T* of recordings, at the rate that they need.
 
 use super::samples::Samples;
-use super::{Answer, Pooled, pooled};
+use super::{Pooled, PooledAnswer, pooled};
 use crate::trial::Series;
 
 /// How large a dependence still counts: that of a Gaussian process with this correlation.
@@ -13,7 +13,7 @@ const RESOLUTION: f64 = 32.0;
 
 /// Dependence of samples a lag apart.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Dependence {
+pub struct PooledDependence {
     /// Lag in samples.
     pub lag_samples: f64,
     /// Lag in seconds.
@@ -32,7 +32,7 @@ pub struct Dependence {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PooledEstimate {
     /// T*, or why there is none, in samples.
-    pub answer: Answer,
+    pub answer: PooledAnswer,
     /// Every how many samples one was looked at.
     pub step: usize,
     /// Longest T* that these trials can show, in samples.
@@ -42,14 +42,14 @@ pub struct PooledEstimate {
     /// Share of the variance that differs between trials for good.
     pub lasting_share: Option<f64>,
     /// Dependence over the lags, for the two channels that decide.
-    pub curve: Vec<Dependence>,
+    pub curve: Vec<PooledDependence>,
 }
 
 impl PooledEstimate {
     /// T* in samples: the smallest whole lag from which on the dependence is small.
     pub fn t_star_samples(&self) -> Option<usize> {
         match self.answer {
-            Answer::Found { t_star, .. } => Some(t_star.ceil() as usize),
+            PooledAnswer::Found { t_star, .. } => Some(t_star.ceil() as usize),
             _ => None,
         }
     }
@@ -57,7 +57,7 @@ impl PooledEstimate {
     /// Upper bound of T*, in samples: the time to use.
     pub fn upper_samples(&self) -> Option<usize> {
         match self.answer {
-            Answer::Found { upper, .. } => Some(upper.ceil() as usize),
+            PooledAnswer::Found { upper, .. } => Some(upper.ceil() as usize),
             _ => None,
         }
     }
@@ -85,7 +85,7 @@ pub fn at_needed_rate(
     let rate_hz = series.first()?.rate_hz();
     let mut step = (series.len() * frames).div_ceil(values);
     let mut found = pooled(&Samples::every(step, 0..frames, series), correlation)?;
-    if let Answer::Found { t_star, .. } = found.answer
+    if let PooledAnswer::Found { t_star, .. } = found.answer
         && t_star < RESOLUTION
         && step > 1
     {
@@ -100,12 +100,12 @@ pub fn at_needed_rate(
 fn in_samples(found: Pooled, step: usize, rate_hz: f64) -> PooledEstimate {
     let scale = step as f64;
     let answer = match found.answer {
-        Answer::Found { t_star, upper } => {
-            Answer::Found { t_star: scale * t_star, upper: scale * upper }
+        PooledAnswer::Found { t_star, upper } => {
+            PooledAnswer::Found { t_star: scale * t_star, upper: scale * upper }
         }
         other => other,
     };
-    let dependence = |p: super::Point| Dependence {
+    let dependence = |p: super::Point| PooledDependence {
         lag_samples: scale * p.lag,
         lag_s: scale * p.lag / rate_hz,
         dependence: p.dependence,
@@ -174,11 +174,11 @@ mod tests {
         let got = |series: &[Series], frames| {
             at_needed_rate(series, frames, CORRELATION, VALUES).unwrap().answer
         };
-        assert_eq!(got(&noise, 4000), Answer::Found { t_star: 1.0, upper: 1.0 });
+        assert_eq!(got(&noise, 4000), PooledAnswer::Found { t_star: 1.0, upper: 1.0 });
         let sines = simulate::trials(5, 1e4, || simulate::sine(4000, 210.0, &mut rng)).unwrap();
-        assert_eq!(got(&sines, 4000), Answer::Never);
+        assert_eq!(got(&sines, 4000), PooledAnswer::Never);
         let slow = ar1(300.0, 3, 4000, 5);
-        assert!(matches!(got(&slow, 4000), Answer::TooLittleData { more_trials: 1.. }));
+        assert!(matches!(got(&slow, 4000), PooledAnswer::TooLittleData { more_trials: 1.. }));
     }
 
     #[test]

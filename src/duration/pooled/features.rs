@@ -113,7 +113,7 @@ fn variance(column: &[f32]) -> f64 {
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::covariance::dot(a, b))).sum()
+    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::dot::dot(a, b))).sum()
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@ mod antitonic;
 mod correction;
 mod covariance;
 mod crossing;
+mod dot;
 mod echo;
 mod effective;
 mod estimate;
@@ -27,7 +28,7 @@ mod size;
 
 use covariance::{Covariances, covariance_at_once, covariances};
 use crossing::Curve;
-pub use estimate::{CORRELATION, Dependence, PooledEstimate, VALUES, at_needed_rate};
+pub use estimate::{CORRELATION, PooledDependence, PooledEstimate, VALUES, at_needed_rate};
 use features::{Features, features};
 use lags::{Lags, lags};
 pub use samples::Samples;
@@ -39,7 +40,7 @@ const CORRECTIONS: usize = 3;
 
 /// What came of it, in frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Answer {
+pub enum PooledAnswer {
     /// T* and its upper bound.
     Found {
         /// the estimate
@@ -78,7 +79,7 @@ pub struct Point {
 #[derive(Clone, Debug)]
 pub struct Pooled {
     /// T*, or why there is none.
-    pub answer: Answer,
+    pub answer: PooledAnswer,
     /// Longest lag that can be answered, in frames.
     pub range: f64,
     /// Frames that are worth one independent sample, where there is a T*.
@@ -121,7 +122,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
     }
     let answer = found.answer(threshold, range, longest as f64, samples.trials);
     let inflation = match (&answer, &found.corrected) {
-        (Answer::Found { .. }, Some(corrected)) => {
+        (PooledAnswer::Found { .. }, Some(corrected)) => {
             Some(effective::inflation(corrected, &features, &lags.all, found.reach(longest)))
         }
         _ => None,
@@ -173,13 +174,13 @@ impl Found {
         self.estimate.map_or(longest as f64, |t| (2.0 * t).min(longest as f64))
     }
 
-    fn answer(&self, threshold: f64, range: f64, longest: f64, trials: usize) -> Answer {
+    fn answer(&self, threshold: f64, range: f64, longest: f64, trials: usize) -> PooledAnswer {
         let stays = |lag: f64| self.curves.iter().any(|curve| curve.stays_above(threshold, lag));
         match (self.estimate, self.upper) {
-            (Some(t_star), Some(upper)) if upper <= range => Answer::Found { t_star, upper },
-            _ if stays(longest) => Answer::Never,
-            _ if stays(range) => Answer::NotWithinRange,
-            _ => Answer::TooLittleData { more_trials: self.more_trials(threshold, trials) },
+            (Some(t_star), Some(upper)) if upper <= range => PooledAnswer::Found { t_star, upper },
+            _ if stays(longest) => PooledAnswer::Never,
+            _ if stays(range) => PooledAnswer::NotWithinRange,
+            _ => PooledAnswer::TooLittleData { more_trials: self.more_trials(threshold, trials) },
         }
     }
 

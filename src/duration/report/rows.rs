@@ -1,8 +1,8 @@
 //! The answer's rows: T* of each surface and source, and the longest scan of a scene.
 
-use crate::duration::algorithm1::{CurvePoint, Estimate, Outcome, Rule, Settings};
+use crate::duration::algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
 use crate::duration::need::{ScanNeed, Second, worth};
-use crate::duration::pooled::{Answer, Dependence, PooledEstimate};
+use crate::duration::pooled::{PooledAnswer, PooledDependence, PooledEstimate};
 use crate::duration::trials::Trials;
 use crate::scene::SourceId;
 
@@ -13,7 +13,7 @@ pub enum Estimator {
     /// The size of the dependence, from all pairs of all trials.
     Pooled(PooledSettings),
     /// The paper's Algorithm 1, by one of its two rules.
-    Algorithm1(Settings),
+    Algorithm1(Algorithm1Settings),
 }
 
 /// Settings of the rule `pooled`.
@@ -89,7 +89,7 @@ pub struct PooledRow {
     /// Dependence, as a correlation, below which two moments count as independent.
     pub threshold: f64,
     /// Dependence over the lags.
-    pub dependence: Vec<Dependence>,
+    pub dependence: Vec<PooledDependence>,
 }
 
 /// What one source needs of a scan, over all surfaces.
@@ -152,7 +152,7 @@ impl SourceDuration {
             effective_of_n: effective.map(|effective| worth(n, effective)),
             lasting_share: estimate.lasting_share,
             more_trials: match estimate.answer {
-                Answer::TooLittleData { more_trials } => Some(more_trials),
+                PooledAnswer::TooLittleData { more_trials } => Some(more_trials),
                 _ => None,
             },
             dependence: estimate.curve,
@@ -181,17 +181,17 @@ fn pooled_reason(estimate: &PooledEstimate, trials: &Trials) -> Option<String> {
     let range_s = estimate.range / trials.rate_hz();
     let count = trials.count();
     match estimate.answer {
-        Answer::Found { .. } => None,
-        Answer::Never => Some(format!(
+        PooledAnswer::Found { .. } => None,
+        PooledAnswer::Never => Some(format!(
             "never: moments {:.2} s apart still depend on each other (it repeats itself, or drifts \
              through the whole trial)",
             1.5 * range_s
         )),
-        Answer::NotWithinRange => Some(format!(
+        PooledAnswer::NotWithinRange => Some(format!(
             "not within the range: longer than the {range_s:.2} s that trials of this length can \
              show; record longer ones"
         )),
-        Answer::TooLittleData { more_trials } => Some(format!(
+        PooledAnswer::TooLittleData { more_trials } => Some(format!(
             "too little data: {count} {} of this length cannot show it; record about {more_trials} \
              more, or longer ones",
             if count == 1 { "trial" } else { "trials" }

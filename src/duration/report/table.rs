@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{ByRule, DurationReport, Estimator, PooledRow, SourceDuration};
-use crate::duration::algorithm1::Settings;
+use crate::duration::algorithm1::Algorithm1Settings;
 use crate::duration::need::Second;
 use crate::scene::SourceId;
 
@@ -120,7 +120,7 @@ impl DurationReport {
         text
     }
 
-    fn longest(&self, settings: &Settings) -> String {
+    fn longest(&self, settings: &Algorithm1Settings) -> String {
         let mut out = String::new();
         let n = self.samples;
         for s in &self.scene {

@@ -29,7 +29,7 @@ pub struct SvmModel {
     pairs: Vec<Pair>,
 }
 
-/// The machine that tells surface `a` (positive) from surface `b`.
+/// The machine that separates surface `a` (positive) from surface `b`.
 struct Pair {
     a: usize,
     b: usize,

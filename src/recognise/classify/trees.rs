@@ -25,7 +25,7 @@ const SPARE_LEVELS: u32 = 2;
 const PERFECT: f64 = 1e-10;
 
 type Rows = DenseMatrix<f64>;
-/// A forest of one tree: smartcore tells the winner of a forest, but not how many trees chose it.
+/// A forest of one tree: smartcore gives the winner of a forest, but not how many trees chose it.
 type RandomTree = RandomForestClassifier<f64, u32, Rows, Vec<u32>>;
 type Tree = DecisionTreeClassifier<f64, u32, Rows, Vec<u32>>;
 

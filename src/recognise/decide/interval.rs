@@ -1,4 +1,4 @@
-//! How sure a share is: what k of n tells of the rate behind it.
+//! How sure a share is: what k of n says of the rate behind it.
 
 use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
 

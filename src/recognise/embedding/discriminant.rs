@@ -4,7 +4,7 @@
 //! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
 //! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances d_c = ‖u − m_c‖² are taken in the space
 //! that the class means span after whitening by S: they order classes as the full Mahalanobis
-//! distance does, and what is left out tells nothing between classes.
+//! distance does, and what is left out does not separate classes.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::EmbeddingModel;
+use super::model::EmbeddingModel;
 use super::posterior::Posterior;
 use super::scan::ScanSums;
 use crate::recognise::decide::conformal::Rejection;

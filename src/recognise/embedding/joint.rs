@@ -7,6 +7,8 @@ use rayon::prelude::*;
 
 use super::picture::PictureEmbedder;
 use super::series::{Level, SeriesEmbedder, Window};
+use crate::recognise::checks::nothing_in_common;
+use crate::recognise::error::RecogniseError;
 use crate::recognise::features::frame_features::{FrameFeatures, SourceFrames};
 use crate::recognise::features::image_features::Part;
 use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
@@ -128,6 +130,26 @@ pub(super) struct JointEmbedder {
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
+    /// Checks that a query, or a trial of the library itself, can be compared with a library.
+    pub fn check(
+        &self,
+        query: &FrameFeatures,
+        library: &[Arc<FrameFeatures>],
+    ) -> Result<(), RecogniseError> {
+        let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
+        if !query.sources.keys().any(known) {
+            let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
+            return Err(nothing_in_common(query.sources.keys(), ids));
+        }
+        for (id, source) in &query.sources {
+            let like = library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
+            if let Some((like, key)) = like {
+                source.check_rate(id, like, key)?;
+            }
+        }
+        Ok(())
+    }
+
     /// In units of a library.
     pub fn new(scene: &Scene, library: &[Arc<FrameFeatures>]) -> Self {
         let mut stretches: Vec<Stretch> = Vec::new();

@@ -19,8 +19,10 @@ mod fourier;
 mod joint;
 mod labels;
 mod left_out;
+mod left_out_scans;
 mod library_scale;
 pub mod linear;
+mod model;
 mod picture;
 mod pixel_pairs;
 mod posterior;
@@ -29,20 +31,19 @@ mod series;
 mod training;
 mod view_sums;
 
-use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
-use self::calibrate::HeldOut;
-use self::discriminant::Discriminant;
 use self::follower::Follower;
-use self::joint::{Excerpt, JointEmbedder, Present};
+use self::joint::JointEmbedder;
 use self::labels::Labels;
-use self::left_out::{Followed, LeftOut};
+use self::left_out::LeftOut;
+pub use self::model::EmbeddingModel;
 use self::posterior::QueryVector;
 use self::training::Training;
-use super::checks::{check_surfaces, nothing_in_common};
+use super::checks::check_surfaces;
 use super::decide::conformal::{Rejection, RejectionError};
 use super::decide::scan_time::LeftOutAccuracy;
 use super::error::RecogniseError;
@@ -125,59 +126,6 @@ impl Embedding {
     }
 }
 
-/// A library, embedded and trained.
-pub struct EmbeddingModel {
-    scene: Scene,
-    shape: Arc<LibraryShape>,
-    library: Vec<Arc<FrameFeatures>>,
-    labels: Labels,
-    joint: JointEmbedder,
-    training: Training,
-    left_out: LeftOut,
-    /// By the sources of the queries so far.
-    discriminants: Mutex<HashMap<Present, Arc<Discriminant>>>,
-    /// What following left-out trials showed, by the options that were wanted first: scans are
-    /// followed by them again and again.
-    followed: OnceLock<(FollowOptions, Followed)>,
-    /// For people: what the library was too small for.
-    remarks: Vec<String>,
-}
-
-impl EmbeddingModel {
-    /// Distances of left-out library trials under models trained without them, with the index of
-    /// each trial's surface. Empty where there is nothing to leave out.
-    pub fn held_out(&self) -> &[HeldOut] {
-        &self.left_out.held_out
-    }
-
-    fn scan_s(&self, query: &FrameFeatures) -> f64 {
-        self.joint.drag_s(query).unwrap_or(f64::INFINITY)
-    }
-
-    fn embed(&self, query: &FrameFeatures) -> Result<(Vec<f32>, Present), RecogniseError> {
-        self.joint.check(query, &self.library)?;
-        if !self.joint.says_something(query) {
-            return Err(RecogniseError::TooLittle);
-        }
-        let (mut vectors, present) = self.joint.embed(query, &[Excerpt::WHOLE]);
-        Ok((vectors.swap_remove(0), present))
-    }
-
-    /// The discriminant of some sources. Where the library cannot train one, classes are as far as
-    /// their means.
-    fn discriminant(&self, present: &Present) -> Arc<Discriminant> {
-        let lock = || self.discriminants.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = lock().get(present) {
-            return known.clone();
-        }
-        let trained = self.training.discriminant(&self.joint, present, None);
-        let trained =
-            Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
-        lock().insert(present.clone(), trained.clone());
-        trained
-    }
-}
-
 impl Method for Embedding {
     fn name(&self) -> &'static str {
         NAME
@@ -252,28 +200,6 @@ impl Model for EmbeddingModel {
 
     fn remarks(&self) -> &[String] {
         &self.remarks
-    }
-}
-
-impl JointEmbedder {
-    /// Checks that a query, or a trial of the library itself, can be compared with a library.
-    fn check(
-        &self,
-        query: &FrameFeatures,
-        library: &[Arc<FrameFeatures>],
-    ) -> Result<(), RecogniseError> {
-        let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
-        if !query.sources.keys().any(known) {
-            let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
-            return Err(nothing_in_common(query.sources.keys(), ids));
-        }
-        for (id, source) in &query.sources {
-            let like = library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
-            if let Some((like, key)) = like {
-                source.check_rate(id, like, key)?;
-            }
-        }
-        Ok(())
     }
 }
 

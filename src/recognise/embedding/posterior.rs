@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use ndarray::ArrayView1;
 
-use super::EmbeddingModel;
 use super::calibrate::{held_back, log_posterior};
 use super::joint::{Present, columns};
+use super::model::EmbeddingModel;
 use crate::recognise::decide::conformal::nonconformity;
 use crate::recognise::method::{BySources, Evidence, SourceEvidence};
 use crate::recognise::rank::{Candidate, Ranking, rank};

@@ -49,7 +49,7 @@ impl ScanSums {
     /// over.
     ///
     /// # Errors
-    /// If the rate cannot be compared with the library's, or changes while the scan goes on.
+    /// If the rate cannot be compared with the library's, or changes during the scan.
     pub fn push(
         &mut self,
         joint: &JointEmbedder,

@@ -12,6 +12,7 @@
 //!
 //! Nothing here knows of other trials, but for their lengths, which frames follow.
 
+mod block_layout;
 pub(super) mod block_sums;
 mod colour;
 pub(super) mod frame_features;

@@ -1,6 +1,6 @@
 //! What the blocks of a window add up to, and its statistics.
 
-use super::block_sums::{LAGS, OF_CHANNEL, Of, place, products, width};
+use super::block_layout::{LAGS, OF_CHANNEL, Of, place, products, width};
 
 /// Keeps logarithms finite: far below a 24-bit converter's step.
 const FLOOR: f64 = 1e-9;

@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 
-use super::sampling::{Extent, Positions};
+use super::sampling::{DomainExtent, Positions};
 use crate::recognise::features::{amplitude_spectrum, hsv};
 use crate::scene::{Colour, Domain, SourceSpec};
 use crate::trial::{Image, Series, Signal};
@@ -13,7 +13,7 @@ pub enum DomainSamples {
     /// Rows are frames or bins, columns are channels.
     Rows {
         /// Time or spectrum.
-        extent: Extent,
+        extent: DomainExtent,
         /// Shape (frames or bins, channels).
         rows: Array2<f32>,
     },
@@ -32,7 +32,7 @@ impl DomainSamples {
                     Domain::Spectrum { band_hz } => spectrum_rows(&series, band_hz),
                     Domain::Time | Domain::Image => {
                         let rows = series.view().to_owned();
-                        Self::Rows { extent: Extent::Time(rows.nrows()), rows }
+                        Self::Rows { extent: DomainExtent::Time(rows.nrows()), rows }
                     }
                 }
             }
@@ -40,10 +40,10 @@ impl DomainSamples {
     }
 
     /// What positions are drawn from.
-    pub fn extent(&self) -> Extent {
+    pub fn extent(&self) -> DomainExtent {
         match self {
             Self::Rows { extent, .. } => *extent,
-            Self::Pixels(..) => Extent::Image,
+            Self::Pixels(..) => DomainExtent::Image,
         }
     }
 
@@ -83,5 +83,5 @@ fn spectrum_rows(series: &Series, band_hz: (f64, f64)) -> DomainSamples {
         .collect();
     let bins = spectra[0].len();
     let rows = Array2::from_shape_fn((bins, spectra.len()), |(bin, c)| spectra[c][bin] as f32);
-    DomainSamples::Rows { extent: Extent::Spectrum(bins), rows }
+    DomainSamples::Rows { extent: DomainExtent::Spectrum(bins), rows }
 }

@@ -3,7 +3,7 @@
 //!
 //! [`ReferenceOptions`] has the shortcuts that do not change it, or do so within a stated bound:
 //! positions shared over the library, sums K(z, z) once a query and K(y, y) from a table, both
-//! within 1e-4 of a score ([`Precision`]), and, where asked for, successive halving. Results depend
+//! within 1e-4 of a score ([`SumPrecision`]), and, where asked for, successive halving. Results depend
 //! neither on the number of threads nor on the library's order.
 
 mod domain;
@@ -26,9 +26,9 @@ pub use prepared_trial::PreparedTrial;
 pub(super) use prepared_trial::{Cut, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
 pub(super) use sampling::keyed_positions;
-pub use sampling::{Extent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
+pub use sampling::{DomainExtent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
 pub use score::{
-    Precision, QuerySet, SCORE_FLOOR, SampleScore, log_score, score_samples, score_sets,
+    QuerySet, SCORE_FLOOR, SampleScore, SumPrecision, log_score, score_samples, score_sets,
 };
 
 use std::sync::Arc;
@@ -89,7 +89,7 @@ impl Method for Reference {
         _: &LibraryShape,
     ) -> Result<Prepared, RecogniseError> {
         let ReferenceOptions { tabulate, precision, .. } = self.0.options;
-        let tabulate = tabulate && precision == Precision::Fast;
+        let tabulate = tabulate && precision == SumPrecision::Fast;
         Ok(Prepared::Samples(Arc::new(self.0.sampled(entry, trial, tabulate)?)))
     }
 

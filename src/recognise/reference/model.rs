@@ -157,7 +157,7 @@ impl<'a> Comparing<'a> {
     fn new(sampler: &'a Sampler, query: &'a Query<'a>) -> Self {
         let precision = sampler.options.precision;
         let of_cut = |spec: &SourceSpec, cut: &'a Arc<Cut>| {
-            let set_up = |set| QuerySet::new(set, spec.align_mean, precision, true);
+            let set_up = |set| QuerySet::new(set, spec.align_mean, precision);
             QuerySource { cut, sets: cut.sets.par_iter().map(set_up).collect() }
         };
         let at_length = (query.sources.par_iter().zip(&query.cuts))
@@ -183,7 +183,7 @@ impl<'a> Comparing<'a> {
                     let z = SampleSet::new(&z_domain.at(&at), spec.sigma);
                     // The σ of y is asked for nowhere.
                     let y = SampleSet::new(&y_domain.at(&at), Some(1.0));
-                    QuerySet::new(&z, spec.align_mean, self.sampler.options.precision, false)
+                    QuerySet::new(&z, spec.align_mean, self.sampler.options.precision)
                         .score(&y, &mut scratch)
                 }
                 _ => query.sets[r].score(&y.sets[r], &mut scratch),

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::halving::Stage;
-use super::score::Precision;
+use super::score::SumPrecision;
 
 /// The method's name.
 pub const NAME: &str = "reference";
@@ -40,7 +40,7 @@ pub struct ReferenceOptions {
     pub seed: u64,
     /// How kernel sums are computed.
     #[serde(skip_serializing_if = "is_default")]
-    pub precision: Precision,
+    pub precision: SumPrecision,
     /// Tabulate K(y, y) of library trials over σ: dearer to prepare, cheaper to compare with.
     #[serde(skip_serializing_if = "is_true")]
     pub tabulate: bool,
@@ -86,7 +86,7 @@ impl Default for ReferenceOptions {
             neighbours: 1,
             positions: PositionMode::Shared,
             seed: 1,
-            precision: Precision::Fast,
+            precision: SumPrecision::Fast,
             tabulate: true,
             halving: Vec::new(),
         }

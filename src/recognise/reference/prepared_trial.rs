@@ -87,15 +87,15 @@ impl PreparedTrial {
         Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) }
     }
 
-    /// Calls `tell` with each source, its shape, and what it holds at the trial's own length.
+    /// Calls `each` with each source, its shape, and what it holds at the trial's own length.
     pub(super) fn each_source(
         &self,
-        mut tell: impl FnMut(&SourceId, Option<(f64, usize)>, &[SampleSet]),
+        mut each: impl FnMut(&SourceId, Option<(f64, usize)>, &[SampleSet]),
     ) {
         let cuts = self.lock();
         for (id, shape) in &self.shapes {
             if let Some((_, cut)) = cuts.get(id).and_then(|of_source| of_source.first()) {
-                tell(id, *shape, &cut.sets);
+                each(id, *shape, &cut.sets);
             }
         }
     }
@@ -105,7 +105,7 @@ impl PreparedTrial {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless it was asked for), so that what is drawn for a pair depends neither on names nor on
+    /// Hash of all raw samples (0 unless it was wanted), so that what is drawn for a pair depends neither on names nor on
     /// order.
     pub(super) fn content(&self) -> u64 {
         self.content

@@ -2,10 +2,11 @@
 
 /// Whether a set's distances are but a few.
 ///
-/// The error of a kernel value in f32 changes sign with the fraction of q, where the value is
-/// 2^(−q/16). Over spread-out samples it averages out; samples in a few tight clusters have but a
-/// few distances, hence a few fractions, and their errors add up. A subset of pairs tells. Between
-/// a set in clusters and one that is spread out there are as many distances as the latter has samples.
+/// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
+/// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight
+/// clusters have but a few distances, hence a few fractions, and their errors add up. A subset of
+/// pairs shows which it is. Between a set in clusters and one that is spread out there are as many
+/// distances as the latter has samples.
 pub(super) fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
     const SUBSET: usize = 32;
     const BINS: usize = 8;
@@ -46,12 +47,12 @@ pub(super) fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
 }
 
 /// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
-pub(super) const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
+const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
 
 /// Distances of samples from the centre, ascending.
-pub(super) fn distances<T: Copy + Into<f64>>(values: &[T], n: usize, centre: &[f64]) -> Vec<f64> {
+fn distances(values: &[f64], n: usize, centre: &[f64]) -> Vec<f64> {
     let distance = |i: usize| {
-        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i].into() - m).powi(2));
+        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i] - m).powi(2));
         d2.sum::<f64>().sqrt()
     };
     let mut distances: Vec<f64> = (0..n).map(distance).collect();

@@ -2,9 +2,9 @@
 
 use ndarray::Array2;
 
-use super::rounding::{ROUNDING, coarseness, distances, is_clustered};
+use super::rounding::{coarseness, is_clustered};
 use crate::kernel::{
-    F64Points, LineSum, PaddedPoints, Quality, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
+    F64Points, LineSum, PaddedPoints, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
     length_scale,
 };
 
@@ -168,7 +168,7 @@ impl SampleSet {
             sum
         } else if self.fits_lanes(sigma) && !self.is_clustered_at(sigma) {
             self.fill_lanes(&mut scratch.lanes, sigma, &self.centre);
-            lane_self_sum(&scratch.lanes, Quality::Fine)
+            lane_self_sum(&scratch.lanes)
         } else {
             self.fill_f64(&mut scratch.in_f64, sigma, &self.centre);
             f64_self_sum(&scratch.in_f64)
@@ -178,22 +178,6 @@ impl SampleSet {
     /// Whether coordinates in f32 hold the set well enough at this length scale.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
-    }
-
-    /// Whether coordinates in f32 will do for sums of this set against any other: that of
-    /// [`coarseness`] for a set whose every sample lies where rounding does most harm. One that is
-    /// d away from the centre meets no more than those at least d − 7σ away.
-    pub(super) fn is_compact(&self, sigma: f64) -> bool {
-        /// exp(−7²/2) is 2e-11.
-        const REACH: f64 = 7.0;
-        let n = self.n();
-        let distances = match &self.values {
-            Values::Single(v) => distances(v, n, &self.centre),
-            Values::Double(v) => distances(v, n, &self.centre),
-        };
-        let harm = |(nearer, d): (usize, &f64)| (d / sigma + REACH) * (n - nearer) as f64;
-        let most = distances.iter().enumerate().map(harm).fold(0.0, f64::max);
-        self.fits_lanes(sigma) && ROUNDING / (n as f64).sqrt() * most <= ROUNDING_ALLOWED
     }
 
     /// Whether distances within the set are but a few at this length scale: seen from afar, every
@@ -226,15 +210,6 @@ impl SampleSet {
                 v[c * n..(c + 1) * n].iter().map(move |&x| x - origin[c])
             }),
         }
-    }
-
-    /// The samples, channel by channel.
-    pub(super) fn channels(&self) -> Vec<Vec<f64>> {
-        let all: Vec<f64> = match &self.values {
-            Values::Single(v) => v.iter().map(|&x| f64::from(x)).collect(),
-            Values::Double(v) => v.to_vec(),
-        };
-        all.chunks(self.n()).map(<[f64]>::to_vec).collect()
     }
 
     /// The first channel, expanded with a kernel of length scale `sigma`.

@@ -8,7 +8,7 @@ use super::domain::DomainSamples;
 use super::options::{PositionMode, ReferenceOptions};
 use super::prepared_trial::{Cut, PreparedTrial};
 use super::sample_set::SampleSet;
-use super::sampling::{Extent, Positions, keyed_positions};
+use super::sampling::{DomainExtent, Positions, keyed_positions};
 use crate::library::Entry;
 use crate::recognise::error::RecogniseError;
 use crate::scene::{Scene, SourceSpec};
@@ -66,7 +66,7 @@ impl Sampler {
     pub fn positions(
         &self,
         spec: &SourceSpec,
-        extent: Extent,
+        extent: DomainExtent,
         repetition: usize,
         pair: Option<(u64, u64)>,
     ) -> Positions {

@@ -24,7 +24,7 @@ pub struct Positions(pub Vec<usize>);
 
 /// What positions are drawn from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Extent {
+pub enum DomainExtent {
     /// A time series of a number of frames.
     Time(usize),
     /// A spectrum of a number of bins.
@@ -39,9 +39,9 @@ pub enum Extent {
 ///   too short for that gives all its samples.
 /// - Spectrum: `n` distinct bins at random, in random order; all of them if there are fewer.
 /// - Image: a grid of 25 × 16 pixels from a random origin, whatever `n` is.
-pub fn draw_positions(extent: Extent, n: usize, rng: &mut impl Rng) -> Positions {
+pub fn draw_positions(extent: DomainExtent, n: usize, rng: &mut impl Rng) -> Positions {
     Positions(match extent {
-        Extent::Time(frames) => {
+        DomainExtent::Time(frames) => {
             let start_span = frames as f64 * START_SHARE;
             let step = ((frames as f64 - start_span) / n as f64).floor() as usize;
             if step == 0 {
@@ -51,8 +51,8 @@ pub fn draw_positions(extent: Extent, n: usize, rng: &mut impl Rng) -> Positions
                 (0..n).map(|i| start + i * step).collect()
             }
         }
-        Extent::Spectrum(bins) => index::sample(rng, bins, n.min(bins)).into_vec(),
-        Extent::Image => {
+        DomainExtent::Spectrum(bins) => index::sample(rng, bins, n.min(bins)).into_vec(),
+        DomainExtent::Image => {
             let a0 = rng.random_range(1..=IMAGE_ORIGINS.0);
             let b0 = rng.random_range(1..=IMAGE_ORIGINS.1);
             return image_grid(a0, b0);
@@ -64,15 +64,15 @@ pub fn draw_positions(extent: Extent, n: usize, rng: &mut impl Rng) -> Positions
 /// library, or, where `pair` gives the contents of query and library trial, for that pair alone.
 pub fn keyed_positions(
     source: &SourceId,
-    extent: Extent,
+    extent: DomainExtent,
     n: usize,
     seed: u64,
     repetition: usize,
     pair: Option<(u64, u64)>,
 ) -> Positions {
     let size = match extent {
-        Extent::Time(size) | Extent::Spectrum(size) => size as u64,
-        Extent::Image => 0,
+        DomainExtent::Time(size) | DomainExtent::Spectrum(size) => size as u64,
+        DomainExtent::Image => 0,
     };
     let (z, y) = pair.unwrap_or_default();
     let numbers = [size, repetition as u64, z, y].map(u64::to_le_bytes);
@@ -100,7 +100,8 @@ mod tests {
     #[test]
     fn time_samples_of_lmt108_are_118_apart() {
         for seed in 0..200 {
-            let Positions(at) = draw_positions(Extent::Time(48_000), 400, &mut rng(seed, &[]));
+            let Positions(at) =
+                draw_positions(DomainExtent::Time(48_000), 400, &mut rng(seed, &[]));
             assert_eq!(at.len(), 400);
             assert!(at[0] < 552 && at.windows(2).all(|w| w[1] - w[0] == 118));
         }
@@ -108,7 +109,7 @@ mod tests {
 
     #[test]
     fn bins_are_distinct() {
-        let Positions(mut at) = draw_positions(Extent::Spectrum(500), 400, &mut rng(1, &[]));
+        let Positions(mut at) = draw_positions(DomainExtent::Spectrum(500), 400, &mut rng(1, &[]));
         assert!(!at.is_sorted(), "the order is drawn, too");
         at.sort_unstable();
         at.dedup();
@@ -117,7 +118,7 @@ mod tests {
 
     #[test]
     fn a_short_extent_gives_all_it_has() {
-        for extent in [Extent::Time(90), Extent::Spectrum(90)] {
+        for extent in [DomainExtent::Time(90), DomainExtent::Spectrum(90)] {
             let Positions(at) = draw_positions(extent, 400, &mut rng(1, &[]));
             assert_eq!(at.len(), 90);
         }

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{REMOVED, trial_name, trials};
+use super::folders::{REMOVED, trial_name, trials};
 use crate::library::{About, Entry, LibraryError};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
 /// A trial as it is listed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Listed {
+pub struct ListedTrial {
     /// What edits call it: `SURFACE/TRIAL`.
     pub trial: String,
     /// Its label, user and number.
@@ -29,7 +29,7 @@ pub struct Listed {
 ///
 /// # Errors
 /// If they cannot be read.
-pub fn list(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
+pub fn list(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
     Ok(listed(library, &trials(library, scene)?))
 }
 
@@ -37,18 +37,18 @@ pub fn list(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> 
 ///
 /// # Errors
 /// If they cannot be read.
-pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<Listed>, LibraryError> {
+pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
     let bin = library.join(REMOVED);
     Ok(listed(&bin, &trials(&bin, scene)?))
 }
 
-fn listed(root: &Path, entries: &[Entry]) -> Vec<Listed> {
+fn listed(root: &Path, entries: &[Entry]) -> Vec<ListedTrial> {
     let one = |entry: &Entry| {
         let folder = entry.folder()?;
         // What cannot be read of it is left out here, and found by `surfaced check`.
         let seconds = entry.outlines().unwrap_or_default();
         let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
-        Some(Listed {
+        Some(ListedTrial {
             trial: trial_name(root, folder),
             key: entry.key.clone(),
             started_at: About::read(folder).ok().and_then(|about| about.started_at),

@@ -6,39 +6,33 @@
 //! moved while somebody reads the library ([`LibraryLock`]), and a step that a crash cut short can
 //! be undone like any other.
 
+mod folders;
 mod list;
 mod relocate;
 mod steps;
 
-pub use list::{Listed, list, list_removed};
+pub use folders::trial_name;
+pub use list::{ListedTrial, list, list_removed};
 pub use steps::{Move, Step, last_step};
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use self::folders::{REMOVED, trials};
 use self::relocate::{relocate, replace};
 use self::steps::{MOST_STEPS, STEPS, steps};
 use super::{failed, trial_folder, utc};
 use crate::library::lock::LibraryLock;
-use crate::library::{Entry, LibraryError, recording};
+use crate::library::{Entry, LibraryError};
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 
-/// The folder of what was removed.
-const REMOVED: &str = ".removed";
 /// A library that is being edited; nobody reads it meanwhile.
 pub struct Editor {
     root: PathBuf,
     scene: Scene,
     _lock: LibraryLock,
-}
-
-/// What a trial is called in edits: its folder within the library, `SURFACE/TRIAL`.
-pub fn trial_name(library: &Path, folder: &Path) -> String {
-    let within = folder.strip_prefix(library).unwrap_or(folder);
-    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
-    parts.collect::<Vec<_>>().join("/")
 }
 
 /// The number after those that the trials of a surface by a user have.
@@ -61,18 +55,6 @@ fn number_after(taken: &[TrialKey], surface: &str, user: &str) -> u32 {
 
 fn keys(entries: &[Entry]) -> Vec<TrialKey> {
     entries.iter().map(|entry| entry.key.clone()).collect()
-}
-
-/// The trials that can be read; none, where there is no such folder or it holds none.
-fn trials(folder: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
-    if !folder.exists() {
-        return Ok(Vec::new());
-    }
-    match recording::open_usable(folder, scene) {
-        Ok(opened) => Ok(opened.library.entries),
-        Err(LibraryError::NothingFound { .. }) => Ok(Vec::new()),
-        Err(error) => Err(error),
-    }
 }
 
 impl Editor {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::REMOVED;
+use super::folders::REMOVED;
 use crate::library::LibraryError;
 use crate::trial::TrialKey;
 

@@ -6,6 +6,9 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
+/// The file that holds the defaults.
+pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");
+
 /// Where values of the defaults stand in the file: nowhere.
 const NOWHERE: Range<usize> = 0..0;
 

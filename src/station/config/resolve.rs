@@ -8,14 +8,13 @@ use std::time::Duration;
 
 use toml::Spanned;
 
+use super::error::ConfigError;
 use super::file::{
     CameraBlock, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
     StylusBlock,
 };
-use super::merge::{is_default, merged};
-use super::{
-    CameraConfig, ConfigError, DEFAULTS, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig,
-};
+use super::merge::{DEFAULTS, is_default, merged};
+use super::resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;

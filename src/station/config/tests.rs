@@ -1,4 +1,7 @@
+use std::path::PathBuf;
+
 use super::*;
+use crate::device::serial::Selector;
 use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scene::Phase;
 

@@ -1,7 +1,8 @@
 //! The library of a station: read at the start and on command, beside the loop.
 
 use super::{Loaded, Naming, Run};
-use crate::station::event::{LibraryState, StationEvent};
+use crate::station::event::StationEvent;
+use crate::station::library_state::LibraryState;
 
 impl Run<'_> {
     /// Whether there is a library to read.

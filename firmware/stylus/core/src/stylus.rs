@@ -127,7 +127,7 @@ impl<'a> Stylus<'a> {
         !(self.hello_due || self.status_due)
     }
 
-    /// Tells the daemon how things stand at the next opportunity.
+    /// Reports to the daemon how things stand at the next opportunity.
     pub fn report(&mut self) {
         self.status_due = true;
     }
@@ -154,7 +154,7 @@ impl<'a> Stylus<'a> {
     }
 
     fn take<const T: usize>(&mut self, sample: Sample, line: &ByteRing<T>) {
-        // The ring's 32-bit tick is never 2^32 behind, so the difference tells the full index.
+        // The ring's 32-bit tick is never 2^32 behind, so the difference gives the full index.
         let ahead = sample.tick.wrapping_sub(self.next_index as u32);
         let index = self.next_index + u64::from(ahead);
         if ahead > 0 {

@@ -1,6 +1,6 @@
 //! Drags that are not steady.
 
-use super::{Setting, drag, each_series, to_sample};
+use super::setting::{Setting, drag, each_series, to_sample};
 use crate::seed::uniform;
 use crate::trial::Trial;
 

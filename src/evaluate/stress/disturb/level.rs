@@ -1,6 +1,6 @@
 //! Gain, force, offset, saturation and coarse converters.
 
-use super::{Setting, analog, each_sample, each_series, to_sample};
+use super::setting::{Setting, analog, each_sample, each_series, to_sample};
 use crate::trial::Trial;
 
 /// Vibration grows as force to this power.

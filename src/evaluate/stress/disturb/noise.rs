@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Setting, Spread, analog, each_series, sound, to_sample};
+use super::setting::{Setting, Spread, analog, each_series, sound, to_sample};
 use crate::seed::uniform;
 use crate::trial::{Series, Trial};
 

@@ -1,6 +1,6 @@
 //! Light, lens and place of pictures.
 
-use super::{Setting, each_picture};
+use super::setting::{Setting, each_picture};
 use crate::trial::{Image, Trial};
 
 /// Less light, by a factor; what is dark loses its steps.

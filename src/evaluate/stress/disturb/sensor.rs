@@ -1,6 +1,6 @@
 //! Sensors that are dead, stuck or wired the wrong way.
 
-use super::{Setting, analog, each_series, many_channels, sensed};
+use super::setting::{Setting, analog, each_series, many_channels, sensed};
 use crate::scene::SourceSpec;
 use crate::seed::uniform;
 use crate::trial::{Image, Signal, Trial};

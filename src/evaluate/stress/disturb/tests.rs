@@ -2,12 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::setting::Spread;
 use super::*;
 use crate::dataset::synth::{self, Parameters};
 use crate::library::Entry;
+use crate::scene::Scene;
 use crate::scene::SourceId;
 use crate::seed;
 use crate::trial::TrialKey;
+use crate::trial::{Series, Signal};
 
 fn trial() -> Trial {
     let small =

@@ -1,6 +1,6 @@
 //! Time that is lost, stretched or cut short.
 
-use super::{Setting, analog, drag, each_series, replace, slow as in_time};
+use super::setting::{Setting, analog, drag, each_series, replace, slow as in_time};
 use crate::seed::uniform;
 use crate::trial::{Series, Trial};
 

@@ -1,6 +1,26 @@
 //! The answer: how long to drag, or why that cannot be said.
 
-use super::{AccuracyAt, Goal, LeftOutAccuracy};
+/// How well scans are to be named.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// This share of them.
+    Accuracy(f64),
+    /// Their accuracy by the whole length, less this share.
+    Loss(f64),
+}
+
+/// A share of left-out trials that are named right by a time.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct AccuracyAt {
+    /// Scan time in seconds.
+    pub scan_s: f64,
+    /// The share.
+    pub accuracy: f64,
+    /// Lower end of its 95 % interval.
+    pub accuracy_low: f64,
+    /// Upper end.
+    pub accuracy_high: f64,
+}
 
 /// Why there is no scan time.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,12 +110,6 @@ impl From<ScanTime> for Document {
 }
 
 impl ScanTime {
-    /// For trials that cannot be compared with each other.
-    pub fn without_model(goal: Goal, why: String) -> Self {
-        let shortfall = Some(Shortfall::NoModel(why));
-        Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
-    }
-
     /// How long to drag, in seconds, where that is known.
     pub fn scan_s(&self) -> Option<f64> {
         self.enough.map(|at| at.scan_s)

@@ -13,7 +13,7 @@
 
 mod answer;
 
-pub use answer::{ScanTime, Shortfall};
+pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 
 use super::interval::{can_show, wilson, wilson_of_groups};
 use crate::recognise::follow::LOOK_S;
@@ -50,28 +50,6 @@ pub struct LibraryCounts {
     pub across_people: bool,
     /// Its surfaces, with the number of trials of each.
     pub surfaces: Vec<(String, usize)>,
-}
-
-/// How well scans are to be named.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Goal {
-    /// This share of them.
-    Accuracy(f64),
-    /// Their accuracy by the whole length, less this share.
-    Loss(f64),
-}
-
-/// A share of left-out trials that are named right by a time.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct AccuracyAt {
-    /// Scan time in seconds.
-    pub scan_s: f64,
-    /// The share.
-    pub accuracy: f64,
-    /// Lower end of its 95 % interval.
-    pub accuracy_low: f64,
-    /// Upper end.
-    pub accuracy_high: f64,
 }
 
 /// Trials that were left out together: how many there are, and how many are named right by each
@@ -210,6 +188,14 @@ impl LeftOutAccuracy {
             (surface.clone(), 2_usize.saturating_sub(*trials))
         };
         self.library.surfaces.iter().map(lacks).filter(|(_, lacks)| *lacks > 0).collect()
+    }
+}
+
+impl ScanTime {
+    /// For trials that cannot be compared with each other.
+    pub fn without_model(goal: Goal, why: String) -> Self {
+        let shortfall = Some(Shortfall::NoModel(why));
+        Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
     }
 }
 

@@ -1,0 +1,54 @@
+//! What commands share: how they end, and how they open data.
+
+use std::path::Path;
+
+use super::show;
+use crate::dataset;
+use crate::library::Library;
+use crate::scene::{Scene, SourceId};
+
+/// How a command ended that did not do all of its work.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// Exit code 1.
+    Failed(String),
+    /// Exit code 2.
+    Usage(String),
+    /// Exit code 3: done, but something in use was lost or damaged.
+    Damaged(String),
+}
+
+/// Anything that went wrong while working is a failure; wrong usage says so itself.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// What a command gives.
+pub(super) type Done = Result<(), Failure>;
+
+/// Which sources a comparison uses.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct SourceArgs {
+    /// Sources to compare, with commas between them (default: all that the data have)
+    #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
+    pub(super) sources: Vec<SourceId>,
+}
+
+impl SourceArgs {
+    /// The scene with only the sources that were named.
+    pub(super) fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        if self.sources.is_empty() {
+            return Ok(scene);
+        }
+        scene.only(&self.sources).map_err(|error| Failure::Usage(error.to_string()))
+    }
+}
+
+/// Opens recordings of any form, and says on stderr what was found.
+pub(super) fn open(path: &Path) -> Result<Library, Failure> {
+    let library = dataset::open(path, &Scene::lmt108())?;
+    show::library(&library);
+    Ok(library)
+}

@@ -1,0 +1,49 @@
+//! How a session works.
+
+use std::time::Duration;
+
+use super::layout::Detection;
+
+/// How a session works.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// How much the ring of a series holds, in seconds at its nominal rate; at least one frame.
+    pub ring_s: f64,
+    /// How many pictures the ring of a camera holds.
+    pub ring_images: usize,
+    /// A [`Progress`](super::Progress) each this many seconds of drag; `Some(0.05)` makes 20 a
+    /// second in real time. Off by default.
+    pub progress_every_s: Option<f64>,
+    /// A [`Trace`](super::Trace) each this many seconds of real time. Off by default.
+    pub trace_every_s: Option<f64>,
+    /// How much of each stream is kept for marks that look back, in seconds.
+    pub lookback_s: f64,
+    /// How long a scan may last, in seconds. One that was detected or begun by command ends then; of
+    /// a recorded one that is longer, the rest is lost.
+    pub longest_scan_s: f64,
+    /// How long after its end a scan waits for data that do not come.
+    pub deliver_limit: Duration,
+    /// How long a stop waits for a device.
+    pub stop_limit: Duration,
+    /// How many events wait for their reader.
+    pub events: usize,
+    /// How scans are detected in streams that carry no marks. Off by default.
+    pub detection: Option<Detection>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            ring_s: 1.0,
+            ring_images: 4,
+            progress_every_s: None,
+            trace_every_s: None,
+            lookback_s: 5.0,
+            longest_scan_s: 120.0,
+            deliver_limit: Duration::from_secs(2),
+            stop_limit: Duration::from_secs(2),
+            events: 64,
+            detection: None,
+        }
+    }
+}
