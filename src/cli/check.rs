@@ -57,8 +57,8 @@ pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport
             steps.show(step, done, of);
         }
     };
-    let cache = how.cache.then_some(library);
-    Ok(check(opened, &scene, &*method, cache, &progress))
+    let cache = how.cache_in(library);
+    Ok(check(opened, &scene, &*method, cache.as_deref(), &progress))
 }
 
 fn print(report: &CheckReport) {

@@ -109,10 +109,11 @@ pub fn load(
         {
             return Err(nothing_in_common(&path, &state.sources, given));
         }
-        let beside = how.cache.then_some(path.as_path());
         let all = (0..entries.len()).collect();
-        let prepared = prepare_library(&*method, &entries, &all, beside, &|_, _| {})
+        let cache = how.cache_in(&path);
+        let prepared = prepare_library(&*method, &entries, &all, cache.as_deref(), &|_, _| {})
             .map_err(|error| error.to_string())?;
+        prepared.remarks.iter().for_each(|remark| say!("{remark}"));
         let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
         let mut by =
             Recogniser::new(model, scene, state).with_trials(&entries).planned(how.planned_s());

@@ -1,6 +1,6 @@
 //! `surfaced plan`: the cheapest setting that names a library's surfaces well enough.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::choose::choose;
 use super::figure::write;
@@ -90,12 +90,17 @@ pub struct Comparing {
     /// The method.
     pub method: MethodSpec,
     /// Whether prepared trials are kept beside the library.
-    pub cache: bool,
+    cache: bool,
     /// How much of each drag is used, in seconds, if not all of it.
     pub query_seconds: Option<f64>,
 }
 
 impl Comparing {
+    /// Where prepared trials of a folder are kept, if they are.
+    pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
+        self.cache.then(|| folder.to_path_buf())
+    }
+
     /// How long the plan lets scans last, in seconds, if there is one that says so.
     pub fn planned_s(&self) -> Option<f64> {
         self.plan.as_ref()?.scan_s

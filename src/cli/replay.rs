@@ -1,7 +1,7 @@
 //! `surfaced replay`: plays recordings through the rings as if they were live, and names them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::answers::AnswerArgs;
@@ -18,8 +18,8 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, first_seconds};
 use crate::history;
+use crate::library::Entry;
 use crate::library::lock::LibraryLock;
-use crate::library::{Entry, Library};
 use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
 use crate::scan::Options;
 use crate::scene::Scene;
@@ -73,6 +73,8 @@ pub(super) struct Stage {
     pub entries: Vec<Entry>,
     pub folds: Vec<Fold>,
     pub synthetic: bool,
+    /// The folder whose cache holds the prepared trials of the library.
+    pub cache: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -84,7 +86,7 @@ pub fn run(args: &Args) -> Done {
     let library = args.library.as_deref().map(LibraryLock::for_reading);
     let stage = match (&args.data, &args.library) {
         (None, _) => demonstration(&how)?,
-        (Some(data), None) => by_protocol(&how, super::open(data)?, args.protocol)?,
+        (Some(data), None) => by_protocol(&how, data, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
     };
     play(args, &how, &stage, library)?;
@@ -121,25 +123,28 @@ fn demonstration(how: &Comparing) -> Result<Stage, Failure> {
         (0..entries.len()).partition(|&i| entries[i].key.user == EXPERT);
     queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
     let fold = Fold { name: "expert".into(), library: of_expert, queries };
-    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic: true })
+    let folds = vec![fold];
+    Ok(Stage { name: library.name, scene, entries, folds, synthetic: true, cache: None })
 }
 
 fn by_protocol(
     how: &Comparing,
-    data: Library,
+    folder: &Path,
     protocol: Option<ProtocolArg>,
 ) -> Result<Stage, Failure> {
+    let data = super::open(folder)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
     if named {
         say!("protocol: {}", protocol.name());
     }
-    Ok(Stage { name: data.name, scene, entries, folds, synthetic: data.synthetic })
+    let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
+    Ok(Stage { name, scene, entries, folds, synthetic, cache })
 }
 
-fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, Failure> {
-    let same = |path: &PathBuf| path.canonicalize().ok();
+fn against(how: &Comparing, data: &Path, library: &Path) -> Result<Stage, Failure> {
+    let same = |path: &Path| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
             "{}: data and library are one folder, so each trial would meet itself; leave --library \
@@ -147,6 +152,7 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
             data.display()
         )));
     }
+    let cache = how.cache_in(library);
     let (data, library) = (super::open(data)?, super::open(library)?);
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
@@ -159,7 +165,7 @@ fn against(how: &Comparing, data: &PathBuf, library: &PathBuf) -> Result<Stage, 
     };
     entries.extend(queries);
     let scene = of_data.with(scene);
-    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic })
+    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
 /// Plays the stage's queries, and names them. `reading` keeps edits off the library until it is read.
@@ -258,6 +264,8 @@ fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, Rec
     let steps = show::Steps::new();
     let progress = |step, done, of| steps.show(step, done, of);
     let evaluation = Evaluation::new(&stage.scene, &stage.entries, &stage.folds);
-    let run = Evaluation { progress: &progress, ..evaluation }.prepare(method)?;
+    let cache = stage.cache.as_deref();
+    let run = Evaluation { cache, progress: &progress, ..evaluation }.prepare(method)?;
+    run.cache_remarks().iter().for_each(|remark| say!("{remark}"));
     stage.folds.iter().map(|fold| run.fit(&fold.library)).collect()
 }

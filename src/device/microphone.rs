@@ -112,6 +112,8 @@ struct Listening<'a> {
     begin: Instant,
     /// Whether sound has ever arrived.
     received: bool,
+    /// Frames that were counted as lost by the clock, and may yet turn out to be only late.
+    estimated: u64,
 }
 
 impl Microphone {
@@ -151,6 +153,7 @@ impl Device for Microphone {
             level: LevelWatch::new(rate_hz),
             begin: Instant::now(),
             received: false,
+            estimated: 0,
         };
         let mut retry = Retry::new(LONGEST_RETRY);
         while !control.stopped() {
@@ -243,20 +246,29 @@ impl Listening<'_> {
     fn carry(&mut self, tap: &mut SeriesTap, before: &mut Before) -> bool {
         let now_s = self.now_s();
         let (mut change, mut came) = (None, false);
-        let Self { sink, pace, level, .. } = self;
+        let Self { sink, pace, level, estimated, .. } = self;
+        let least_missing = (LEAST_MISSING_S * f64::from(RATE_HZ)) as u64;
         let held = tap.meter().counts().fill;
         tap.drain(|piece| match piece {
             Piece::Missing(frames) => sink.skip(frames),
             Piece::Samples(samples) => {
                 let least = match std::mem::replace(before, Before::Frames) {
                     Before::Frames => u64::MAX,
-                    Before::Pause(_) => (LEAST_MISSING_S * f64::from(RATE_HZ)) as u64,
+                    Before::Pause(_) => least_missing,
                     Before::Loss => 0,
                 };
                 // What is missing comes before the frames that followed it.
                 let position = sink.position() + held.max(samples.len() as u64);
-                sink.skip(Some(pace.missing(now_s, position)).filter(|n| *n >= least).unwrap_or(0));
+                let missing = Some(pace.missing(now_s, position)).filter(|n| *n >= least);
+                sink.skip(missing.unwrap_or(0));
+                *estimated += missing.unwrap_or(0);
                 came = true;
+                // What comes after it was counted as lost has its place no more.
+                let early = pace.early(now_s, sink.position() + samples.len() as u64);
+                let early = if early >= least_missing { early } else { 0 };
+                let late = early.min(*estimated).min(samples.len() as u64);
+                *estimated -= late;
+                let samples = &samples[late as usize..];
                 sink.push(samples);
                 change = level.take(samples).or(change);
             }

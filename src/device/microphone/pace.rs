@@ -53,6 +53,14 @@ impl Pace {
         (late_s * self.rate_hz).max(0.0) as u64
     }
 
+    /// How many frames came sooner than they can have been recorded, if they end at `now_s` with
+    /// number `position`: as many of those that were counted as lost were only late.
+    pub fn early(&self, now_s: f64, position: u64) -> u64 {
+        let Some((begin, at_s)) = self.begin else { return 0 };
+        let early_s = begin - (now_s - position as f64 / self.rate_hz) - DRIFT * (now_s - at_s);
+        (early_s * self.rate_hz).max(0.0) as u64
+    }
+
     /// Whether frames come much faster than real time, as they do from ALSA's null device.
     pub fn unpaced(&self, now_s: f64, position: u64) -> bool {
         let Some((first_s, first)) = self.first else { return false };

@@ -193,7 +193,12 @@ fn a_pause_that_nobody_reports_is_counted_unless_its_sound_was_only_late() {
         82..112 => Act::Rush,
         _ => Act::Play(0.1),
     };
-    for (script, expected_s) in [(skipped, 0.6), (late, 0.0)] {
+    let later_than_is_waited_for: Script = |_, step| match step {
+        50 => Act::Pause(600),
+        101..161 => Act::Rush,
+        _ => Act::Play(0.1),
+    };
+    for (script, expected_s) in [(skipped, 0.6), (late, 0.0), (later_than_is_waited_for, 0.6)] {
         let running = start(script, None);
         running.says(&["opening", "streaming"]);
         wait(2.0);
