@@ -85,14 +85,16 @@ pub fn result_line(text: &str) {
     if RESULTS_ASIDE.load(Ordering::Acquire) {
         return line(text);
     }
+    let print = || write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
     let kept = status_line();
-    if kept.is_some() {
-        write_stderr(CLEAR);
-    }
-    write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
-    if let Some(status) = &*kept {
-        write_stderr(status);
-    }
+    let Some(status) = &*kept else {
+        // A reader of results who stalls must not hold up what is said on stderr.
+        drop(kept);
+        return print();
+    };
+    write_stderr(CLEAR);
+    print();
+    write_stderr(status);
 }
 
 /// Replaces the status line, where one is kept.
