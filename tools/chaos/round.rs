@@ -212,8 +212,8 @@ impl Life<'_> {
             sums.violations.push(format!("the stylus's {}: {said}", samples.json("samples")));
         }
         let Some(sound) = &self.sound else { return Ok(()) };
-        let samples = sound.account(&self.daemon, struck, &said)?;
-        let invented = samples.received + samples.lost > samples.sent + samples.unknowable;
+        let (samples, most) = sound.account(&self.daemon, struck, &said)?;
+        let invented = samples.received + samples.lost > most;
         if !sums.sound.add(&samples) || invented {
             sums.violations.push(format!("the sound's {}: {said}", samples.json("samples")));
         }

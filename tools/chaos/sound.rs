@@ -107,8 +107,14 @@ impl Sound {
     }
 
     /// What became of the samples of a station's microphone until `ended`, as far as the station's
-    /// own words let one know.
-    pub fn account(&self, daemon: &Daemon, ended: Instant, said: &str) -> Result<Samples, Failure> {
+    /// own words let one know; and the most that there can have been of them: a stream that is
+    /// opened may hold sound back until its server works.
+    pub fn account(
+        &self,
+        daemon: &Daemon,
+        ended: Instant,
+        said: &str,
+    ) -> Result<(Samples, u64), Failure> {
         let (received, lost) = account(said, "sound").ok_or("it gave no account of sound")?;
         let states = daemon.states("microphone");
         let streams = |(_, state): &(Instant, String)| state == "streaming";
@@ -119,7 +125,9 @@ impl Sound {
         let samples =
             |from: Instant| (ended.saturating_duration_since(from).as_secs_f64() * RATE_HZ) as u64;
         let unknowable = samples(silent) + (SLACK_S * RATE_HZ) as u64;
-        Ok(Samples { sent: samples(since), received, lost, unknowable })
+        let opened = states.first().map_or(ended, |(since, _)| *since);
+        let most = samples(opened) + (SLACK_S * RATE_HZ) as u64;
+        Ok((Samples { sent: samples(since), received, lost, unknowable }, most))
     }
 }
 
