@@ -1,14 +1,12 @@
 //! Reading WAV files: what the header promises, checked against what is there.
 //!
 //! The chunks are walked here, since `hound` neither skips the padding of odd-sized chunks nor knows
-//! where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers: it decodes the samples
-//! behind a header that leaves no question open.
+//! where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers; and samples are decoded block
+//! by block, since one at a time they took a third of the time that a large library needs.
 
 use std::fs::File;
-use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
-
-use hound::{SampleFormat, WavReader};
 
 use super::LibraryError;
 use super::files::{self, EMPTY_FILE};
@@ -29,29 +27,45 @@ pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
 /// # Errors
 /// As [`probe`], and if a sample is not finite.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
-    let (file, data) = open(path)?;
-    let plain = Cursor::new(data.plain_header()).chain(file.take(data.length));
-    let samples = decode(plain, data.container).map_err(|error| match error {
-        hound::Error::IoError(error) if error.raw_os_error().is_some() => {
-            LibraryError::io(path, error)
-        }
+    let (mut file, data) = open(path)?;
+    let samples = decode(&mut file, data).map_err(|error| match error.kind() {
         // The file became shorter since its header was read.
-        _ => truncated(path, None),
+        io::ErrorKind::UnexpectedEof => truncated(path, None),
+        _ => LibraryError::io(path, error),
     })?;
     let Header { rate_hz, channels, .. } = data.header();
     Series::new(rate_hz, channels, samples)
         .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
 }
 
-fn decode(plain: impl Read, container: u16) -> hound::Result<Vec<f32>> {
-    let reader = WavReader::new(plain)?;
+fn decode(file: &mut impl Read, data: Data) -> io::Result<Vec<f32>> {
+    let Data { format, container, length, .. } = data;
+    let bytes = usize::from(container);
     let scale = 1.0 / 2f64.powi(i32::from(container) * 8 - 1);
-    match reader.spec().sample_format {
-        SampleFormat::Float => reader.into_samples::<f32>().collect(),
-        SampleFormat::Int => reader
-            .into_samples::<i32>()
-            .map(|sample| sample.map(|value| (f64::from(value) * scale) as f32))
-            .collect(),
+    let mut samples = Vec::with_capacity(length as usize / bytes);
+    // Whole samples of any size.
+    let mut block = [0; 48 * 1024];
+    let mut left = length;
+    while left > 0 {
+        let block = &mut block[..left.min(48 * 1024) as usize];
+        file.read_exact(block)?;
+        left -= block.len() as u64;
+        samples.extend(block.chunks_exact(bytes).map(|sample| match (format, sample) {
+            (FLOAT, &[a, b, c, d]) => f32::from_le_bytes([a, b, c, d]),
+            _ => (f64::from(integer(sample)) * scale) as f32,
+        }));
+    }
+    Ok(samples)
+}
+
+/// A sample of 1 to 4 bytes; of one byte, 128 stands for 0.
+fn integer(sample: &[u8]) -> i32 {
+    match *sample {
+        [a] => i32::from(a) - 128,
+        [a, b] => i16::from_le_bytes([a, b]).into(),
+        [a, b, c] => i32::from_le_bytes([0, a, b, c]) >> 8,
+        [a, b, c, d] => i32::from_le_bytes([a, b, c, d]),
+        _ => unreachable!("`parse` lets 1 to 4 bytes pass"),
     }
 }
 
@@ -83,24 +97,6 @@ impl Data {
             channels,
             frames: (self.length / frame.max(1)) as usize,
         }
-    }
-
-    /// The header of a plain WAV file with the same samples.
-    fn plain_header(self) -> Vec<u8> {
-        let Self { format, channels, rate_hz, container, length } = self;
-        // `open` saw to it that none of these wraps.
-        let frame = channels * container;
-        let length = length as u32;
-        let mut bytes = b"RIFF".to_vec();
-        bytes.extend(length.saturating_add(36).to_le_bytes());
-        bytes.extend(b"WAVEfmt \x10\0\0\0");
-        bytes.extend([format, channels].map(u16::to_le_bytes).concat());
-        bytes
-            .extend([rate_hz, rate_hz.saturating_mul(frame.into())].map(u32::to_le_bytes).concat());
-        bytes.extend([frame, container * 8].map(u16::to_le_bytes).concat());
-        bytes.extend(b"data");
-        bytes.extend(length.to_le_bytes());
-        bytes
     }
 }
 

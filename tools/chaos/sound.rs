@@ -126,7 +126,9 @@ impl Sound {
             |from: Instant| (ended.saturating_duration_since(from).as_secs_f64() * RATE_HZ) as u64;
         let unknowable = samples(silent) + (SLACK_S * RATE_HZ) as u64;
         let opened = states.first().map_or(ended, |(since, _)| *since);
-        let most = samples(opened) + (SLACK_S * RATE_HZ) as u64;
+        // It goes on until the station has ended, which is by now.
+        let most = (opened.elapsed().as_secs_f64() + SLACK_S) * RATE_HZ;
+        let most = most as u64;
         Ok((Samples { sent: samples(since), received, lost, unknowable }, most))
     }
 }
