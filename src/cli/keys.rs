@@ -112,8 +112,8 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
 fn end_late() {
     std::thread::sleep(LIMIT);
     // Beside, for stderr may be what it waits for.
-    let tell = || say!("warning: not all could be ended in time; something may be lost");
-    let _ = std::thread::Builder::new().spawn(tell);
+    let warn = || say!("warning: not all could be ended in time; something may be lost");
+    let _ = std::thread::Builder::new().spawn(warn);
     std::thread::sleep(Duration::from_millis(50));
     restore();
     std::process::exit(DAMAGED.into());

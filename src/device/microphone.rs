@@ -259,9 +259,10 @@ impl Listening<'_> {
                 };
                 // What is missing comes before the frames that followed it.
                 let position = sink.position() + held.max(samples.len() as u64);
-                let missing = Some(pace.missing(now_s, position)).filter(|n| *n >= least);
-                sink.skip(missing.unwrap_or(0));
-                *estimated += missing.unwrap_or(0);
+                let missing = pace.missing(now_s, position);
+                let missing = if missing >= least { missing } else { 0 };
+                sink.skip(missing);
+                *estimated += missing;
                 came = true;
                 // What comes after it was counted as lost has its place no more.
                 let early = pace.early(now_s, sink.position() + samples.len() as u64);

@@ -29,8 +29,8 @@ pub struct Keeper {
     end: End,
 }
 
-/// Scans whose signals are written, and whose notes are not yet. Whoever takes one out says that it
-/// is kept.
+/// Scans whose signals are written, and whose notes are not yet. The thread that takes one out says
+/// that it is kept.
 type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
 
 /// What is noted beside the signals of a scan.

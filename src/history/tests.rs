@@ -1,14 +1,13 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
-use std::time::Instant;
 
 use super::*;
 use crate::recognise::RankedSurface;
 use crate::scan::Scan;
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, Listener, StationEvent};
-use crate::trial::{Series, Signal, Trial, TrialKey};
+use crate::trial::{Series, Signal};
 
 fn answer(scan: u32, surface: Option<&str>) -> Answer {
     let id = format!("20260921-143000.{scan:03}-{scan:02}");
@@ -96,17 +95,7 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
     for (number, signals) in
         [(1, BTreeMap::from([(SourceId::new("ir").unwrap(), silence)])), (2, BTreeMap::new())]
     {
-        let scan = Scan {
-            number,
-            trial: Trial { key: TrialKey::new("", "", number), signals },
-            truth: None,
-            synthetic: false,
-            scan_s: 0.01,
-            lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
-            spoiled: Vec::new(),
-            ended_at: Instant::now(),
-        };
+        let scan = Scan { scan_s: 0.01, ..Scan::of_signals(number, signals) };
         let unnamed = Answer {
             state: AnswerState::Unnamed,
             reasons: vec!["too little to name".into()],

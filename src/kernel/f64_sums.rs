@@ -1,4 +1,5 @@
-//! Gaussian kernel sums in f64 over lanes: where f32 does not suffice, at a tenth of its speed. Relative error below 1e-14 of [`kernel_sum`](super::kernel_sum) (tested).
+//! Gaussian kernel sums in f64 over lanes: where f32 does not suffice, at a tenth of its speed.
+//! Relative error below 1e-14 of [`kernel_sum`](super::kernel_sum) (tested).
 
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;

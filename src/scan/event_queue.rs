@@ -123,20 +123,9 @@ mod tests {
 
     use super::*;
     use crate::scan::Scan;
-    use crate::trial::{Trial, TrialKey};
 
     fn scan(number: u32) -> Event {
-        Event::Scan(Box::new(Scan {
-            number,
-            trial: Trial { key: TrialKey::new("", "", number), signals: BTreeMap::new() },
-            truth: None,
-            synthetic: false,
-            scan_s: 0.0,
-            lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
-            spoiled: Vec::new(),
-            ended_at: Instant::now(),
-        }))
+        Event::Scan(Box::new(Scan::of_signals(number, BTreeMap::new())))
     }
 
     #[test]

@@ -57,6 +57,27 @@ pub struct Scan {
     pub ended_at: Instant,
 }
 
+#[cfg(test)]
+impl Scan {
+    /// A scan of these signals, nothing lost, that has just ended; its duration is left at 0.
+    pub(crate) fn of_signals(
+        number: u32,
+        signals: BTreeMap<SourceId, crate::trial::Signal>,
+    ) -> Self {
+        Self {
+            number,
+            trial: Trial { key: TrialKey::new("", "", number), signals },
+            truth: None,
+            synthetic: false,
+            scan_s: 0.0,
+            lost_samples: 0,
+            lost_by_source: BTreeMap::new(),
+            spoiled: Vec::new(),
+            ended_at: Instant::now(),
+        }
+    }
+}
+
 /// What happens in a session.
 #[derive(Debug)]
 pub enum Event {

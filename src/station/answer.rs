@@ -123,17 +123,17 @@ impl fmt::Debug for AnsweredScan {
 }
 
 impl Answer {
-    /// The answer to a scan that could not be named, which comes after `latency_ms`; for people, why.
-    pub(super) fn unnamed(scan: &Scan, why: &str, latency_ms: f64) -> Self {
+    /// What a scan itself says of its answer, which comes after `latency_ms`: it has no name.
+    pub(super) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
         Self {
-            link: link(&id),
+            link: format!("/#scan={id}"),
             id,
             unix_ms,
             scan: scan.number,
             state: AnswerState::Unnamed,
-            reasons: vec![why.into()],
+            reasons: Vec::new(),
             surface: None,
             truth: truth.and_then(|key| key.label().map(String::from)),
             user: truth.map(|key| key.user.clone()),
@@ -162,15 +162,10 @@ impl Answer {
 
 /// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
 /// since 1970.
-pub(super) fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
+fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);
     let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
     (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
-}
-
-/// Where the page shows an answer.
-pub(super) fn link(id: &str) -> String {
-    format!("/#scan={id}")
 }
 
 #[cfg(test)]

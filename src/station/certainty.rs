@@ -75,11 +75,10 @@ fn digits(p: f64) -> String {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
-    use std::time::Instant;
 
     use super::*;
     use crate::recognise::{RankedSurface, Ranking, Rejection};
-    use crate::trial::{Trial, TrialKey};
+    use crate::trial::TrialKey;
 
     fn verdict(p_value: Option<f64>, threshold: bool) -> Verdict {
         let ranked = ["oak", "ash"].map(|s| RankedSurface { surface: s.into(), score: 1.0 });
@@ -97,17 +96,7 @@ mod tests {
     }
 
     fn scan(scan_s: f64) -> Scan {
-        Scan {
-            number: 1,
-            trial: Trial { key: TrialKey::new("", "", 1), signals: BTreeMap::new() },
-            truth: None,
-            synthetic: false,
-            scan_s,
-            lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
-            spoiled: Vec::new(),
-            ended_at: Instant::now(),
-        }
+        Scan { scan_s, ..Scan::of_signals(1, BTreeMap::new()) }
     }
 
     fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {

@@ -1,11 +1,11 @@
 //! The thread that follows and names scans, so that nothing holds up the reading of events.
 
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
+use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed, link, stamp};
+use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed};
 use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
@@ -66,7 +66,8 @@ pub(super) enum ScanAnswer {
 impl ScanAnswer {
     /// That a scan could not be named, and why.
     pub fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> Self {
-        let answer = Arc::new(Answer::unnamed(&scan, why, latency_ms));
+        let answer =
+            Arc::new(Answer { reasons: vec![why.into()], ..Answer::of(&scan, latency_ms) });
         let text = format!("scan {} was not named: {why}", scan.number);
         let unnamed = Unnamed { answer: answer.clone(), text, too_little };
         Self::Unnamed(Arc::new(AnsweredScan { scan, answer, by: None }), unnamed)
@@ -144,32 +145,19 @@ fn named(
 ) -> ScanAnswer {
     let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
     let Verdict { ranking, needed_s, remarks, .. } = verdict;
-    let truth = scan.truth.as_ref();
-    let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
     let answer = Answer {
-        link: link(&id),
-        id,
-        unix_ms,
-        scan: scan.number,
         surface: (state != AnswerState::Unknown).then(|| ranking.surface().to_string()),
         state,
         reasons,
-        truth: truth.and_then(|key| key.label().map(String::from)),
-        user: truth.map(|key| key.user.clone()),
-        trial: truth.map(|key| key.number),
-        synthetic: scan.synthetic,
         margin: ranking.margin,
         confidence: ranking.confidence,
         fit: ranking.p_value,
-        latency_ms,
-        scan_s: scan.scan_s,
         settled_s,
-        lost_samples: scan.lost_samples,
         sources: ranking.sources,
-        spoiled: scan.spoiled.clone(),
         needed_s,
         remarks,
         ranked: ranking.ranked,
+        ..Answer::of(&scan, latency_ms)
     };
     ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
 }
@@ -268,17 +256,7 @@ mod tests {
     }
 
     fn scan(number: u32) -> Scan {
-        Scan {
-            number,
-            trial: Trial { key: TrialKey::new("", "", number), signals: BTreeMap::new() },
-            truth: None,
-            synthetic: false,
-            scan_s: 1.0,
-            lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
-            spoiled: Vec::new(),
-            ended_at: Instant::now(),
-        }
+        Scan { scan_s: 1.0, ..Scan::of_signals(number, BTreeMap::new()) }
     }
 
     #[test]

@@ -153,7 +153,7 @@ def check(browser, station, shots):
     browser.wait("a name", lambda: browser.text("#name") == "nearest: slate", 60)
     assert "scan" in browser.text("#answer-label")
     assert browser.run("return document.querySelectorAll('#runners li').length") >= 2
-    assert "slate" in browser.text("#announce"), "a screen reader is told"
+    assert "slate" in browser.text("#announce"), "a screen reader says it"
     shot(browser, shots, "light")
 
     browser.keys("v")

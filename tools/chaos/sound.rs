@@ -127,8 +127,7 @@ impl Sound {
         let unknowable = samples(silent) + (SLACK_S * RATE_HZ) as u64;
         let opened = states.first().map_or(ended, |(since, _)| *since);
         // It goes on until the station has ended, which is by now.
-        let most = (opened.elapsed().as_secs_f64() + SLACK_S) * RATE_HZ;
-        let most = most as u64;
+        let most = ((opened.elapsed().as_secs_f64() + SLACK_S) * RATE_HZ) as u64;
         Ok((Samples { sent: samples(since), received, lost, unknowable }, most))
     }
 }

@@ -15,17 +15,7 @@ fn scan_at(number: u32, level: f32) -> Box<Scan> {
     };
     let signals = [("ir", 1), ("fr", 2), ("ac", 3)]
         .map(|(id, channels)| (SourceId::new(id).unwrap(), signal(channels)));
-    Box::new(Scan {
-        number,
-        trial: Trial { key: TrialKey::new("", "", number), signals: signals.into() },
-        truth: None,
-        synthetic: false,
-        scan_s: 0.01,
-        lost_samples: 0,
-        lost_by_source: BTreeMap::new(),
-        spoiled: Vec::new(),
-        ended_at: Instant::now(),
-    })
+    Box::new(Scan { scan_s: 0.01, ..Scan::of_signals(number, signals.into()) })
 }
 
 fn enrolment() -> Enrolment {
