@@ -78,7 +78,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     let folder = folder.canonicalize().map_err(|error| LibraryError::io(folder, error))?;
     let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
         return Err(LibraryError::file(&folder, "not the folder of a trial"));

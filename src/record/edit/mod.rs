@@ -11,7 +11,7 @@ mod list;
 mod relocate;
 mod steps;
 
-pub use folders::trial_name;
+pub(crate) use folders::trial_name;
 pub use list::{ListedTrial, list, list_removed};
 pub use steps::{Move, Step, last_step};
 
@@ -39,7 +39,7 @@ pub struct Editor {
 ///
 /// # Errors
 /// If the library is there and cannot be read.
-pub fn next_number(
+pub(crate) fn next_number(
     library: &Path,
     scene: &Scene,
     surface: &str,
