@@ -142,6 +142,7 @@ pub fn run(args: &Args) -> Done {
     if let Some(path) = &args.svg {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
         write(path, &figure(&found.durations, Some(&curve))?)?;
+        show::wrote(&[path]);
     }
     if args.json {
         show::json(&Document { report: &found, answer: &answer });

@@ -132,10 +132,13 @@ fn store(
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
-    show::next(&format!(
-        "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced eval \
-         {folder}, then surfaced run --library {folder}"
-    ));
+    show::next(&match stored.kept {
+        0 => "surfaced devices says what is plugged in, and what is wrong with it".into(),
+        _ => format!(
+            "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced \
+             eval {folder}, then surfaced run --library {folder}"
+        ),
+    });
     // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
         return Ok(stored);

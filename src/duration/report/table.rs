@@ -187,7 +187,11 @@ fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
 /// Milliseconds with the digits that matter to a person.
 fn ms(seconds: Second) -> String {
     let ms = 1e3 * seconds;
-    if ms < 10.0 { format!("{ms:.1}") } else { format!("{ms:.0}") }
+    match ms {
+        ..1.0 => format!("{ms:.2}"),
+        ..10.0 => format!("{ms:.1}"),
+        _ => format!("{ms:.0}"),
+    }
 }
 
 /// The surface with this spacing.
