@@ -57,9 +57,9 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The README, and all that it and they link to; and the one page of a tool that nothing needs.
+/// The README, and all that it and they link to.
 fn pages() -> Vec<Page> {
-    let mut paths = vec![PathBuf::from("README.md"), "tools/slurm-eval/README.md".into()];
+    let mut paths = vec![PathBuf::from("README.md")];
     let mut pages: Vec<Page> = Vec::new();
     while let Some(path) = paths.pop() {
         if pages.iter().any(|(known, _)| *known == path) {

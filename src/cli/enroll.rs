@@ -42,7 +42,7 @@ pub struct EnrollArgs {
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library\n\nTime: until it is ended, or --trials are recorded")]
+                        surfaced record --label felt --library my-library\n\nTime: until it is ended")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]

@@ -16,10 +16,8 @@ use std::sync::Arc;
 
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
-use super::loose;
 use super::seen::Seen;
-use super::series_header;
-use super::{About, Entry, Library, LibraryError, Opened};
+use super::{About, Entry, Library, LibraryError, Opened, loose, series_header};
 use crate::scene::{Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED};
 
