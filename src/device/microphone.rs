@@ -19,11 +19,14 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 #[cfg(feature = "microphone")]
-pub use alsa::{Alsa, microphones};
-pub use callback_sink::CallbackSink;
-pub use level::{Level, LevelWatch};
-pub use mono::{Pcm, Pick, mix};
-pub use pace::Pace;
+pub use alsa::Alsa;
+
+#[cfg(feature = "microphone")]
+pub(crate) use alsa::microphones;
+pub(crate) use callback_sink::CallbackSink;
+pub(crate) use level::{Level, LevelWatch};
+pub(crate) use mono::Pick;
+pub(crate) use pace::Pace;
 
 use super::open::{LONGEST_RETRY, OpenError, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};

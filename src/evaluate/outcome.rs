@@ -92,7 +92,7 @@ impl Outcome {
     /// surfaces that could be the answer, sorted.
     ///
     /// Returns `None` without predictions.
-    pub fn new(
+    pub(crate) fn new(
         predictions: &[Prediction],
         fold_names: &[String],
         labels: Vec<String>,
@@ -161,7 +161,7 @@ impl Confusion {
     }
 
     /// The most frequent mistakes as (truth, answer, count), the worst first.
-    pub fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
+    pub(crate) fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
         let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
             row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
         });
