@@ -1,4 +1,5 @@
-//! A program whose stderr is closed, full or unread continues, and exits as it should.
+//! A program whose stderr is closed, full or unread continues, and exits as it should; so does one
+//! that is to outlive its terminal.
 
 #[path = "common/bench.rs"]
 mod bench;
@@ -136,6 +137,39 @@ fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(status.code(), Some(3), "{said}");
     assert!(said.contains("not all could be ended in time"), "{said}");
+}
+
+#[test]
+fn a_hangup_ends_a_program_but_not_under_nohup() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    for (under, outlives) in [("env", false), ("nohup", true)] {
+        let mut child = Command::new(under)
+            .arg(env!("CARGO_BIN_EXE_surfaced"))
+            .args(["replay", data, "--method", "reference", "--serve=127.0.0.1:0"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let id = child.id().to_string();
+        while !catches_signals(child.id()) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let send = |name| {
+            assert!(Command::new("kill").args(["-s", name, &id]).status().unwrap().success());
+        };
+        send("HUP");
+        if outlives {
+            std::thread::sleep(Duration::from_secs(1));
+            assert!(child.try_wait().unwrap().is_none(), "it ended all the same");
+            send("TERM");
+        }
+        assert_eq!(child.wait().unwrap().code(), Some(0));
+    }
 }
 
 /// Whether a process has a handler of SIGTERM, which is number 15.
