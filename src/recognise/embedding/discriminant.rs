@@ -7,6 +7,7 @@
 //! distance does, and what is left out does not separate classes.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use rayon::prelude::*;
 
 use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
 
@@ -20,6 +21,9 @@ const LEAST_WITHIN: f64 = 1e-3;
 /// Vectors that are summed in f32 before the sum goes to f64.
 const ROWS_A_SUM: usize = 512;
 
+/// Columns of a matrix of sums that one thread works out at a time.
+const COLUMNS_A_SUM: usize = 256;
+
 /// Sums over some training vectors; they add and subtract.
 #[derive(Clone, Debug)]
 pub struct Scatter {
@@ -27,7 +31,7 @@ pub struct Scatter {
     counts: Vec<f64>,
     /// Sum of the vectors of each label, shape (labels, D).
     sums: Array2<f64>,
-    /// Σ z·zᵀ.
+    /// Σ z·zᵀ; the lower triangle alone.
     gram: Array2<f64>,
 }
 
@@ -41,12 +45,7 @@ impl Scatter {
             counts[class] += 1.0;
             sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
         }
-        let mut gram = Array2::zeros((dims, dims));
-        for begin in (0..vectors.nrows()).step_by(ROWS_A_SUM) {
-            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(vectors.nrows()), ..]);
-            gram.zip_mut_with(&rows.t().dot(&rows), |sum, &x| *sum += f64::from(x));
-        }
-        Self { counts, sums, gram }
+        Self { counts, sums, gram: lower_gram(vectors) }
     }
 
     /// Takes the sums of some of the vectors off again.
@@ -67,6 +66,24 @@ impl Scatter {
             gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),
         }
     }
+}
+
+/// Σ z·zᵀ of the rows, shape (D, D): zeros in the upper triangle, but for the blocks on the diagonal.
+fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
+    let (n, dims) = vectors.dim();
+    let mut gram = Array2::zeros((dims, dims));
+    let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
+    blocks.into_par_iter().for_each(|(block, mut columns)| {
+        let from = block * COLUMNS_A_SUM;
+        let to = from + columns.ncols();
+        let mut below = columns.slice_mut(s![from.., ..]);
+        for begin in (0..n).step_by(ROWS_A_SUM) {
+            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
+            let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
+            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
+        }
+    });
+    gram
 }
 
 /// A trained discriminant.
@@ -101,6 +118,7 @@ impl Discriminant {
         for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
             mean /= n.max(1.0);
         }
+        // As `cholesky` does, what follows reads the lower triangle and the diagonal alone.
         let mut metric = &scatter.gram - &scatter.sums.t().dot(&means);
         let mean_square = scatter.gram.diag().sum() / vectors;
         let overall = scatter.sums.sum_axis(Axis(0)) / vectors;
@@ -241,6 +259,18 @@ mod tests {
 
     fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
         Discriminant::new(&Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
+    }
+
+    #[test]
+    fn the_lower_triangle_of_the_sums_is_that_of_the_product() {
+        let (n, dims) = (ROWS_A_SUM + 60, COLUMNS_A_SUM + 30);
+        let value = |(i, j)| (((i * 31 + j * 17) % 97) as f32 - 48.0) / 16.0;
+        let vectors = Array2::from_shape_fn((n, dims), value);
+        let wide = vectors.mapv(f64::from);
+        let (lower, full) = (lower_gram(&vectors), wide.t().dot(&wide));
+        for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
+            assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
+        }
     }
 
     #[test]

@@ -78,15 +78,35 @@ impl SourceEmbedder {
                     Window::Beginning(_) if phase != Phase::Drag => Window::Whole,
                     window => window,
                 };
-                embedder.embed(series, &excerpts.iter().map(window).collect::<Vec<_>>())
+                let windows: Vec<Window> = excerpts.iter().map(window).collect();
+                each_once(&windows, |windows| embedder.embed(series, windows))
             }
             (Self::Picture(embedder), SourceFrames::Picture(grid)) => {
-                excerpts.iter().map(|excerpt| embedder.embed(grid, excerpt.part)).collect()
+                let parts: Vec<Part> = excerpts.iter().map(|excerpt| excerpt.part).collect();
+                each_once(&parts, |parts| parts.iter().map(|p| embedder.embed(grid, *p)).collect())
             }
             // The checks of a trial against its scene give a source one kind of data.
             _ => vec![vec![0.0; self.dims()]; excerpts.len()],
         }
     }
+}
+
+/// The vectors of what is wanted, each made once however often it is wanted: what grows in a drag
+/// leaves a picture as it is.
+fn each_once<T: Copy + PartialEq>(
+    wanted: &[T],
+    make: impl FnOnce(&[T]) -> Vec<Vec<f32>>,
+) -> Vec<Vec<f32>> {
+    let mut distinct: Vec<T> = Vec::new();
+    let place = |one: &T| {
+        distinct.iter().position(|known| known == one).unwrap_or_else(|| {
+            distinct.push(*one);
+            distinct.len() - 1
+        })
+    };
+    let places: Vec<usize> = wanted.iter().map(place).collect();
+    let made = make(&distinct);
+    places.into_iter().map(|place| made[place].clone()).collect()
 }
 
 /// Whether a source is compared by all frequencies up to half its rate, or nearly all.
