@@ -1,11 +1,12 @@
-//! A program whose stderr is closed, full or unread continues, and exits as it should.
+//! A program whose stderr is closed, full or unread continues, and exits as it should; so does one
+//! that is to outlive its terminal.
 
 #[path = "common/bench.rs"]
 mod bench;
 mod common;
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::os::fd::OwnedFd;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -136,6 +137,44 @@ fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(status.code(), Some(3), "{said}");
     assert!(said.contains("not all could be ended in time"), "{said}");
+}
+
+#[test]
+fn a_hangup_ends_a_program_but_not_under_nohup() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    let data = data.to_str().unwrap();
+    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    for (under, outlives) in [("env", false), ("nohup", true)] {
+        let mut child = Command::new(under)
+            .arg(env!("CARGO_BIN_EXE_surfaced"))
+            .args(["replay", data, "--method", "reference", "--serve=127.0.0.1:0"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let id = child.id().to_string();
+        // Before it serves and looks out for signals, one ends it at once.
+        let mut said = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+        assert!(said.any(|line| line.starts_with("http://")));
+        while !catches_signals(child.id()) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let send = |name| {
+            assert!(Command::new("kill").args(["-s", name, &id]).status().unwrap().success());
+        };
+        send("HUP");
+        if outlives {
+            std::thread::sleep(Duration::from_secs(1));
+            assert!(child.try_wait().unwrap().is_none(), "it ended all the same");
+            send("TERM");
+        }
+        // In order, whether or not its scans were named by then.
+        let status = child.wait().unwrap();
+        assert!(matches!(status.code(), Some(0 | 1 | 3)), "{status}");
+    }
 }
 
 /// Whether a process has a handler of SIGTERM, which is number 15.

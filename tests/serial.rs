@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use common::stylus::{Fake, RATE_HZ, value};
+use common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
 use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};
@@ -258,6 +258,35 @@ fn a_channel_table_that_changes_is_followed() {
     b.end(&mut fake);
     assert_eq!(b.runs(), [(0, 64, 0)]);
     assert!(b.texts.iter().any(|text| text.contains("channels have changed")), "{:?}", b.texts);
+}
+
+#[test]
+fn alternating_hellos_give_a_warning_a_second_whatever_their_number() {
+    const HELLOS: u64 = 20_000;
+    let mut b = bench();
+    let mut fake = Fake::plug(&b.link);
+    fake.wait_for_start();
+    let begin = Instant::now();
+    let (whole, without_metal) = (NAMES.to_vec(), NAMES[..6].to_vec());
+    for n in 0..HELLOS {
+        fake.names = if n % 2 == 0 { without_metal.clone() } else { whole.clone() };
+        fake.hello();
+        b.take();
+    }
+    fake.samples(32);
+    std::thread::sleep(Duration::from_millis(200));
+    b.end(&mut fake);
+    let of_hellos = |text: &&String| text.contains("channels");
+    let warnings: Vec<&String> = b.texts.iter().filter(of_hellos).collect();
+    let seconds = begin.elapsed().as_secs();
+    assert!((1..=seconds as usize + 2).contains(&warnings.len()), "{seconds} s: {warnings:?}");
+    // Each says how many it stands for: a change each, and each other one lacks a channel.
+    let stands_for = |text: &&String| {
+        let more = text.rsplit_once("(and ").and_then(|(_, rest)| rest.split(' ').next());
+        1 + more.map_or(0, |more| more.parse::<u64>().unwrap())
+    };
+    assert_eq!(warnings.iter().map(stands_for).sum::<u64>(), HELLOS + HELLOS / 2, "{warnings:?}");
+    assert_eq!(b.got[2].len(), 32, "and samples are taken as before");
 }
 
 #[test]

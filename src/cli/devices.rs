@@ -53,7 +53,35 @@ impl DeviceClass {
 
 #[cfg(feature = "microphone")]
 fn microphones() -> DeviceClass {
+    let _hushed = HushedStderr::new();
     DeviceClass::of(crate::device::microphone::microphones())
+}
+
+/// Keeps libraries from writing on stderr until it is dropped: those behind ALSA's plugins, as JACK's,
+/// do so when what they look for is not there, which is told as the problem of that device. For this
+/// command alone, in which no other thread writes there.
+#[cfg(feature = "microphone")]
+struct HushedStderr(Option<std::os::fd::OwnedFd>);
+
+#[cfg(feature = "microphone")]
+impl HushedStderr {
+    /// Where stderr cannot be kept for later, it stays as it is.
+    fn new() -> Self {
+        let kept = rustix::io::fcntl_dupfd_cloexec(std::io::stderr(), 3).ok();
+        let null = std::fs::OpenOptions::new().write(true).open("/dev/null").ok();
+        let hushed = kept.zip(null).filter(|(_, null)| rustix::stdio::dup2_stderr(null).is_ok());
+        Self(hushed.map(|(kept, _)| kept))
+    }
+}
+
+#[cfg(feature = "microphone")]
+impl Drop for HushedStderr {
+    fn drop(&mut self) {
+        if let Some(kept) = &self.0 {
+            // It was open a moment ago; nobody could be told if that has changed.
+            let _ = rustix::stdio::dup2_stderr(kept);
+        }
+    }
 }
 
 #[cfg(not(feature = "microphone"))]

@@ -89,9 +89,11 @@ impl Signalled {
 
 /// Makes the first signal a command to quit. The second one ends the process at once, as does the
 /// first when there is neither a station nor anybody who waits for it. However the station takes
-/// it, the process ends within [`LIMIT`].
+/// it, the process ends within [`LIMIT`]. A hang-up that was ignored when the process began, as under
+/// `nohup`, stays ignored.
 pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
+    let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {
         for (count, signal) in signals.forever().enumerate() {
@@ -106,6 +108,13 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
     };
     std::thread::Builder::new().name("signals".into()).spawn(watch)?;
     Ok(Signalled(signalled))
+}
+
+fn hangup_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
 }
 
 /// Ends a process that has not ended by itself in time, such as one whose output nobody reads.

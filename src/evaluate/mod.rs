@@ -22,6 +22,8 @@ mod settled;
 pub mod stress;
 mod unknown;
 
+#[doc(hidden)]
+pub use crate::recognise::wilson_interval;
 pub(crate) use check::{CheckReport, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
@@ -30,8 +32,6 @@ pub(crate) use evaluation::first_seconds;
 pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials};
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
-#[doc(hidden)]
-pub use outcome::wilson_interval;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};
 pub(crate) use outcome::{interval_over_users, is_over_users};
 pub use settled::SettledOutcome;

@@ -29,6 +29,7 @@ mod shape;
 mod spec;
 
 pub use decide::conformal::{Conformity, Rejection, RejectionError};
+pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
 pub use embedding::{Embedding, EmbeddingOptions};
@@ -57,6 +58,6 @@ pub use reference::{
 
 pub(crate) use combine::{log_discrepancy, medians};
 pub(crate) use compare::{Comparison, TestOptions, compare};
-pub(crate) use decide::interval::{can_show, reaches, wilson, wilson_of_groups};
+pub(crate) use decide::interval::{can_show, reaches, wilson_of_groups};
 pub(crate) use rank::rank;
 pub(crate) use spec::MOST_COUNT;

@@ -1,8 +1,10 @@
-//! Compares a stream with the clock: how many frames an interruption cost, and whether the stream
-//! runs at its rate at all.
+//! Compares a stream with the clock: how many frames an interruption cost, which of them were only
+//! late, and whether the stream runs at its rate at all.
 
 /// Two clocks drift apart by no more than this share, and a good deal less as a rule.
 const DRIFT: f64 = 500e-6;
+/// Less than this is a delay and no loss, in seconds; nor is it early.
+const DELAY_S: f64 = 0.05;
 /// A buffer that was full when the stream began explains no more than this, in seconds.
 const BURST_S: f64 = 4.0;
 /// How long a new stream is watched for being unpaced, in seconds.
@@ -12,7 +14,9 @@ const TRIAL_S: f64 = 5.0;
 ///
 /// A frame can come late but not early. So the earliest arrival, less the frame's own time, is the
 /// moment at which the stream seems to have begun; later than that by more than the usual delay
-/// means that frames are missing.
+/// means that frames are missing. Once they were counted by this clock, sound that seems to come
+/// early was not missing but late, and tells nothing about the begin: a begin that followed it would
+/// count the same time again at each interruption.
 #[derive(Clone, Debug)]
 pub struct Pace {
     rate_hz: f64,
@@ -20,12 +24,14 @@ pub struct Pace {
     begin: Option<(f64, f64)>,
     /// Moment and position of the first arrival.
     first: Option<(f64, u64)>,
+    /// Frames that were counted as missing, and may yet turn out to be only late.
+    skipped: u64,
 }
 
 impl Pace {
     /// Of a stream with `rate_hz` frames a second.
     pub fn new(rate_hz: f64) -> Self {
-        Self { rate_hz, begin: None, first: None }
+        Self { rate_hz, begin: None, first: None, skipped: 0 }
     }
 
     /// The stream was reopened: it may begin with what was waiting in a buffer.
@@ -37,8 +43,12 @@ impl Pace {
     pub fn arrived(&mut self, now_s: f64, position: u64) {
         let seems = now_s - position as f64 / self.rate_hz;
         let begin = match self.begin {
-            Some((begin, at_s)) => seems.min(begin + DRIFT * (now_s - at_s)),
             None => seems,
+            Some((begin, at_s)) => {
+                let drift = DRIFT * (now_s - at_s);
+                let earliest = if self.skipped > 0 { begin - drift } else { f64::NEG_INFINITY };
+                seems.min(begin + drift).max(earliest)
+            }
         };
         self.begin = Some((begin, now_s));
         self.first.get_or_insert((now_s, position));
@@ -53,12 +63,29 @@ impl Pace {
         (late_s * self.rate_hz).max(0.0) as u64
     }
 
-    /// How many frames came sooner than they can have been recorded, if they end at `now_s` with
-    /// number `position`: as many of those that were counted as lost were only late.
-    pub fn early(&self, now_s: f64, position: u64) -> u64 {
+    /// The same, or 0 if that may be a mere delay.
+    pub fn missing_for_sure(&self, now_s: f64, position: u64) -> u64 {
+        let missing = self.missing(now_s, position);
+        if missing as f64 >= DELAY_S * self.rate_hz { missing } else { 0 }
+    }
+
+    /// Frames were counted as missing because of what [`missing`](Self::missing) said.
+    pub fn skipped(&mut self, frames: u64) {
+        self.skipped += frames;
+    }
+
+    /// How many of those frames have come after all, if what ends at `now_s` with number `position`
+    /// comes sooner than it can have been recorded.
+    pub fn late(&self, now_s: f64, position: u64) -> u64 {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let early_s = begin - (now_s - position as f64 / self.rate_hz) - DRIFT * (now_s - at_s);
-        (early_s * self.rate_hz).max(0.0) as u64
+        let early = if early_s >= DELAY_S { (early_s * self.rate_hz) as u64 } else { 0 };
+        early.min(self.skipped)
+    }
+
+    /// Frames that had been counted as missing were dropped, as they came late.
+    pub fn came_late(&mut self, frames: u64) {
+        self.skipped = self.skipped.saturating_sub(frames);
     }
 
     /// Whether frames come much faster than real time, as they do from ALSA's null device.

@@ -2,13 +2,15 @@
 //!
 //! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
 //! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
-//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances d_c = ‖u − m_c‖² are taken in the space
-//! that the class means span after whitening by S: they order classes as the full Mahalanobis
-//! distance does, and what is left out does not separate classes.
+//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
+//! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S:
+//! they order classes as the full Mahalanobis distance does, and what is left out does not separate
+//! classes.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 
 use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
+use super::scatter::Scatter;
 
 /// γ: how much of the metric is a multiple of the identity (method §9).
 pub const SHRINKAGE: f64 = 0.03;
@@ -16,58 +18,6 @@ pub const SHRINKAGE: f64 = 0.03;
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
 const LEAST_WITHIN: f64 = 1e-3;
-
-/// Vectors that are summed in f32 before the sum goes to f64.
-const ROWS_A_SUM: usize = 512;
-
-/// Sums over some training vectors; they add and subtract.
-#[derive(Clone, Debug)]
-pub struct Scatter {
-    /// Number of vectors of each label.
-    counts: Vec<f64>,
-    /// Sum of the vectors of each label, shape (labels, D).
-    sums: Array2<f64>,
-    /// Σ z·zᵀ.
-    gram: Array2<f64>,
-}
-
-impl Scatter {
-    /// Sums over `vectors`, shape (n, D), each with its label below `count`.
-    pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
-        let dims = vectors.ncols();
-        let mut counts = vec![0.0; count];
-        let mut sums = Array2::zeros((count, dims));
-        for (vector, &class) in vectors.rows().into_iter().zip(labels) {
-            counts[class] += 1.0;
-            sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
-        }
-        let mut gram = Array2::zeros((dims, dims));
-        for begin in (0..vectors.nrows()).step_by(ROWS_A_SUM) {
-            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(vectors.nrows()), ..]);
-            gram.zip_mut_with(&rows.t().dot(&rows), |sum, &x| *sum += f64::from(x));
-        }
-        Self { counts, sums, gram }
-    }
-
-    /// Takes the sums of some of the vectors off again.
-    pub fn subtract(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine -= other);
-        self.sums -= &other.sums;
-        self.gram -= &other.gram;
-    }
-
-    /// The sums of some columns, in rising order.
-    pub fn select(&self, columns: &[usize]) -> Self {
-        if columns.len() == self.sums.ncols() {
-            return self.clone();
-        }
-        Self {
-            counts: self.counts.clone(),
-            sums: self.sums.select(Axis(1), columns),
-            gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),
-        }
-    }
-}
 
 /// A trained discriminant.
 #[derive(Clone, Debug)]
@@ -101,6 +51,7 @@ impl Discriminant {
         for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
             mean /= n.max(1.0);
         }
+        // As `cholesky` does, what follows reads the lower triangle and the diagonal alone.
         let mut metric = &scatter.gram - &scatter.sums.t().dot(&means);
         let mean_square = scatter.gram.diag().sum() / vectors;
         let overall = scatter.sums.sum_axis(Axis(0)) / vectors;

@@ -1,0 +1,295 @@
+//! Carries sound on from the callback's ring, and counts what never came or came twice, by the clock.
+
+use super::pace::Pace;
+use super::{Level, LevelWatch, RATE_HZ};
+use crate::ring::{Piece, SeriesSink, SeriesTap};
+
+/// After a pause of this length in seconds, sound may be missing although nobody has said so: a
+/// sound server that was held up passes over the time.
+const PAUSE_S: f64 = 0.2;
+/// How long after such a pause what was merely late has come, in seconds, as a rule.
+const CATCH_UP_S: f64 = 0.25;
+
+/// What lasts from one opening of the microphone to the next.
+pub(super) struct Listening<'a> {
+    sink: &'a mut SeriesSink,
+    pace: Pace,
+    level: LevelWatch,
+    before: Before,
+    /// When sound was carried last, or the stream opened.
+    last_s: f64,
+    received: bool,
+}
+
+/// What came before the next frames.
+#[derive(Clone, Copy, PartialEq)]
+enum Before {
+    Frames,
+    /// Nothing, for a while; since when there are frames again.
+    Pause(f64),
+    /// A loss, of which it is not known how large it was.
+    Loss,
+}
+
+/// What a look at the callback's ring gave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Heard {
+    /// Whether sound was carried.
+    pub sound: bool,
+    /// The level, if it has changed.
+    pub level: Option<Level>,
+}
+
+impl<'a> Listening<'a> {
+    pub fn new(sink: &'a mut SeriesSink) -> Self {
+        let rate_hz = f64::from(RATE_HZ);
+        Self {
+            sink,
+            pace: Pace::new(rate_hz),
+            level: LevelWatch::new(rate_hz),
+            before: Before::Frames,
+            last_s: 0.0,
+            received: false,
+        }
+    }
+
+    /// A stream was opened, with a ring of its own.
+    pub fn opened(&mut self, now_s: f64) {
+        self.pace.reopened();
+        self.last_s = now_s;
+        self.before = if self.received { Before::Loss } else { Before::Frames };
+    }
+
+    /// Sound was lost before what will enter the ring from now on.
+    pub fn overrun(&mut self) {
+        self.before = Before::Loss;
+    }
+
+    /// Whether sound has ever come.
+    pub fn received(&self) -> bool {
+        self.received
+    }
+
+    /// For how long no sound has come.
+    pub fn silent_s(&self, now_s: f64) -> f64 {
+        now_s - self.last_s
+    }
+
+    /// Whether sound comes much faster than in real time.
+    pub fn unpaced(&self, now_s: f64) -> bool {
+        self.pace.unpaced(now_s, self.sink.position())
+    }
+
+    /// Moves on all that waits in the ring. After a pause it waits for what is late, unless this is
+    /// the `last` look at this ring.
+    pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Heard {
+        // What the ring itself has lost is there as much as what it holds.
+        let held = tap.meter().counts().pushed.saturating_sub(tap.position());
+        // Only now the time: then whatever holds up this thread makes sound seem late, which can
+        // happen, and never early.
+        let now_s = clock();
+        if held == 0 {
+            return Heard::default();
+        }
+        if self.before == Before::Frames && self.received && self.silent_s(now_s) > PAUSE_S {
+            self.before = Before::Pause(now_s);
+        }
+        match self.before {
+            Before::Pause(end_s) if now_s - end_s < CATCH_UP_S && !last => Heard::default(),
+            _ => self.carry(tap, held, now_s),
+        }
+    }
+
+    fn carry(&mut self, tap: &mut SeriesTap, held: u64, now_s: f64) -> Heard {
+        let end = self.sink.position() + held;
+        let missing = match std::mem::replace(&mut self.before, Before::Frames) {
+            Before::Frames => 0,
+            Before::Pause(_) => self.pace.missing_for_sure(now_s, end),
+            Before::Loss => self.pace.missing(now_s, end),
+        };
+        // What is missing comes before the frames that followed it.
+        self.sink.skip(missing);
+        self.pace.skipped(missing);
+        // What comes after it was counted as lost has its place no more.
+        let late = self.pace.late(now_s, end + missing).min(held);
+        self.pace.came_late(late);
+        self.pace.arrived(now_s, end + missing - late);
+        let (mut late, mut level) = (late, None);
+        tap.drain(|piece| match piece {
+            Piece::Missing(frames) => {
+                let gone = frames.min(late);
+                late -= gone;
+                self.sink.skip(frames - gone);
+            }
+            Piece::Samples(samples) => {
+                let gone = late.min(samples.len() as u64);
+                late -= gone;
+                let samples = &samples[gone as usize..];
+                self.sink.push(samples);
+                level = self.level.take(samples).or(level);
+            }
+        });
+        self.last_s = now_s;
+        self.received = true;
+        Heard { sound: true, level }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::ring::{Waker, series};
+
+    /// Of one step, in seconds and in frames.
+    const STEP_S: f64 = 0.02;
+    const STEP: u64 = 882;
+    /// Of one callback, as ALSA calls it.
+    const PERIOD: u64 = 512;
+    /// The callback's ring of these tests: smaller than what is held up, which it then loses.
+    const RING: usize = 22_050;
+    /// How far the account may be off, in seconds: what is a delay and no loss, and a step of it.
+    const BOUND_S: f64 = 0.05 + 1.5 * STEP_S;
+
+    /// A sound server on a clock of its own, and what a station makes of it.
+    struct Hall {
+        steps: u64,
+        now_s: f64,
+        enter: SeriesSink,
+        tap: SeriesTap,
+    }
+
+    #[derive(Clone, Copy, Debug)]
+    enum Act {
+        /// For so many steps.
+        Play(u64),
+        /// Nothing for so many steps, and this share of their sound never comes. The rest comes at
+        /// once, some steps after new sound, either in callbacks with a look after each, or all
+        /// before the next look.
+        Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
+        /// The same, but the stream is opened anew.
+        Reopen(u64),
+    }
+
+    impl Hall {
+        fn new() -> Self {
+            let (enter, tap) = series(1, RING, Waker::new().0);
+            Self { steps: 0, now_s: 0.0, enter, tap }
+        }
+
+        fn look(&mut self, listening: &mut Listening) {
+            listening.look(&mut self.tap, false, || self.now_s);
+        }
+
+        fn push(&mut self, frames: u64) {
+            self.enter.push(&vec![0.1; frames as usize]);
+        }
+
+        fn step(&mut self, listening: &mut Listening, sounds: bool) {
+            self.steps += 1;
+            self.now_s = self.steps as f64 * STEP_S;
+            if sounds {
+                self.push(STEP);
+            }
+            self.look(listening);
+        }
+
+        /// What was held up comes.
+        fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
+            while frames > 0 {
+                let part = if piecewise { frames.min(PERIOD) } else { frames };
+                self.push(part);
+                frames -= part;
+                self.now_s += 0.000_05;
+                self.look(listening);
+            }
+        }
+
+        fn act(&mut self, listening: &mut Listening, act: Act) {
+            match act {
+                Act::Play(steps) => (0..steps).for_each(|_| self.step(listening, true)),
+                Act::Stall { steps, passed_over, after, piecewise } => {
+                    (0..steps).for_each(|_| self.step(listening, false));
+                    let never = (passed_over * (steps * STEP) as f64) as u64;
+                    (0..after).for_each(|_| self.step(listening, true));
+                    self.burst(listening, steps * STEP - never, piecewise);
+                }
+                Act::Reopen(steps) => {
+                    (0..steps).for_each(|_| self.step(listening, false));
+                    (self.enter, self.tap) = series(1, RING, Waker::new().0);
+                    listening.opened(self.now_s);
+                }
+            }
+        }
+
+        /// Plays these acts with sound before, between and after them; by how much the account was
+        /// ahead of the clock and behind it after each, at worst, in seconds.
+        fn play(&mut self, acts: &[Act]) -> (f64, f64) {
+            let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
+            let meter = tap.meter().clone();
+            let listening = &mut Listening::new(&mut sink);
+            listening.opened(0.0);
+            self.act(listening, Act::Play(50));
+            let mut worst_s = (0.0f64, 0.0f64);
+            for &act in acts {
+                self.act(listening, act);
+                self.act(listening, Act::Play(25));
+                let counts = meter.counts();
+                let off_s = self.now_s - counts.pushed as f64 / f64::from(RATE_HZ);
+                worst_s = (worst_s.0.max(-off_s), worst_s.1.max(off_s));
+            }
+            tap.drain(|_| {});
+            let counts = meter.counts();
+            assert_eq!(counts.pushed, counts.received + counts.lost);
+            worst_s
+        }
+    }
+
+    #[track_caller]
+    fn account_holds(acts: &[Act]) {
+        let (ahead_s, behind_s) = Hall::new().play(acts);
+        assert!(ahead_s <= BOUND_S, "{ahead_s:.3} s too much of {acts:?}");
+        assert!(behind_s <= BOUND_S, "{behind_s:.3} s uncounted of {acts:?}");
+    }
+
+    #[test]
+    fn time_that_was_counted_as_lost_is_not_counted_again_when_its_sound_comes_late() {
+        for piecewise in [true, false] {
+            // Longer than is waited for, so that the clock has counted it as lost; twice.
+            let stall = Act::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
+            account_holds(&[stall, stall]);
+            account_holds(&[stall; 20]);
+        }
+    }
+
+    #[test]
+    fn what_the_callbacks_ring_lost_of_late_sound_is_counted_once() {
+        let stall = Act::Stall { steps: 75, passed_over: 0.0, after: 0, piecewise: false };
+        account_holds(&[stall, stall, stall]);
+    }
+
+    #[test]
+    fn small_remains_do_not_add_up() {
+        // 40 ms come late each time: too little to be sure that they are.
+        let stall = Act::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
+        account_holds(&[stall; 50]);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_stalls_passes_over_or_comes_late_received_and_lost_are_what_was_recorded(
+            acts in prop::collection::vec(
+                prop_oneof![
+                    (15u64..150, prop_oneof![Just(0.0), Just(1.0), 0.0..1.0], 0u64..40, any::<bool>())
+                        .prop_map(|(steps, passed_over, after, piecewise)|
+                            Act::Stall { steps, passed_over, after, piecewise }),
+                    (1u64..100).prop_map(Act::Reopen),
+                ],
+                1..12,
+            ),
+        ) {
+            account_holds(&acts);
+        }
+    }
+}
