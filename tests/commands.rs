@@ -241,7 +241,7 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
     let data = path(&dir);
     refused(&["eval", "/no/such/place", "--protocol", "expert-vs-users"], 1, &["/no/such/place"]);
     refused(&["synth", &data], 1, &["not empty"]);
-    refused(&["compare", "nowhere", "nowhere"], 1, &["no such folder", "DATA:SURFACE:NUMBER"]);
+    refused(&["compare", "nowhere", "nowhere"], 1, &["no such trial", "DATA:SURFACE:NUMBER"]);
     let one = format!("{data}:Synth009:1");
     refused(&["compare", &one, &one], 1, &["no trial 1 of `Synth009`", "Synth001Mesh"]);
 
