@@ -40,15 +40,19 @@
 //! | measure how well that works | [`evaluate::Evaluation`] |
 //! | learn how long a scan must last | [`duration`] |
 //! | keep past scans, and read them | [`history`] |
-//! | run a station of your own devices | [`device::Device`], [`station::Station`] |
+//! | run a station of your own devices | [`device::Device`], [`station::Station`], [`station::Listener`] |
 //! | compare two samples, or test independence | [`kernel`] |
 //!
 //! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes every
 //! draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no clock, no
 //! global state.
 //!
-//! Before version 1.0, a minor version may change this interface. What the table names is meant to
-//! stay; [`ring`], [`scan`] and [`serve`] are public for those who build a station of their own.
+//! # What stays
+//! Before version 1.0, a minor version may change this interface; `CHANGELOG.md` then says so. What the
+//! table names is meant to stay. [`ring`], [`scan`], [`serve`] and [`outputs`] are public for those who
+//! build a station of their own, and change with it. All else is private, or hidden from these pages:
+//! the command line, the drivers, and what the project's own tests and tools look into. The recording
+//! format, and JSON below `/api/v1`, only ever gain fields.
 
 #![warn(missing_docs)]
 
@@ -70,6 +74,7 @@ pub mod record;
 pub mod ring;
 pub mod scan;
 pub mod scene;
+#[doc(hidden)]
 pub mod seed;
 pub mod serve;
 pub mod station;

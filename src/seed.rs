@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 /// 64-bit FNV-1a hash of some parts; a separator keeps ("ab", "c") and ("a", "bc") apart.
 ///
 /// Stable across machines and versions, unlike the standard library's hasher.
-pub fn stable_hash(parts: &[&[u8]]) -> u64 {
+pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
     const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut hash = OFFSET;
@@ -28,13 +28,13 @@ pub fn rng(seed: u64, key: &[&[u8]]) -> ChaCha8Rng {
 }
 
 /// A number from the uniform distribution on [0, 1), with 53 bits.
-pub fn uniform(rng: &mut impl Rng) -> f64 {
+pub(crate) fn uniform(rng: &mut impl Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
 /// A number from the standard normal distribution, from two independent uniform ones: `u` in
 /// (0, 1], `v` in [0, 1) (Box and Muller 1958).
-pub fn box_muller(u: f64, v: f64) -> f64 {
+pub(crate) fn box_muller(u: f64, v: f64) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 

@@ -49,7 +49,10 @@ pub(super) fn protocol_for(keys: &[TrialKey], named: Option<ProtocolArg>) -> Pro
         Some(ProtocolArg(protocol)) => protocol,
         None => {
             let protocol = Protocol::natural(keys);
-            say!("protocol: {}, which fits these data", protocol.name());
+            // Where none does, an error follows that says why.
+            if evaluate::folds(protocol, keys).is_ok() {
+                say!("protocol: {}, which fits these data", protocol.name());
+            }
             protocol
         }
     }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::method::at_least_one;
 use super::{Done, Failure, SourceArgs, samples, show};
+use crate::library::{Library, recording};
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
 use crate::trial::Trial;
@@ -15,7 +16,7 @@ use crate::trial::Trial;
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
                         surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
 pub struct Args {
-    /// The query: the folder of a trial, or DATA:SURFACE:NUMBER and, if need be, :USER; with
+    /// The query: the folder of a trial, its only file, or DATA:SURFACE:NUMBER and, if need be, :USER; with
     /// --samples, a CSV file
     a: PathBuf,
     /// The library trial, in the same form
@@ -134,15 +135,18 @@ fn show(report: &Report, alpha: f64) {
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.
 fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     if argument.is_dir() {
-        return from_folder(argument);
+        return alone(&recording::open_trial(argument, &Scene::lmt108())?);
+    }
+    if argument.is_file() {
+        return alone(&super::open(argument)?);
     }
     let text = argument.to_string_lossy();
     let mut parts = text.split(':');
     let (Some(data), Some(surface), Some(number)) = (parts.next(), parts.next(), parts.next())
     else {
         return Err(Failure::Failed(format!(
-            "{text}: no such folder; expected the folder of a trial (LIBRARY/SURFACE/TRIAL), or \
-             DATA:SURFACE:NUMBER[:USER]"
+            "{text}: there is no such trial; expected its folder (LIBRARY/SURFACE/TRIAL), its only \
+             file, or DATA:SURFACE:NUMBER[:USER]"
         )));
     };
     let user = parts.next();
@@ -162,8 +166,8 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     Ok((entry.load()?, library.scene.clone(), library.synthetic))
 }
 
-fn from_folder(folder: &Path) -> Result<(Trial, Scene, bool), Failure> {
-    let one = crate::library::recording::open_trial(folder, &Scene::lmt108())?;
+/// The trial of a library that holds no other.
+fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
     let entry = &one.entries[0];
     Ok((entry.load()?, one.scene.clone(), one.synthetic))
 }

@@ -65,14 +65,15 @@ pub struct Args {
     /// Independent samples that a scan must yield
     #[arg(long, default_value_t = 400, value_name = "N", value_parser = at_least_one)]
     samples: usize,
-    #[command(flatten)]
-    algorithm1: Algorithm1Args,
     /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
+    // The last, since its heading would be that of all that follow.
+    #[command(flatten)]
+    algorithm1: Algorithm1Args,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -142,6 +143,7 @@ pub fn run(args: &Args) -> Done {
     if let Some(path) = &args.svg {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
         write(path, &figure(&found.durations, Some(&curve))?)?;
+        show::wrote(&[path]);
     }
     if args.json {
         show::json(&Document { report: &found, answer: &answer });

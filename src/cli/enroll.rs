@@ -42,7 +42,7 @@ pub struct EnrollArgs {
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library\n\nTime: until it is ended, or --trials are recorded")]
+                        surfaced record --label felt --library my-library\n\nTime: until it is ended")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
@@ -132,10 +132,13 @@ fn store(
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
-    show::next(&format!(
-        "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced eval \
-         {folder}, then surfaced run --library {folder}"
-    ));
+    show::next(&match stored.kept {
+        0 => "surfaced devices says what is plugged in, and what is wrong with it".into(),
+        _ => format!(
+            "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced \
+             eval {folder}, then surfaced run --library {folder}"
+        ),
+    });
     // Samples lost between scans are in no trial, and those lost within scans were reported.
     if totals.failed.is_empty() {
         return Ok(stored);

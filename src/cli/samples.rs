@@ -15,7 +15,10 @@ use crate::dataset::table::line_of;
 /// or a field is not a finite number.
 pub fn read(path: &Path) -> Result<Array2<f64>, Failure> {
     let failed = |problem: String| Failure::Failed(format!("{}: {problem}", path.display()));
-    let text = std::fs::read(path).map_err(|error| failed(error.to_string()))?;
+    let text = std::fs::read(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => failed("there is no such file; check the path".into()),
+        _ => failed(error.to_string()),
+    })?;
     parse(&text).map_err(failed)
 }
 

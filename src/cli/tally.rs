@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::{Done, Failure, show};
 use crate::evaluate::wilson_interval;
 use crate::scene::SourceId;
-use crate::station::{Answer, Listener, Remark, RemarkKind, StationEvent};
+use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
 
 /// What has been named so far.
 pub struct Tally {
@@ -188,6 +188,13 @@ impl Tally {
             answer.latency_ms,
             longer.unwrap_or_default()
         );
+        // Why it is unsure, unless a warning has said so; other states explain themselves.
+        let is_told = |why: &&String| {
+            answer.spoiled.contains(why) || answer.remarks.iter().any(|told| told.text == **why)
+        };
+        if answer.state == AnswerState::Unsure {
+            answer.reasons.iter().filter(|why| !is_told(why)).for_each(|why| say!("        {why}"));
+        }
     }
 
     fn remark(&mut self, remark: &Remark, scan: u32) {

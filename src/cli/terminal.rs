@@ -142,8 +142,9 @@ impl Terminal {
 
     fn library(&self, library: &LibraryState) {
         let LibraryState { name, surfaces, synthetic, problem, remarks, .. } = library;
-        if let Some(problem) = problem {
-            return self.warn(&format!("scans cannot be named: {problem}"));
+        if problem.is_some() {
+            // A warning says it.
+            return;
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();
         let mark = if *synthetic { " (synthetic)" } else { "" };

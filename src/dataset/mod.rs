@@ -3,7 +3,7 @@
 mod lmt108;
 mod mat;
 pub mod synth;
-pub mod table;
+pub(crate) mod table;
 
 use std::path::Path;
 

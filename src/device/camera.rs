@@ -3,11 +3,12 @@
 //! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
 //! the device's thread watches over it, judges the light of each frame, and makes pictures. When
 //! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
-//! needs V4L2 is behind [`Video`]; the crate's feature `camera` brings the real one.
+//! needs V4L2 is behind `Video`; the crate's feature `camera` brings the real one.
 
 mod flash;
 mod frame;
-pub mod name;
+#[cfg(any(feature = "camera", test))]
+mod name;
 mod reader;
 mod upright;
 #[cfg(feature = "camera")]
@@ -19,13 +20,17 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-pub use flash::{Flash, FlashControl, FlashLine, Shutter};
-pub use frame::{Frame, FrameError, FrameFormat, Rgb};
-pub use reader::{Frames, Video};
-pub use upright::{Region, Turn, upright};
+pub use frame::Rgb;
+pub use upright::Turn;
+pub use viewfinder::{FlashState, Viewfinder};
+
+pub(crate) use flash::{Flash, FlashControl, FlashLine, Shutter};
+pub(crate) use frame::{Frame, FrameError};
+pub(crate) use reader::Video;
+pub(crate) use upright::upright;
 #[cfg(feature = "camera")]
-pub use v4l::{V4l, cameras};
-pub use viewfinder::{CameraView, FlashState, Viewfinder};
+pub(crate) use v4l::{V4l, cameras};
+pub(crate) use viewfinder::CameraView;
 
 use self::flash::{Cycle, Light};
 use self::reader::{ControlRequest, News};

@@ -20,11 +20,13 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 #[cfg(feature = "microphone")]
-pub use alsa::{Alsa, microphones};
-pub use callback_sink::CallbackSink;
-pub use level::{Level, LevelWatch};
-pub use mono::{Pcm, Pick, mix};
-pub use pace::Pace;
+pub use alsa::Alsa;
+
+#[cfg(feature = "microphone")]
+pub(crate) use alsa::microphones;
+pub(crate) use callback_sink::CallbackSink;
+pub(crate) use level::{Level, LevelWatch};
+pub(crate) use mono::Pick;
 
 use listening::Listening;
 

@@ -4,21 +4,22 @@
 //! one ring a stream, and reports its state and the marks of scans through its [`Control`].
 //! Nothing downstream can distinguish a recording from a sensor.
 
+#[doc(hidden)]
 pub mod camera;
 mod control;
 mod error;
-pub mod list;
+pub(crate) mod list;
 mod mark;
+#[doc(hidden)]
 pub mod microphone;
 mod open;
 mod replay;
+#[doc(hidden)]
 pub mod serial;
 
-pub use camera::Camera;
 pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
 pub use error::DeviceError;
 pub use mark::{Begin, Mark, Open};
-pub use microphone::Microphone;
 pub use open::OpenError;
 pub use replay::{Replay, Speed};
 

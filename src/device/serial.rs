@@ -5,7 +5,7 @@
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
 //! until the stylus answers, for a command that was damaged on its way is met with silence.
 //!
-//! Values are fractions of the converter's full scale (see [`Value`]) except for metal, which is
+//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which is
 //! 0 or 1.
 
 mod connection;
@@ -15,9 +15,12 @@ mod port;
 
 use std::time::Instant;
 
-pub use intake::{Intake, IntakeEvent, LEAST_RESTART_S, Unused, Value, Wanted};
-pub use light::Light;
-pub use port::{BAUD, OpenPort, Port, Selector};
+pub use intake::{Intake, IntakeEvent};
+pub use port::{OpenPort, Selector};
+
+pub(crate) use intake::{Value, Wanted};
+pub(crate) use light::Light;
+pub(crate) use port::Port;
 
 use self::connection::{Connection, End, LinkErrors};
 use super::open::{RETRY, Retry};

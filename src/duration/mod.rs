@@ -10,8 +10,8 @@
 //! ```
 //!
 //! [`report()`] computes T* for the surfaces and sources of a library, [`OnlineDuration`] for the
-//! stream of a live scan; [`Trials`] checks the recordings; [`ScanNeed`] turns T* into the seconds
-//! to drag; [`figure()`] draws it. [`simulate`] has processes whose T* is known.
+//! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into the seconds to
+//! drag, `figure` draws it, and `simulate` has processes whose T* is known.
 //!
 //! # What T* means
 //! Two samples T* apart depend on each other no more than those of a Gaussian process with a
@@ -42,18 +42,19 @@ mod need;
 mod online;
 mod pooled;
 mod report;
+#[doc(hidden)]
 pub mod simulate;
 mod trials;
 
 pub use algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule, Search, t_star};
-pub use figure::{AccuracyCurve, figure};
-pub use need::{SAMPLES, START_S, ScanNeed, Second, worth};
+pub(crate) use figure::{AccuracyCurve, figure};
+pub(crate) use need::{SAMPLES, ScanNeed, worth};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};
-pub use pooled::{
-    CORRELATION, PooledAnswer, PooledDependence, PooledEstimate, VALUES, at_needed_rate,
-};
+#[doc(hidden)]
+pub use pooled::{CORRELATION, VALUES, at_needed_rate};
+pub use pooled::{PooledAnswer, PooledDependence, PooledEstimate};
 pub use report::{
     ByRule, DurationReport, Estimator, PooledRow, PooledSettings, Question, ReportError,
     SceneDuration, SourceDuration, report,
 };
-pub use trials::{DurationError, FEWEST_FRAMES, Trials};
+pub use trials::{DurationError, Trials};

@@ -30,35 +30,6 @@ impl ScanNeed {
     pub fn scan_s(&self) -> Second {
         self.start_s + self.samples.saturating_sub(1) as f64 * self.t_star_s
     }
-
-    /// How much longer to drag, when `dragged_s` have passed; 0 when it is enough.
-    pub fn remaining_s(&self, dragged_s: Second) -> Second {
-        (self.scan_s() - dragged_s).max(0.0)
-    }
-
-    /// How many independent samples a scan of this length yields.
-    pub fn independent_samples(&self, dragged_s: Second) -> usize {
-        let usable = dragged_s - self.start_s;
-        if usable < 0.0 || self.t_star_s <= 0.0 {
-            return 0;
-        }
-        // A hair of tolerance, or (n − 1)·T* would round to n − 1 samples.
-        (usable / self.t_star_s + 1e-9).floor() as usize + 1
-    }
-
-    /// A warning, where the n samples of a scan of this length lie closer than T*.
-    pub fn warning(&self, source: &str, dragged_s: Second) -> Option<String> {
-        let yielded = self.independent_samples(dragged_s);
-        (yielded < self.samples).then(|| {
-            format!(
-                "{source}: {} samples of a scan of {dragged_s:.2} s lie closer than T* = {:.1} ms; \
-                 {yielded} of them are independent (for all, drag {:.2} s)",
-                self.samples,
-                self.t_star_s * 1e3,
-                self.scan_s()
-            )
-        })
-    }
 }
 
 /// What `samples` samples, equally far apart over a scan that is worth `effective` independent
@@ -74,26 +45,6 @@ pub fn worth(samples: usize, effective: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_scan_of_the_needed_length_yields_the_samples() {
-        for t_star_s in [1e-4, 0.005, 0.0117, 0.075] {
-            for samples in [1, 2, 10, 400] {
-                let need = ScanNeed::new(t_star_s, samples);
-                assert_eq!(need.independent_samples(need.scan_s()), samples);
-                assert_eq!(need.remaining_s(need.scan_s()), 0.0);
-                assert_eq!(need.warning("ir", need.scan_s()), None);
-            }
-        }
-    }
-
-    #[test]
-    fn a_shorter_scan_is_warned_of() {
-        let need = ScanNeed::new(0.075, 400);
-        assert_eq!(need.independent_samples(4.8), 64);
-        assert!(need.warning("ir", 4.8).is_some_and(|w| w.contains("64 of them")));
-        assert!((need.remaining_s(4.8) - (0.0552 + 399.0 * 0.075 - 4.8)).abs() < 1e-9);
-    }
 
     #[test]
     fn samples_are_worth_no_more_than_they_are_and_no_more_than_the_scan() {

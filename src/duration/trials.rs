@@ -118,7 +118,7 @@ impl Trials {
     ///
     /// # Errors
     /// As [`Self::new`], but for the number of trials.
-    pub fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
+    pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
         if series.is_empty() {
             return Err(DurationError::TooFewTrials(0));
         }
@@ -148,33 +148,33 @@ impl Trials {
     }
 
     /// The trials, of which only the first [`Self::frames`] frames are common to all.
-    pub fn series(&self) -> &[Series] {
+    pub(crate) fn series(&self) -> &[Series] {
         &self.series
     }
 
     /// Number of trials.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.series.len()
     }
 
     /// Samples of the shortest trial.
-    pub fn frames(&self) -> usize {
+    pub(crate) fn frames(&self) -> usize {
         self.frames
     }
 
     /// Number of channels.
-    pub fn channels(&self) -> usize {
+    pub(crate) fn channels(&self) -> usize {
         self.series[0].channels()
     }
 
     /// Samples a second.
-    pub fn rate_hz(&self) -> f64 {
+    pub(crate) fn rate_hz(&self) -> f64 {
         self.series[0].rate_hz()
     }
 
     /// The sample of one trial at one moment, both counted from 0: one value a channel.
     #[inline]
-    pub fn sample(&self, trial: usize, frame: usize) -> &[f32] {
+    pub(crate) fn sample(&self, trial: usize, frame: usize) -> &[f32] {
         let channels = self.series[trial].channels();
         &self.series[trial].samples()[frame * channels..(frame + 1) * channels]
     }

@@ -56,7 +56,7 @@ pub struct EnrolmentOutcome {
 
 impl EnrolmentOutcome {
     /// Measures without enrolled trials what `with` was measured with. `before` are the folds from
-    /// which those of the run came by [`enrol`].
+    /// which those of the run came by `enrol`.
     ///
     /// # Errors
     /// If a trial cannot be read or compared.

@@ -143,7 +143,7 @@ impl<'a> Run<'a, '_> {
     }
 
     /// The method.
-    pub fn method(&self) -> &dyn Method {
+    pub(crate) fn method(&self) -> &dyn Method {
         self.method
     }
 
@@ -153,7 +153,10 @@ impl<'a> Run<'a, '_> {
     }
 
     /// Prepared library trials, by their indices.
-    pub fn prepared<'i>(&self, trials: impl IntoIterator<Item = &'i usize>) -> Vec<Prepared> {
+    pub(crate) fn prepared<'i>(
+        &self,
+        trials: impl IntoIterator<Item = &'i usize>,
+    ) -> Vec<Prepared> {
         trials.into_iter().filter_map(|&i| self.library.trials[i].clone()).collect()
     }
 
@@ -172,7 +175,7 @@ impl<'a> Run<'a, '_> {
     ///
     /// # Errors
     /// If it cannot be read, or only its features are known.
-    pub fn recording(&self, index: usize) -> Result<Trial, RecogniseError> {
+    pub(crate) fn recording(&self, index: usize) -> Result<Trial, RecogniseError> {
         match self.on.trials {
             Trials::Recordings(entries) => Ok(entries[index].load()?),
             Trials::Features(_) => Err(RecogniseError::NeedsRecordings(self.method.name())),
@@ -204,7 +207,7 @@ impl<'a> Run<'a, '_> {
     ///
     /// # Errors
     /// If it cannot be compared.
-    pub fn query_of(
+    pub(crate) fn query_of(
         &self,
         model: &dyn Model,
         trial: Trial,
@@ -241,7 +244,7 @@ impl<'a> Run<'a, '_> {
     ///
     /// # Errors
     /// As there.
-    pub fn measure_by(&self, folds: &[Fold]) -> Result<Measured, EvaluateError> {
+    pub(crate) fn measure_by(&self, folds: &[Fold]) -> Result<Measured, EvaluateError> {
         // One length of queries, one result.
         Ok(self.measure_each(folds, &[self.on.query_seconds])?.swap_remove(0))
     }
@@ -250,7 +253,10 @@ impl<'a> Run<'a, '_> {
     ///
     /// # Errors
     /// As there.
-    pub fn measure_lengths(&self, seconds: &[Option<f64>]) -> Result<Vec<Measured>, EvaluateError> {
+    pub(crate) fn measure_lengths(
+        &self,
+        seconds: &[Option<f64>],
+    ) -> Result<Vec<Measured>, EvaluateError> {
         self.measure_each(self.on.folds, seconds)
     }
 

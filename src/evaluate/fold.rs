@@ -32,7 +32,7 @@ impl Protocol {
 
     /// The protocol that fits some trials: users against the expert where there are both, else each
     /// trial against the same person's other trials, else each user against the others.
-    pub fn natural(keys: &[TrialKey]) -> Self {
+    pub(crate) fn natural(keys: &[TrialKey]) -> Self {
         Self::fitting(keys).unwrap_or(Self::LeaveOneTrialOut)
     }
 
@@ -41,7 +41,7 @@ impl Protocol {
     }
 
     /// Whether each of its folds is a user.
-    pub fn folds_are_users(self) -> bool {
+    pub(crate) fn folds_are_users(self) -> bool {
         matches!(self, Self::ExpertVsUsers | Self::AllVsOneUser)
     }
 

@@ -2,10 +2,10 @@
 //!
 //! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
 //! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure
-//! what else there is to know of a run; [`chart`], [`plan`], [`stress`] and [`paper`] are studies of
-//! many runs.
+//! what else there is to know of a run; `chart`, `plan`, `stress` and `paper` are studies of many
+//! runs, and belong to the program.
 
-pub mod chart;
+pub(crate) mod chart;
 mod check;
 mod enrolled;
 mod error;
@@ -13,21 +13,26 @@ mod evaluation;
 mod fold;
 mod loudness;
 mod outcome;
+#[doc(hidden)]
 pub mod paper;
+#[doc(hidden)]
 pub mod plan;
 mod settled;
+#[doc(hidden)]
 pub mod stress;
 mod unknown;
 
-pub use check::{CheckReport, SurfaceCheck, TrialCheck, TrialVerdict, check};
-pub use enrolled::{EnrolmentOutcome, enrol};
+#[doc(hidden)]
+pub use crate::recognise::wilson_interval;
+pub(crate) use check::{CheckReport, TrialCheck, TrialVerdict, check};
+pub use enrolled::EnrolmentOutcome;
+pub(crate) use enrolled::enrol;
 pub use error::EvaluateError;
-pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials, first_seconds};
+pub(crate) use evaluation::first_seconds;
+pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials};
 pub use fold::{Fold, Protocol, folds};
-pub use loudness::Loudness;
-pub use outcome::{
-    Confusion, FoldAccuracy, Outcome, Prediction, interval_over_users, is_over_users,
-    wilson_interval,
-};
-pub use settled::{SettledOutcome, follow};
+pub(crate) use loudness::Loudness;
+pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};
+pub(crate) use outcome::{interval_over_users, is_over_users};
+pub use settled::SettledOutcome;
 pub use unknown::UnknownOutcome;

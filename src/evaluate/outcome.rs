@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::recognise::{wilson, wilson_of_groups};
+use crate::recognise::{wilson_interval, wilson_of_groups};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
@@ -92,7 +92,7 @@ impl Outcome {
     /// surfaces that could be the answer, sorted.
     ///
     /// Returns `None` without predictions.
-    pub fn new(
+    pub(crate) fn new(
         predictions: &[Prediction],
         fold_names: &[String],
         labels: Vec<String>,
@@ -161,7 +161,7 @@ impl Confusion {
     }
 
     /// The most frequent mistakes as (truth, answer, count), the worst first.
-    pub fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
+    pub(crate) fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
         let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
             row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
         });
@@ -200,12 +200,6 @@ fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)>
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
-}
-
-/// 95 % confidence interval of a share of successes (Wilson 1927, "Probable inference, the law of
-/// succession, and statistical inference"). (0, 1) without trials.
-pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
-    wilson(successes as f64 / trials.max(1) as f64, trials as f64)
 }
 
 /// Users from whom on an interval is taken over users.

@@ -21,12 +21,13 @@ mod log;
 mod review;
 mod view;
 
-pub use self::csv::CsvWriter;
-pub use bands::{Bands, bands};
+pub(crate) use self::csv::CsvWriter;
+pub(crate) use bands::{Bands, bands};
 pub use error::HistoryError;
 pub use keeper::Keeper;
-pub use review::{Correction, Precision, precision};
-pub use view::{View, four_digits, jpeg};
+pub(crate) use review::precision;
+pub use review::{Correction, Precision};
+pub(crate) use view::{four_digits, jpeg};
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -42,12 +43,12 @@ use crate::station::{Answer, AnswerState};
 /// Answers that are remembered where none is written to disk.
 const IN_MEMORY: usize = 1000;
 /// Name of the history's folder, in that of the library that names its scans.
-pub const FOLDER: &str = ".history";
+pub(crate) const FOLDER: &str = ".history";
 /// Name of the file that says why a scan was named as it was, in the scan's folder.
-pub const NOTES: &str = ".why.json";
+pub(crate) const NOTES: &str = ".why.json";
 
 /// Name of the nearest trial's picture of a source, in the scan's folder.
-pub fn nearest_picture(source: &SourceId) -> String {
+pub(crate) fn nearest_picture(source: &SourceId) -> String {
     format!(".nearest-{source}.jpg")
 }
 
@@ -128,7 +129,7 @@ impl History {
     }
 
     /// Whether answers are written to disk, by a [`Keeper`].
-    pub fn is_on_disk(&self) -> bool {
+    pub(crate) fn is_on_disk(&self) -> bool {
         self.lock().disk.is_some()
     }
 
@@ -136,7 +137,7 @@ impl History {
     ///
     /// # Errors
     /// If it cannot be written; it is remembered all the same.
-    pub fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
+    pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         // First, for on a full disk nothing could be written.
         let room = inner.make_room();
@@ -161,7 +162,7 @@ impl History {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn kept(&self, id: &str) -> Result<(), HistoryError> {
+    pub(crate) fn kept(&self, id: &str) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
             return Ok(());
@@ -188,7 +189,7 @@ impl History {
     ///
     /// # Errors
     /// If there is no such scan, or it cannot be written.
-    pub fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
+    pub(crate) fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         inner.find(id)?;
         inner.change(Line::Trial { id: id.into(), trial })
@@ -248,7 +249,7 @@ impl History {
     }
 
     /// The folder that scans are to be written into, as trials of a library there.
-    pub fn root(&self) -> Option<PathBuf> {
+    pub(crate) fn root(&self) -> Option<PathBuf> {
         self.lock().disk.as_ref().map(|disk| disk.root().to_path_buf())
     }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::wilson_interval;
+use crate::recognise::wilson_interval;
 
 /// What a scan truly was, as somebody says.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -147,7 +147,7 @@ pub fn quantile_index(count: usize, alpha: f64) -> usize {
 /// Length scales are medians over all samples. `alpha` is the level of κ.
 ///
 /// # Errors
-/// If the sides differ in length, hold fewer than [`FEWEST_PAIRS`] samples, are constant or not
+/// If the sides differ in length, hold fewer than five samples, are constant or not
 /// finite; if `alpha` is not within (0, 0.5]; if there are fewer than 1/α permutations.
 pub fn test_independence(
     x: ArrayView2<'_, f64>,

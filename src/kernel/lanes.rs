@@ -49,13 +49,13 @@ pub fn lane_self_sum(a: &PaddedPoints) -> f64 {
     lane_self_sum_with(InstructionSet::available()[0], a)
 }
 
-/// [`lane_sum`] with given instructions; those that the machine lacks are replaced.
+/// `lane_sum` with given instructions; those that the machine lacks are replaced.
 pub fn lane_sum_with(set: InstructionSet, a: &PaddedPoints, b: &PaddedPoints) -> f64 {
     assert_eq!(a.channels, b.channels, "points of equal channels");
     dispatch::<false>(set, a, b)
 }
 
-/// [`lane_self_sum`] with given instructions; those that the machine lacks are replaced.
+/// `lane_self_sum` with given instructions; those that the machine lacks are replaced.
 pub fn lane_self_sum_with(set: InstructionSet, a: &PaddedPoints) -> f64 {
     dispatch::<true>(set, a, a)
 }

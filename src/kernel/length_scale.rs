@@ -7,7 +7,7 @@ use ndarray::ArrayView2;
 pub const MEDIAN_SUBSET: usize = 100;
 
 /// Length scale σ of the Gaussian kernel from samples of shape (n, channels), by the paper's
-/// Eq. 6: σ² = 0.5 · median of the squared distances between the first [`MEDIAN_SUBSET`] samples.
+/// Eq. 6: σ² = 0.5 · median of the squared distances between the first 100 samples.
 ///
 /// Distances of exactly zero are left out, as the authors' program does; where none remains (one
 /// sample, constant data) σ is 1.

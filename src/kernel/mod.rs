@@ -16,17 +16,23 @@ mod permute;
 mod simd;
 mod table;
 
-pub use f64_sums::{F64Points, f64_self_sum, f64_sum};
-pub use hsic::{
-    Dependence, FEWEST_PAIRS, HsicError, PERMUTATIONS, Threshold, centred, hsic_b, kernel_matrix,
-    permuted, quantile_index, test_independence,
-};
-pub use lanes::{InstructionSet, lane_self_sum, lane_self_sum_with, lane_sum, lane_sum_with};
-pub use length_scale::{MEDIAN_SUBSET, length_scale, length_scale_of};
-pub use line::LineSum;
-pub use mmd::{CrossSums, kernel_sum, mmd2_biased, mmd2_from_sums};
+pub use hsic::{Dependence, HsicError, PERMUTATIONS, Threshold, hsic_b, test_independence};
+pub use length_scale::length_scale;
+pub use mmd::{kernel_sum, mmd2_biased};
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use hsic::{centred, kernel_matrix, permuted, quantile_index};
+#[doc(hidden)]
+pub use lanes::{InstructionSet, lane_self_sum_with, lane_sum_with};
+#[doc(hidden)]
 pub use padded_points::{PaddedPoints, lane_scale};
-pub use pearson3::Pearson3;
-pub use permutation_moments::{CentredMoments, Moments, permutation_moments};
-pub use permute::{PairTest, pair_test};
-pub use table::{FOLD, NODES, SelfMean};
+
+pub(crate) use f64_sums::{F64Points, f64_self_sum, f64_sum};
+pub(crate) use hsic::FEWEST_PAIRS;
+pub(crate) use lanes::{lane_self_sum, lane_sum};
+pub(crate) use line::LineSum;
+pub(crate) use mmd::{CrossSums, mmd2_from_sums};
+pub(crate) use pearson3::Pearson3;
+pub(crate) use permutation_moments::{CentredMoments, permutation_moments};
+pub(crate) use permute::pair_test;
+pub(crate) use table::{FOLD, NODES, SelfMean};

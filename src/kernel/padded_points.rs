@@ -4,7 +4,7 @@
 /// Values that are worked on together.
 pub(super) const LANES: usize = 16;
 
-/// Points for [`lane_sum`](super::lane_sum): channel after channel, each filled up to whole lanes.
+/// Points for `lane_sum`: channel after channel, each filled up to whole lanes.
 #[derive(Clone, Debug, Default)]
 pub struct PaddedPoints {
     /// Number of points.

@@ -45,7 +45,7 @@ pub struct Cache {
 }
 
 /// One trial to be stored.
-pub struct Record<'a> {
+pub(crate) struct Record<'a> {
     /// What it is called.
     pub name: String,
     /// Stands for the files that it was prepared from.
@@ -109,7 +109,7 @@ impl Cache {
     }
 
     /// The bytes stored under a name, if they are whole and their stamp is this one.
-    pub fn get(&self, name: &str, stamp: u64) -> Option<&[u8]> {
+    pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<&[u8]> {
         let (of_record, bytes, checked) = self.records.get(name)?;
         let sum = self.bytes.get(checked.end..checked.end + 4)?;
         let whole = crc32fast::hash(&self.bytes[checked.clone()]).to_le_bytes() == sum;
@@ -117,7 +117,7 @@ impl Cache {
     }
 
     /// Writes a new file in the place of the old one; says what went wrong, if anything did.
-    pub fn replace(&self, records: &[Record<'_>]) -> Option<String> {
+    pub(crate) fn replace(&self, records: &[Record<'_>]) -> Option<String> {
         self.write(records).err().map(|error| {
             format!(
                 "{}: {error}; the prepared library is not kept, and will be prepared anew next time",

@@ -1,7 +1,7 @@
 //! A library: labelled trials to compare with, loaded when they are needed.
 
 mod about;
-pub mod audit;
+pub(crate) mod audit;
 pub mod cache;
 pub(crate) mod files;
 mod flac;

@@ -16,10 +16,8 @@ use std::sync::Arc;
 
 use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
-use super::loose;
 use super::seen::Seen;
-use super::series_header;
-use super::{About, Entry, Library, LibraryError, Opened};
+use super::{About, Entry, Library, LibraryError, Opened, loose, series_header};
 use crate::scene::{Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED};
 
@@ -78,7 +76,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
+pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     let folder = folder.canonicalize().map_err(|error| LibraryError::io(folder, error))?;
     let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
         return Err(LibraryError::file(&folder, "not the folder of a trial"));

@@ -101,7 +101,7 @@ pub trait Model: Send + Sync {
     }
 
     /// The p-value at or below which a query is called unknown, for a stated rate of false
-    /// rejections; without one, for the usual rate ([`Rejection::usual`]).
+    /// rejections; without one, for the usual rate: 1 %, or what the library's trials can show.
     ///
     /// # Errors
     /// If the method gives no p-value, or the library has too few trials.

@@ -6,47 +6,58 @@
 //! ```
 //!
 //! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
-//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`reference`](mod@reference)
-//! is the paper's method, exactly; [`embedding`] the default; [`classify`] are the paper's
+//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`Reference`] is the
+//! paper's method, exactly; [`Embedding`] the default; the rest of [`MethodName`] are the paper's
 //! comparison classifiers.
 
 mod checks;
-pub mod classify;
+pub(crate) mod classify;
 mod combine;
 mod compare;
 mod decide;
-pub mod embedding;
+pub(crate) mod embedding;
 mod error;
+#[doc(hidden)]
 pub mod features;
 mod follow;
 mod method;
 mod prepared;
 mod prepared_library;
 mod rank;
-pub mod reference;
+pub(crate) mod reference;
 mod shape;
 mod spec;
 
-pub use combine::{log_discrepancy, medians};
-pub use compare::{Comparison, SourceComparison, TestOptions, compare};
-pub use decide::conformal::{Conformity, Rejection, RejectionError, nonconformity};
-pub use decide::dead_sensor::without_flawed;
-pub use decide::interval::{can_show, reaches, wilson, wilson_of_groups};
+pub use decide::conformal::{Conformity, Rejection, RejectionError};
+pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions};
+pub use embedding::{Embedding, EmbeddingOptions};
 pub use error::RecogniseError;
-pub use features::{FrameFeatures, amplitude_spectrum, band_bins, hsv};
-pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
+pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar};
 pub use method::{BySources, Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;
 pub use prepared_library::{PreparedLibrary, prepare_library};
-pub use rank::{Candidate, RankedSurface, Ranking, rank};
-pub use reference::{
-    DomainExtent, DomainSamples, IMAGE_COLS, IMAGE_ROWS, PositionMode, Positions, PreparedTrial,
-    QuerySet, Reference, ReferenceModel, ReferenceOptions, SCORE_FLOOR, STAGES, SampleScore,
-    SampleSet, Scratch, Stage, SumPrecision, draw_positions, image_grid, log_score, score_samples,
-    score_sets,
-};
+pub use rank::{Candidate, RankedSurface, Ranking};
+pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
 pub use shape::{LibraryShape, SourceShape};
-pub use spec::{MOST_COUNT, MethodName, MethodSpec, NoOptions, TreeOptions};
+pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use decide::dead_sensor::without_flawed;
+#[doc(hidden)]
+pub use embedding::EmbeddingModel;
+#[doc(hidden)]
+pub use features::{FrameFeatures, amplitude_spectrum, hsv};
+#[doc(hidden)]
+pub use follow::LOOK_S;
+#[doc(hidden)]
+pub use reference::{
+    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
+};
+
+pub(crate) use combine::{log_discrepancy, medians};
+pub(crate) use compare::{Comparison, TestOptions, compare};
+pub(crate) use decide::interval::{can_show, reaches, wilson_of_groups};
+pub(crate) use rank::rank;
+pub(crate) use spec::MOST_COUNT;

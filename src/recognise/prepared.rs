@@ -41,7 +41,10 @@ impl Prepared {
     ///
     /// # Errors
     /// If these are not what `method` works with, as for the two that follow.
-    pub fn samples(&self, method: &'static str) -> Result<&Arc<PreparedTrial>, RecogniseError> {
+    pub(crate) fn samples(
+        &self,
+        method: &'static str,
+    ) -> Result<&Arc<PreparedTrial>, RecogniseError> {
         match self {
             Self::Samples(trial) => Ok(trial),
             other => Err(other.is_not_for(method)),
@@ -52,7 +55,10 @@ impl Prepared {
     ///
     /// # Errors
     /// If these are not what `method` works with.
-    pub fn frames(&self, method: &'static str) -> Result<&Arc<FrameFeatures>, RecogniseError> {
+    pub(crate) fn frames(
+        &self,
+        method: &'static str,
+    ) -> Result<&Arc<FrameFeatures>, RecogniseError> {
         match self {
             Self::Frames(trial) => Ok(trial),
             other => Err(other.is_not_for(method)),
@@ -63,7 +69,10 @@ impl Prepared {
     ///
     /// # Errors
     /// If these are not what `method` works with.
-    pub fn features(&self, method: &'static str) -> Result<&Arc<FeatureVector>, RecogniseError> {
+    pub(crate) fn features(
+        &self,
+        method: &'static str,
+    ) -> Result<&Arc<FeatureVector>, RecogniseError> {
         match self {
             Self::Features(trial) => Ok(trial),
             other => Err(other.is_not_for(method)),

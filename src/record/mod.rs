@@ -9,7 +9,9 @@ mod folder_name;
 pub mod mcap;
 mod wav;
 
-pub use date::{unix_ms, utc};
+#[doc(hidden)]
+pub use date::unix_ms;
+pub(crate) use date::utc;
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -68,7 +70,7 @@ pub fn write_library_toml(
 ///
 /// # Errors
 /// If the folder cannot be made, or nothing can be written there; why, and what to do.
-pub fn check_writable(dir: &Path) -> Result<(), LibraryError> {
+pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
     fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
     // A byte, since a full disk still takes empty files.
     let mut probe = unfinished(".probe.").tempfile_in(dir).map_err(|error| failed(dir, error))?;
@@ -222,13 +224,13 @@ fn mode(bits: u32) -> fs::Permissions {
 }
 
 /// The folder that a trial of this name is written into.
-pub fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
+pub(crate) fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
     dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
 }
 
 /// The first number that no folder of a surface's trials has in its name; 1 where there is none.
 /// Others may have it in their `trial.toml`: this is for where there is no time to read those.
-pub fn number_by_names(dir: &Path, surface: &str) -> u32 {
+pub(crate) fn number_by_names(dir: &Path, surface: &str) -> u32 {
     let listed = fs::read_dir(dir.join(folder_name::encode(surface)));
     let names = listed.into_iter().flatten().flatten().map(|item| item.file_name());
     let highest = names.filter_map(|name| number_in(name.to_str()?)).max();

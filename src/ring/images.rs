@@ -35,11 +35,6 @@ impl ImageSink {
         self.ledger.head()
     }
 
-    /// What this ring has carried.
-    pub fn meter(&self) -> &Arc<Meter> {
-        self.ledger.meter()
-    }
-
     /// Puts an image into the ring without ever blocking. False if there was no room: the image is
     /// lost, and counted.
     pub fn push(&mut self, image: Arc<Image>) -> bool {

@@ -55,10 +55,6 @@ impl Ledger {
         self.head
     }
 
-    pub(super) fn meter(&self) -> &Arc<Meter> {
-        &self.meter
-    }
-
     /// Enters the open stretch; to be done before frames enter the ring. False if there is no
     /// room for it: then no frame may enter either.
     pub(super) fn settle(&mut self) -> bool {

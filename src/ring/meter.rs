@@ -17,7 +17,7 @@ pub struct Meter {
     pub(super) waiting: AtomicBool,
 }
 
-/// The figures of a [`Meter`] at one moment.
+/// What a ring has carried, at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Counts {
     /// Frames offered by the device: those in the ring, those that left it, and those lost.

@@ -1,6 +1,6 @@
 //! One single-producer, single-consumer ring a stream: from the thread of a device to the collector.
 //!
-//! A device holds the [`Sink`] and the collector the tap ([`SeriesTap`], [`ImageTap`]). Frames are counted from
+//! A device holds the [`Sink`] and the collector the tap. Frames are counted from
 //! the start of the stream, **lost ones included**, so that an index always stands for the same
 //! moment, whatever was lost before it. Each frame ends in exactly one of two ways: it comes out
 //! of the tap, or the tap says that it is missing, at its place and in its order.
@@ -16,10 +16,18 @@ mod meter;
 mod series;
 mod stop;
 
-pub use images::{ImageSink, ImageTap, images};
-pub use meter::{Counts, Meter};
-pub use series::{Piece, SeriesSink, SeriesTap, series};
-pub use stop::{Stop, Stopped, Waker};
+pub use images::ImageSink;
+pub use meter::Counts;
+pub use series::SeriesSink;
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use series::{Piece, SeriesTap, series};
+#[doc(hidden)]
+pub use stop::{Stop, Waker};
+
+pub(crate) use images::{ImageTap, images};
+pub(crate) use meter::Meter;
+pub(crate) use stop::Stopped;
 
 /// Where a device puts the data of one stream.
 pub enum Sink {

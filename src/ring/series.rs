@@ -50,11 +50,6 @@ impl SeriesSink {
         self.ledger.head()
     }
 
-    /// What this ring has carried.
-    pub fn meter(&self) -> &Arc<Meter> {
-        self.ledger.meter()
-    }
-
     /// Puts frames into the ring without ever blocking. Returns how many did not fit: these are
     /// lost, and counted.
     ///
@@ -122,7 +117,7 @@ impl SeriesTap {
     }
 
     /// Index of the next frame to come out; lost ones count.
-    pub fn position(&self) -> u64 {
+    pub(crate) fn position(&self) -> u64 {
         self.reckoning.position()
     }
 
@@ -132,7 +127,7 @@ impl SeriesTap {
     }
 
     /// Whether the device is gone and all it pushed was taken.
-    pub fn exhausted(&self) -> bool {
+    pub(crate) fn exhausted(&self) -> bool {
         self.reckoning.exhausted()
     }
 

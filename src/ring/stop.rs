@@ -16,7 +16,7 @@ impl Stop {
     }
 
     /// Whether the end was requested.
-    pub fn requested(&self) -> bool {
+    pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
@@ -38,7 +38,7 @@ impl Waker {
     }
 
     /// Wakes the thread, now or when it next waits. Never blocks.
-    pub fn wake(&self) {
+    pub(crate) fn wake(&self) {
         // Full means that it is about to wake; disconnected, that the thread has ended.
         let _ = self.0.try_send(());
     }

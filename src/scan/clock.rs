@@ -113,7 +113,8 @@ impl Clock {
     }
 
     /// How much longer than nominal the stream's seconds are, as a fraction; 0 while unknown.
-    pub fn drift(&self) -> f64 {
+    #[cfg(test)]
+    fn drift(&self) -> f64 {
         self.line.map_or(0.0, |line| line.slope)
     }
 

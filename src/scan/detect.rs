@@ -3,11 +3,12 @@
 //! Contact begins where any stream reaches [`DetectorConfig::onset`] and ends once all are below
 //! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not flutter. A short
 //! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
-//! limits of level are multiples of each stream's own noise floor, see [`Level`].
+//! limits of level are multiples of each stream's own noise floor.
 
 mod level;
 
-pub use level::{HOP_S, Level, SensorKind};
+pub use level::SensorKind;
+pub(crate) use level::{HOP_S, Level};
 
 /// What is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,7 +45,7 @@ impl Default for DetectorConfig {
 
 /// What was detected; hops are counted from the start of the streams, spans are half-open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DetectorEvent {
+pub(crate) enum DetectorEvent {
     /// A drag is in progress.
     Drag {
         /// the tap before it
@@ -70,7 +71,7 @@ enum State {
 
 /// The state machine.
 #[derive(Clone, Debug)]
-pub struct Detector {
+pub(crate) struct Detector {
     config: DetectorConfig,
     state: State,
     hop: u64,
@@ -156,7 +157,7 @@ impl Detector {
 
 /// The first hop in `window` at which `levels` (hop by hop, the first one being hop `first`)
 /// reaches `onset` after a hop below it: where a tap begins in another stream.
-pub fn onset_in(
+pub(crate) fn onset_in(
     levels: &[f64],
     first: u64,
     window: std::ops::Range<u64>,

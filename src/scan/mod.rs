@@ -3,7 +3,7 @@
 //! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
 //! [`Scan`] holds nothing but what came out of the rings; what it truly is travels beside it.
 
-pub mod clock;
+pub(crate) mod clock;
 mod collect;
 mod cut;
 pub mod detect;
@@ -19,11 +19,11 @@ mod session;
 mod stream;
 mod timeline;
 
-pub use history::{ImageHistory, SeriesHistory};
 pub use layout::{CutFrom, Detection, ScanCommand};
 pub use options::Options;
 pub use progress::{Fresh, PartialScan, Progress, Trace};
-pub use session::{Session, SessionError, StreamMeter};
+pub(crate) use session::StreamMeter;
+pub use session::{Session, SessionError};
 
 use std::collections::BTreeMap;
 use std::time::Instant;

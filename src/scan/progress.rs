@@ -44,7 +44,7 @@ pub struct Progress {
 
 impl Progress {
     /// Adds what came after it in the same scan.
-    pub fn append(&mut self, later: Self) {
+    pub(crate) fn append(&mut self, later: Self) {
         self.scan_s = later.scan_s;
         for fresh in later.fresh {
             match self.fresh.iter_mut().find(|own| own.source == fresh.source) {

@@ -42,5 +42,6 @@ mod whole;
 pub use error::ServeError;
 pub use reporter::Reporter;
 pub use server::Server;
-pub use settings::{Audit, Limits, PORT, Settings, Shelf};
+pub(crate) use settings::{Audit, PORT};
+pub use settings::{Limits, Settings, Shelf};
 pub use token::Token;

@@ -155,7 +155,7 @@ impl Answer {
     }
 
     /// How much longer the drag should have been, in seconds, if so.
-    pub fn more_s(&self) -> Option<f64> {
+    pub(crate) fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
     }
 }

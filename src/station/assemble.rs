@@ -94,8 +94,7 @@ fn not_built(feature: &str) -> OpenError {
 
 #[cfg(feature = "microphone")]
 fn sound(config: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
-    use crate::device::Microphone;
-    use crate::device::microphone::Alsa;
+    use crate::device::microphone::{Alsa, Microphone};
     let alsa = Alsa::new(config.device.clone())?;
     Ok(Box::new(Microphone::new(config.stream.clone(), Box::new(alsa)).pick(config.pick)))
 }
@@ -116,8 +115,7 @@ struct Video {
 fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError> {
     use std::sync::Arc;
 
-    use crate::device::Camera;
-    use crate::device::camera::{Flash, V4l};
+    use crate::device::camera::{Camera, Flash, V4l};
     let video = Arc::new(V4l::new(config.device.clone(), config.turn));
     let mut camera =
         Camera::new(config.source.clone(), video).turn(config.turn).every(config.every);

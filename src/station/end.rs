@@ -17,12 +17,12 @@ pub struct End {
 
 impl End {
     /// Of a thread that holds the other side of `ended` for as long as it works.
-    pub fn of(ended: Receiver<Infallible>) -> Self {
+    pub(crate) fn of(ended: Receiver<Infallible>) -> Self {
         Self { ended, until: None }
     }
 
     /// Whether nothing follows this event, so that the thread is to end now.
-    pub fn is_here(&mut self, event: &StationEvent) -> bool {
+    pub(crate) fn is_here(&mut self, event: &StationEvent) -> bool {
         if let StationEvent::Ending(until) = event {
             self.until = Some(*until);
         }
@@ -31,7 +31,7 @@ impl End {
 
     /// Waits for the thread, but no longer than `patience` or the end of the station may take; false
     /// if it still works.
-    pub fn wait(&self, patience: Duration) -> bool {
+    pub(crate) fn wait(&self, patience: Duration) -> bool {
         let patient = Instant::now().checked_add(patience);
         let until = self.until.into_iter().chain(patient).min();
         let ended = match until {

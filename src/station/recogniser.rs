@@ -131,7 +131,7 @@ impl Recogniser {
     }
 
     /// Adds remarks on what answers rest on to those of the library.
-    pub fn add_remarks(&mut self, remarks: &[String]) {
+    pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
 

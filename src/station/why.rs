@@ -49,7 +49,7 @@ pub struct SourceSays {
 
 impl Why {
     /// From a ranking and its evidence.
-    pub fn new(
+    pub(crate) fn new(
         ranking: &Ranking,
         evidence: Option<&Evidence>,
         rejection: Option<&Rejection>,

@@ -5,7 +5,8 @@ mod quality;
 mod signal;
 
 pub use label::{EXPERT, TrialKey, UNLABELLED};
-pub use quality::{Flaw, SeriesFlaws, flaws, is_plain};
+pub(crate) use quality::is_plain;
+pub use quality::{Flaw, SeriesFlaws, flaws};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;

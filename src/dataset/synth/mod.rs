@@ -40,7 +40,7 @@ mod tap;
 mod vibration;
 
 pub use effect::Effect;
-pub use embedded::{Embedded, embedded};
+pub(crate) use embedded::{Embedded, embedded};
 pub use parameters::{Difficulty, Parameters, Twins};
 
 use std::collections::BTreeMap;

@@ -9,7 +9,9 @@ use nokhwa::utils::{
 };
 use nokhwa::{Camera as Nokhwa, NokhwaError};
 
-use super::{Frame, FrameFormat, Frames, Turn, Video, name};
+use super::frame::FrameFormat;
+use super::reader::Frames;
+use super::{Frame, Turn, Video, name};
 use crate::device::list::{ListedDevice, node_problem, permission_hint};
 use crate::device::open::OpenError;
 use crate::trial::Image;

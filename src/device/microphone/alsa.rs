@@ -10,7 +10,8 @@ use cpal::{
 };
 use crossbeam_channel::Sender;
 
-use super::{CallbackSink, Pcm, RATE_HZ, Sound, StreamError};
+use super::mono::Pcm;
+use super::{CallbackSink, RATE_HZ, Sound, StreamError};
 use crate::device::list::ListedDevice;
 use crate::device::open::OpenError;
 

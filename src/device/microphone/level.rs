@@ -47,7 +47,8 @@ impl LevelWatch {
     }
 
     /// How it sounds, as of the last window.
-    pub fn level(&self) -> Level {
+    #[cfg(test)]
+    fn level(&self) -> Level {
         self.level
     }
 

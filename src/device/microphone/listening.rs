@@ -227,7 +227,7 @@ mod tests {
         /// ahead of the clock and behind it after each, at worst, in seconds.
         fn play(&mut self, acts: &[Act]) -> (f64, f64) {
             let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
-            let meter = sink.meter().clone();
+            let meter = tap.meter().clone();
             let listening = &mut Listening::new(&mut sink);
             listening.opened(0.0);
             self.act(listening, Act::Play(50));

@@ -81,7 +81,7 @@ pub struct CurvePoint {
 
 impl CurvePoint {
     /// CB+.
-    pub fn bound(&self, rule: Rule) -> f64 {
+    pub(crate) fn bound(&self, rule: Rule) -> f64 {
         match rule {
             Rule::Quantile => self.hsic_quantile,
             Rule::MeanCi => self.hsic_high,
@@ -89,7 +89,7 @@ impl CurvePoint {
     }
 
     /// Whether samples this far apart can be taken for independent.
-    pub fn independent(&self, rule: Rule) -> bool {
+    pub(crate) fn independent(&self, rule: Rule) -> bool {
         self.bound(rule) < self.kappa
     }
 }

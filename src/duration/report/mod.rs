@@ -6,7 +6,7 @@ mod table;
 use std::collections::BTreeMap;
 
 use super::algorithm1::Search;
-use super::need::{SAMPLES, START_S, ScanNeed, Second};
+use super::need::{SAMPLES, START_S, Second};
 use super::pooled::{CORRELATION, VALUES, at_needed_rate};
 use super::trials::{DurationError, Trials};
 use crate::library::{Entry, Library, LibraryError};
@@ -280,15 +280,6 @@ fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDurat
         surface: longest.map(|d| d.surface.clone()),
         without: of_source().filter(|d| d.scan_s.is_none()).map(|d| d.surface.clone()).collect(),
     })
-}
-
-impl DurationReport {
-    /// The need of a source for one surface, for a daemon that shows how much longer to drag.
-    pub fn need(&self, surface: &str, source: &str) -> Option<ScanNeed> {
-        let row = (self.durations.iter())
-            .find(|d| d.surface == surface && d.source.as_str() == source)?;
-        row.spacing_s().map(|t| ScanNeed::new(t, self.samples))
-    }
 }
 
 /// A row of one source, for tests of what is made of rows.

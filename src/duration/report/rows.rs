@@ -110,7 +110,7 @@ pub struct SceneDuration {
 impl SourceDuration {
     /// The time between samples that a scan should be planned with: the upper bound of T* where the
     /// rule has one, else T*.
-    pub fn spacing_s(&self) -> Option<Second> {
+    pub(crate) fn spacing_s(&self) -> Option<Second> {
         match &self.by_rule {
             ByRule::Pooled(row) => row.t_star_upper_s,
             ByRule::Algorithm1 { .. } => self.t_star_s,

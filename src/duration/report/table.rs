@@ -49,7 +49,7 @@ impl DurationReport {
     /// What T* by `pooled` means for people, a line for each source: how far apart two moments must
     /// lie, and how many of them a scan of `scan_s` seconds and a whole trial hold. The published
     /// rules say nothing of it.
-    pub fn in_words(&self, scan_s: Option<Second>) -> String {
+    pub(crate) fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
             for scene in &self.scene {
@@ -187,7 +187,11 @@ fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
 /// Milliseconds with the digits that matter to a person.
 fn ms(seconds: Second) -> String {
     let ms = 1e3 * seconds;
-    if ms < 10.0 { format!("{ms:.1}") } else { format!("{ms:.0}") }
+    match ms {
+        ..1.0 => format!("{ms:.2}"),
+        ..10.0 => format!("{ms:.1}"),
+        _ => format!("{ms:.0}"),
+    }
 }
 
 /// The surface with this spacing.

@@ -15,6 +15,8 @@ mod side_by_side;
 
 pub use figure::figure;
 pub use measure::{Charting, drag_s, measure};
-pub use point::{Chart, Point, pareto};
-pub use settings::{Charted, What, brief, charted, settings};
+pub use point::Chart;
+#[cfg(test)]
+pub use settings::settings;
+pub use settings::{What, brief, charted};
 pub use side_by_side::side_by_side;

@@ -5,7 +5,7 @@
 //! parts of a run split by query ─► merge ─► report, figures
 //! ```
 //!
-//! [`work()`] does one shard; [`merge`] joins shards. A run in one piece is a single shard, so both
+//! `work` does one shard; `merge` joins shards. A run in one piece is a single shard, so both
 //! ways give the same report, byte for byte: it holds no timings.
 
 mod figure;
@@ -16,10 +16,9 @@ mod stream;
 mod table;
 mod work;
 
-pub use figure::{bars, confusion};
-pub use part::{MergeError, Part, RowPart, Shard, merge};
-pub use report::{Report, ReportRow};
-pub use rows::{ALL, Published, Row, rows};
-pub use stream::{AS_USED, Stream, View};
-pub use table::{LogScores, nearest};
-pub use work::{work, work_head};
+pub use rows::{ALL, rows};
+
+pub(crate) use figure::{bars, confusion};
+pub(crate) use part::{MergeError, Part, Shard, merge};
+pub(crate) use report::{Report, ReportRow};
+pub(crate) use work::{work, work_head};

@@ -30,5 +30,5 @@ mod search;
 mod study;
 mod worth;
 
-pub use file::{Expected, Plan, PlanError};
-pub use search::{PlanOptions, Planned, SourceCost, search};
+pub use file::Plan;
+pub use search::{PlanOptions, Planned, search};

@@ -29,12 +29,13 @@
 //! What still costs accuracy: samples lost one by one and a wrong clock, which shift the pitch; noise
 //! of a tenth of the sound's power; scans of half a second and less.
 
-pub mod disturb;
+pub(crate) mod disturb;
 mod figure;
 mod report;
 mod run;
 
 pub use disturb::{Disturbance, all};
-pub use figure::{Measure, figure};
-pub use report::{Cell, Level, MethodReport, Report, Series as DisturbanceReport};
+
+pub(crate) use figure::{Measure, figure};
+pub(crate) use report::Report;
 pub use run::{Plan, run};

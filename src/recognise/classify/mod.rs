@@ -106,17 +106,6 @@ impl Training {
             .collect();
         (0..parts).map(|part| part_of.iter().map(|&p| p == part).collect()).collect()
     }
-
-    /// Only those trials that `keep` says.
-    pub fn select(&self, keep: impl Fn(usize) -> bool) -> Self {
-        let rows: Vec<usize> = (0..self.class.len()).filter(|&i| keep(i)).collect();
-        Self {
-            features: self.features.select(ndarray::Axis(0), &rows),
-            class: rows.iter().map(|&i| self.class[i]).collect(),
-            surfaces: self.surfaces.clone(),
-            keys: rows.iter().map(|&i| self.keys[i].clone()).collect(),
-        }
-    }
 }
 
 /// A comparison classifier as a method.

@@ -54,7 +54,7 @@ pub struct Conformity {
 impl Conformity {
     /// From lengths in seconds, rising, with the nonconformity of each trial that is longer; the
     /// median length of whole trials comes last.
-    pub fn new(mut by_length: Vec<(f64, Vec<f64>)>) -> Self {
+    pub(crate) fn new(mut by_length: Vec<(f64, Vec<f64>)>) -> Self {
         by_length.iter_mut().for_each(|(_, values)| values.sort_by(f64::total_cmp));
         by_length.retain(|(_, values)| !values.is_empty());
         Self { by_length }
@@ -131,7 +131,7 @@ impl Rejection {
     ///
     /// # Errors
     /// With fewer than `FEWEST` trials: one scan in ten and more would be rejected wrongly.
-    pub fn usual(trials: usize) -> Result<Self, RejectionError> {
+    pub(crate) fn usual(trials: usize) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;
             return Err(RejectionError::TooFew { rate, needed: FEWEST, trials });
@@ -146,7 +146,7 @@ impl Rejection {
     ///
     /// # Errors
     /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
-    pub fn new(trials: usize, rate: f64) -> Result<Self, RejectionError> {
+    pub(crate) fn new(trials: usize, rate: f64) -> Result<Self, RejectionError> {
         if !(rate > 0.0 && rate < 1.0) {
             return Err(RejectionError::Rate(rate));
         }

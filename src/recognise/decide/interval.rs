@@ -34,6 +34,11 @@ pub fn wilson(share: f64, trials: f64) -> (f64, f64) {
     (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
 }
 
+/// 95 % confidence interval of a share of successes (Wilson 1927). (0, 1) without trials.
+pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
+    wilson(successes as f64 / trials.max(1) as f64, trials as f64)
+}
+
 /// 95 % confidence interval of a share, from successes and trials of several groups that differ,
 /// such as people: Wilson's, for as many trials as vary as much, and for so few groups (Korn &
 /// Graubard 1998, "Confidence intervals for proportions with small expected number of positive

@@ -136,7 +136,7 @@ pub struct Settling {
 
 impl Settling {
     /// The rule of least mean scan time that keeps `stated_loss` on `trials`.
-    pub fn choose(trials: &[Stops], stated_loss: f64) -> Self {
+    pub(crate) fn choose(trials: &[Stops], stated_loss: f64) -> Self {
         let n = trials.len();
         let bound = |lost| if n == 0 { 1.0 } else { jeffreys_quantile(lost, n, CONFIDENCE) };
         let can_show = bound(0) <= stated_loss;

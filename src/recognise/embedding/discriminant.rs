@@ -2,14 +2,15 @@
 //!
 //! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
 //! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
-//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances d_c = ‖u − m_c‖² are taken in the space
-//! that the class means span after whitening by S: they order classes as the full Mahalanobis
-//! distance does, and what is left out does not separate classes.
+//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
+//! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S:
+//! they order classes as the full Mahalanobis distance does, and what is left out does not separate
+//! classes.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
-use rayon::prelude::*;
 
 use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
+use super::scatter::Scatter;
 
 /// γ: how much of the metric is a multiple of the identity (method §9).
 pub const SHRINKAGE: f64 = 0.03;
@@ -17,74 +18,6 @@ pub const SHRINKAGE: f64 = 0.03;
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
 const LEAST_WITHIN: f64 = 1e-3;
-
-/// Vectors that are summed in f32 before the sum goes to f64.
-const ROWS_A_SUM: usize = 512;
-
-/// Columns of a matrix of sums that one thread works out at a time.
-const COLUMNS_A_SUM: usize = 256;
-
-/// Sums over some training vectors; they add and subtract.
-#[derive(Clone, Debug)]
-pub struct Scatter {
-    /// Number of vectors of each label.
-    counts: Vec<f64>,
-    /// Sum of the vectors of each label, shape (labels, D).
-    sums: Array2<f64>,
-    /// Σ z·zᵀ; the lower triangle alone.
-    gram: Array2<f64>,
-}
-
-impl Scatter {
-    /// Sums over `vectors`, shape (n, D), each with its label below `count`.
-    pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
-        let dims = vectors.ncols();
-        let mut counts = vec![0.0; count];
-        let mut sums = Array2::zeros((count, dims));
-        for (vector, &class) in vectors.rows().into_iter().zip(labels) {
-            counts[class] += 1.0;
-            sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
-        }
-        Self { counts, sums, gram: lower_gram(vectors) }
-    }
-
-    /// Takes the sums of some of the vectors off again.
-    pub fn subtract(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine -= other);
-        self.sums -= &other.sums;
-        self.gram -= &other.gram;
-    }
-
-    /// The sums of some columns, in rising order.
-    pub fn select(&self, columns: &[usize]) -> Self {
-        if columns.len() == self.sums.ncols() {
-            return self.clone();
-        }
-        Self {
-            counts: self.counts.clone(),
-            sums: self.sums.select(Axis(1), columns),
-            gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),
-        }
-    }
-}
-
-/// Σ z·zᵀ of the rows, shape (D, D): zeros in the upper triangle, but for the blocks on the diagonal.
-fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
-    let (n, dims) = vectors.dim();
-    let mut gram = Array2::zeros((dims, dims));
-    let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
-    blocks.into_par_iter().for_each(|(block, mut columns)| {
-        let from = block * COLUMNS_A_SUM;
-        let to = from + columns.ncols();
-        let mut below = columns.slice_mut(s![from.., ..]);
-        for begin in (0..n).step_by(ROWS_A_SUM) {
-            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
-            let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
-            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
-        }
-    });
-    gram
-}
 
 /// A trained discriminant.
 #[derive(Clone, Debug)]
@@ -259,18 +192,6 @@ mod tests {
 
     fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
         Discriminant::new(&Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
-    }
-
-    #[test]
-    fn the_lower_triangle_of_the_sums_is_that_of_the_product() {
-        let (n, dims) = (ROWS_A_SUM + 60, COLUMNS_A_SUM + 30);
-        let value = |(i, j)| (((i * 31 + j * 17) % 97) as f32 - 48.0) / 16.0;
-        let vectors = Array2::from_shape_fn((n, dims), value);
-        let wide = vectors.mapv(f64::from);
-        let (lower, full) = (lower_gram(&vectors), wide.t().dot(&wide));
-        for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
-            assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
-        }
     }
 
     #[test]

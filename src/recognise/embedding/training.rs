@@ -10,10 +10,11 @@ use std::sync::{Arc, OnceLock};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 
-use super::discriminant::{Discriminant, Scatter};
+use super::discriminant::Discriminant;
 use super::joint::{Excerpt, JointEmbedder, Present, columns};
 use super::labels::Labels;
 use super::linear::{cholesky, solve_lower_transposed};
+use super::scatter::Scatter;
 use super::series::Window;
 use crate::recognise::features::frame_features::FrameFeatures;
 use crate::recognise::features::image_features::Part;

@@ -5,10 +5,10 @@
 //!
 //! | source | features, for each channel | |
 //! |---|---|---|
-//! | any series | [`series_statistics::MOMENTS`] | level, spread, moments and ratios in time |
+//! | any series | `series_statistics::MOMENTS` | level, spread, moments and ratios in time |
 //! | domain `spectrum` | log-band levels, mean and deviation over frames of 46 ms | up to 40 bands |
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
-//! | picture | [`picture_statistics::FEATURES`] | colour statistics, co-occurrence, gradients |
+//! | picture | `picture_statistics::FEATURES` | colour statistics, co-occurrence, gradients |
 //!
 //! Nothing here knows of other trials, but for their lengths, which frames follow.
 
@@ -18,13 +18,15 @@ mod colour;
 pub(super) mod frame_features;
 pub(super) mod frames;
 pub(super) mod image_features;
-pub mod picture_statistics;
-pub mod series_statistics;
+pub(crate) mod picture_statistics;
+pub(crate) mod series_statistics;
 mod spectrum;
 mod vector;
 pub(super) mod window_sums;
 
 pub use colour::hsv;
 pub use frame_features::FrameFeatures;
-pub use spectrum::{amplitude_spectrum, band_bins};
-pub use vector::{FeatureVector, SourceFeatures};
+pub use spectrum::amplitude_spectrum;
+pub use vector::FeatureVector;
+
+pub(crate) use vector::SourceFeatures;

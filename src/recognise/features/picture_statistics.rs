@@ -6,6 +6,7 @@ use super::colour::hsv;
 use crate::trial::Image;
 
 /// What is computed of a picture: [`COLOURS`], then [`TEXTURES`] at each of [`STEPS`].
+#[cfg_attr(not(test), expect(dead_code, reason = "says what the numbers are"))]
 pub const FEATURES: usize = COLOURS.len() + STEPS.len() * TEXTURES.len();
 
 /// Colour statistics. Hue is a direction, weighted by saturation, so that grey has none.

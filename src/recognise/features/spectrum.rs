@@ -32,7 +32,7 @@ pub fn band_bins(frames: usize, rate_hz: f64, band_hz: (f64, f64)) -> std::ops::
 /// removal of the mean.
 ///
 /// # Output order
-/// Ascending frequency; bin k of [`band_bins`] at index k − first.
+/// Ascending frequency; bin k of `band_bins` at index k − first.
 pub fn amplitude_spectrum(
     samples: impl ExactSizeIterator<Item = f64>,
     rate_hz: f64,

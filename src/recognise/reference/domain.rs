@@ -40,7 +40,7 @@ impl DomainSamples {
     }
 
     /// What positions are drawn from.
-    pub fn extent(&self) -> DomainExtent {
+    pub(crate) fn extent(&self) -> DomainExtent {
         match self {
             Self::Rows { extent, .. } => *extent,
             Self::Pixels(..) => DomainExtent::Image,

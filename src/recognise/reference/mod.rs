@@ -25,11 +25,9 @@ pub use options::{PositionMode, ReferenceOptions};
 pub use prepared_trial::PreparedTrial;
 pub(super) use prepared_trial::{Cut, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
+pub use sampling::image_grid;
 pub(super) use sampling::keyed_positions;
-pub use sampling::{DomainExtent, IMAGE_COLS, IMAGE_ROWS, Positions, draw_positions, image_grid};
-pub use score::{
-    QuerySet, SCORE_FLOOR, SampleScore, SumPrecision, log_score, score_samples, score_sets,
-};
+pub use score::{QuerySet, SumPrecision, log_score, score_samples};
 
 use std::sync::Arc;
 
@@ -56,7 +54,7 @@ impl Reference {
         Self(Sampler { scene, options })
     }
 
-    /// A model of a library, which may be of one surface: see [`ReferenceModel::log_scores`].
+    /// A model of a library, which may be of one surface.
     ///
     /// # Errors
     /// If a trial was prepared by another kind of method.

@@ -128,18 +128,13 @@ impl SampleSet {
     }
 
     /// Number of samples.
-    pub fn n(&self) -> usize {
+    pub(crate) fn n(&self) -> usize {
         self.values.len() / self.dims()
     }
 
     /// Number of channels.
-    pub fn dims(&self) -> usize {
+    pub(crate) fn dims(&self) -> usize {
         self.mean.len()
-    }
-
-    /// σ by the median heuristic (Eq. 6), of these samples in the order drawn, or as it was fixed.
-    pub fn sigma(&self) -> f64 {
-        self.sigma
     }
 
     /// Tabulates K(y, y) over length scales around the set's own, so that comparisons need not sum

@@ -40,7 +40,7 @@ pub struct SampleScore {
 }
 
 /// Compares samples of a query `z` with samples `y` of a library trial, shape (n, channels), in
-/// f64 and without shortcuts: the oracle of [`score_sets`].
+/// f64 and without shortcuts: the oracle of [`QuerySet`].
 ///
 /// `align_mean` shifts z's mean to y's first (Eq. 8); σ is taken from the shifted z (Eq. 6) unless
 /// `sigma` fixes it. Where the sides differ in length, n is that of the shorter.
@@ -205,11 +205,6 @@ impl<'a> QuerySet<'a> {
             (points, zz)
         })
     }
-}
-
-/// n·MMD²_b between two sets; [`score_samples`] is its oracle.
-pub fn score_sets(z: &SampleSet, y: &SampleSet, align_mean: bool, precision: SumPrecision) -> f64 {
-    QuerySet::new(z, align_mean, precision).score(y, &mut Scratch::default())
 }
 
 #[cfg(test)]

@@ -15,6 +15,12 @@ pub fn trial_name(library: &Path, folder: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
+/// The same of any trial; its surface and number, where it has no folder of its own.
+pub(super) fn name_of(library: &Path, entry: &Entry) -> String {
+    let loose = || format!("{}/{}", entry.key.surface, entry.key.number);
+    entry.folder().map_or_else(loose, |folder| trial_name(library, folder))
+}
+
 /// The trials that can be read; none, where there is no such folder or it holds none.
 pub(super) fn trials(folder: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
     if !folder.exists() {

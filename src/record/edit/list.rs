@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::folders::{REMOVED, trial_name, trials};
+use super::folders::{REMOVED, name_of, trials};
 use crate::library::{About, Entry, LibraryError};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -12,7 +12,8 @@ use crate::trial::TrialKey;
 /// A trial as it is listed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ListedTrial {
-    /// What edits call it: `SURFACE/TRIAL`.
+    /// What edits call it: `SURFACE/TRIAL`; where it has no folder of its own, which edits need, its
+    /// surface and number.
     pub trial: String,
     /// Its label, user and number.
     #[serde(flatten)]
@@ -25,7 +26,7 @@ pub struct ListedTrial {
     pub seconds: f64,
 }
 
-/// The trials of a library that can be edited, sorted.
+/// The trials of a library that can be read, sorted.
 ///
 /// # Errors
 /// If they cannot be read.
@@ -44,17 +45,18 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
 
 fn listed(root: &Path, entries: &[Entry]) -> Vec<ListedTrial> {
     let one = |entry: &Entry| {
-        let folder = entry.folder()?;
+        let folder = entry.folder();
         // What cannot be read of it is left out here, and found by `surfaced check`.
         let seconds = entry.outlines().unwrap_or_default();
         let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
-        Some(ListedTrial {
-            trial: trial_name(root, folder),
+        let started_at = |folder| About::read(folder).ok()?.started_at;
+        ListedTrial {
+            trial: name_of(root, entry),
             key: entry.key.clone(),
-            started_at: About::read(folder).ok().and_then(|about| about.started_at),
+            started_at: folder.and_then(started_at),
             sources: entry.sources.clone(),
             seconds: seconds.fold(0.0, f64::max),
-        })
+        }
     };
-    entries.iter().filter_map(one).collect()
+    entries.iter().map(one).collect()
 }

@@ -11,7 +11,7 @@ mod list;
 mod relocate;
 mod steps;
 
-pub use folders::trial_name;
+pub(crate) use folders::trial_name;
 pub use list::{ListedTrial, list, list_removed};
 pub use steps::{Move, Step, last_step};
 
@@ -19,7 +19,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use self::folders::{REMOVED, trials};
+use self::folders::{REMOVED, name_of, trials};
 use self::relocate::{relocate, replace};
 use self::steps::{MOST_STEPS, STEPS, steps};
 use super::{failed, trial_folder, utc};
@@ -39,7 +39,7 @@ pub struct Editor {
 ///
 /// # Errors
 /// If the library is there and cannot be read.
-pub fn next_number(
+pub(crate) fn next_number(
     library: &Path,
     scene: &Scene,
     surface: &str,
@@ -104,7 +104,7 @@ impl Editor {
         let mut taken = keys(entries);
         let mut moves = Vec::new();
         for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
-            let Some(from) = entry.folder() else { continue };
+            let from = self.folder_of(entry)?;
             let is = free_key(&mut taken, label, &entry.key);
             let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
             moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
@@ -124,7 +124,7 @@ impl Editor {
             match self.choose(&self.root, &entries, one) {
                 Ok(chosen) => {
                     for entry in chosen {
-                        let Some(from) = entry.folder() else { continue };
+                        let from = self.folder_of(entry)?;
                         let key = Some((entry.key.clone(), entry.key.clone()));
                         self.remove_folder(from, key, &mut moves);
                     }
@@ -157,7 +157,7 @@ impl Editor {
         let entries = trials(&bin, &self.scene)?;
         let mut moves = Vec::new();
         for entry in self.choose(&bin, &entries, names)? {
-            let Some(from) = entry.folder() else { continue };
+            let from = self.folder_of(entry)?;
             let is = free_key(&mut taken, &entry.key.surface, &entry.key);
             let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
             moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
@@ -194,10 +194,7 @@ impl Editor {
     ) -> Result<Vec<&'e Entry>, LibraryError> {
         let mut chosen: Vec<&Entry> = Vec::new();
         for name in names {
-            let is = |entry: &&Entry| {
-                let is_folder = entry.folder().is_some_and(|own| trial_name(folder, own) == *name);
-                is_folder || entry.key.surface == *name
-            };
+            let is = |entry: &&Entry| name_of(folder, entry) == *name || entry.key.surface == *name;
             let before = chosen.len();
             let new = entries.iter().filter(is);
             chosen.extend(
@@ -208,6 +205,14 @@ impl Editor {
             }
         }
         Ok(chosen)
+    }
+
+    /// The folder of a trial, which is what edits move.
+    fn folder_of<'e>(&self, entry: &'e Entry) -> Result<&'e Path, LibraryError> {
+        let problem = "its trials are files that have no folder of their own, and those are not edited \
+                       here: rename or move the files, or put each into SURFACE/TRIAL/SOURCE.wav";
+        let surface = self.root.join(&entry.key.surface);
+        entry.folder().ok_or_else(|| LibraryError::file(&surface, problem))
     }
 
     fn nothing_called(&self, name: &str, entries: &[Entry]) -> LibraryError {

@@ -86,3 +86,20 @@ fn nothing_moves_while_somebody_reads() {
     editing.join().unwrap();
     assert!(!dir.path().join("oak").exists());
 }
+
+#[test]
+fn files_without_trial_folders_are_listed_and_not_edited() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    fs::rename(root.join("ash/anna-01/ir.wav"), root.join("ash/ir_7.wav")).unwrap();
+    fs::remove_dir_all(root.join("ash/anna-01")).unwrap();
+    let listed = list(root, &scene).unwrap();
+    let names: Vec<_> = listed.iter().map(|one| one.trial.as_str()).collect();
+    assert_eq!(names, ["ash/7", "oak/anna-01", "oak/anna-02"]);
+    let edit = Editor::open(root, &scene).unwrap();
+    let names = |name: &str| [name.to_string()];
+    for refused in [edit.rename("ash", "elm"), edit.move_to(&names("ash/7"), "elm")] {
+        assert!(refused.unwrap_err().to_string().contains("no folder of their own"));
+    }
+    assert!(edit.remove(&names("ash")).is_err() && edit.undo().is_err(), "nothing has changed");
+}

@@ -72,7 +72,7 @@ pub struct LeftOutAccuracy {
 
 impl LeftOutAccuracy {
     /// Counts. A trial that is shorter than a time is named by its whole length.
-    pub fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
+    pub(crate) fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
         let mut lengths: Vec<f64> = scans.iter().map(|scan| scan.scan_s).collect();
         lengths.sort_by(f64::total_cmp);
         let Some(&whole_s) = lengths.get(lengths.len() / 2) else {
@@ -193,7 +193,7 @@ impl LeftOutAccuracy {
 
 impl ScanTime {
     /// For trials that cannot be compared with each other.
-    pub fn without_model(goal: Goal, why: String) -> Self {
+    pub(crate) fn without_model(goal: Goal, why: String) -> Self {
         let shortfall = Some(Shortfall::NoModel(why));
         Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
     }

@@ -1,0 +1,89 @@
+//! Sums over training vectors: counts, sums and products, from which discriminants are made.
+
+use ndarray::{Array2, Axis, s};
+use rayon::prelude::*;
+
+/// Vectors that are summed in f32 before the sum goes to f64.
+const ROWS_A_SUM: usize = 512;
+
+/// Columns of a matrix of sums that one thread works out at a time.
+const COLUMNS_A_SUM: usize = 256;
+
+/// Sums over some training vectors; they add and subtract.
+#[derive(Clone, Debug)]
+pub struct Scatter {
+    /// Number of vectors of each label.
+    pub(super) counts: Vec<f64>,
+    /// Sum of the vectors of each label, shape (labels, D).
+    pub(super) sums: Array2<f64>,
+    /// Σ z·zᵀ; the lower triangle alone.
+    pub(super) gram: Array2<f64>,
+}
+
+impl Scatter {
+    /// Sums over `vectors`, shape (n, D), each with its label below `count`.
+    pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
+        let dims = vectors.ncols();
+        let mut counts = vec![0.0; count];
+        let mut sums = Array2::zeros((count, dims));
+        for (vector, &class) in vectors.rows().into_iter().zip(labels) {
+            counts[class] += 1.0;
+            sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
+        }
+        Self { counts, sums, gram: lower_gram(vectors) }
+    }
+
+    /// Takes the sums of some of the vectors off again.
+    pub fn subtract(&mut self, other: &Self) {
+        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine -= other);
+        self.sums -= &other.sums;
+        self.gram -= &other.gram;
+    }
+
+    /// The sums of some columns, in rising order.
+    pub fn select(&self, columns: &[usize]) -> Self {
+        if columns.len() == self.sums.ncols() {
+            return self.clone();
+        }
+        Self {
+            counts: self.counts.clone(),
+            sums: self.sums.select(Axis(1), columns),
+            gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),
+        }
+    }
+}
+
+/// Σ z·zᵀ of the rows, shape (D, D): zeros in the upper triangle, but for the blocks on the diagonal.
+fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
+    let (n, dims) = vectors.dim();
+    let mut gram = Array2::zeros((dims, dims));
+    let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
+    blocks.into_par_iter().for_each(|(block, mut columns)| {
+        let from = block * COLUMNS_A_SUM;
+        let to = from + columns.ncols();
+        let mut below = columns.slice_mut(s![from.., ..]);
+        for begin in (0..n).step_by(ROWS_A_SUM) {
+            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
+            let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
+            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
+        }
+    });
+    gram
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lower_triangle_of_the_sums_is_that_of_the_product() {
+        let (n, dims) = (ROWS_A_SUM + 60, COLUMNS_A_SUM + 30);
+        let value = |(i, j)| (((i * 31 + j * 17) % 97) as f32 - 48.0) / 16.0;
+        let vectors = Array2::from_shape_fn((n, dims), value);
+        let wide = vectors.mapv(f64::from);
+        let (lower, full) = (lower_gram(&vectors), wide.t().dot(&wide));
+        for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
+            assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
+        }
+    }
+}
