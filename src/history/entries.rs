@@ -108,11 +108,19 @@ impl Inner {
         Ok(Value::Object(answer))
     }
 
-    /// Lets the oldest signals go, and then the oldest answers, until all fits.
+    /// Lets the oldest signals go, and then the oldest answers, until all fits and the disk has
+    /// room for other things.
     pub fn make_room(&mut self) -> Result<(), HistoryError> {
+        let lacking = self.disk.as_ref().map_or(0, Disk::lacks);
+        self.let_go(lacking)
+    }
+
+    /// The same, where the disk lacks so many bytes.
+    pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.most_bytes / FOR_ANSWERS;
-        while self.signals > disk.most_bytes - for_answers {
+        let most = (disk.most_bytes - for_answers).min(self.signals.saturating_sub(lacking));
+        while self.signals > most {
             let Some(entry) = self.entries.iter_mut().find(|entry| entry.signals.is_some()) else {
                 break;
             };

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, flock, statvfs};
 
 use super::error::HistoryError;
 use super::log::Log;
@@ -14,6 +14,10 @@ use crate::library::{ABOUT_FILE, About};
 pub(super) const SCANS: &str = "scans";
 /// Name of the log.
 const LOG: &str = "answers.jsonl";
+/// The part of its disk that signals of past scans leave free: for trials, which are worth more.
+const FREE: u64 = 10;
+/// More than this many bytes need not be free.
+const MOST_FREE: u64 = 1_000_000_000;
 
 /// The folder.
 #[derive(Debug)]
@@ -77,6 +81,12 @@ impl Disk {
         }
     }
 
+    /// Bytes that the disk lacks to have as much free as it should; 0 where that is not known.
+    pub fn lacks(&self) -> u64 {
+        statvfs(&self.root)
+            .map_or(0, |disk| lacks(disk.f_blocks * disk.f_frsize, disk.f_bavail * disk.f_frsize))
+    }
+
     /// Bytes of the signals of a scan.
     pub fn size(&self, id: &str) -> Result<u64, HistoryError> {
         let folder = self.folder(id);
@@ -97,5 +107,22 @@ impl Disk {
         fs::write(&unfinished, about.to_toml())
             .and_then(|()| fs::rename(&unfinished, &path))
             .map_err(HistoryError::io(&path))
+    }
+}
+
+/// What a disk of `size` bytes with `free` ones lacks.
+fn lacks(size: u64, free: u64) -> u64 {
+    (size / FREE).min(MOST_FREE).saturating_sub(free)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tenth_of_a_small_disk_stays_free_and_a_gigabyte_of_a_large_one() {
+        assert_eq!([lacks(100, 30), lacks(100, 10), lacks(100, 4)], [0, 0, 6]);
+        let large = 1000 * MOST_FREE;
+        assert_eq!([lacks(large, MOST_FREE), lacks(large, MOST_FREE - 1)], [0, 1]);
     }
 }

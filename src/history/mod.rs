@@ -85,7 +85,8 @@ impl History {
         Self { inner: Mutex::default() }
     }
 
-    /// The history in a folder, which is made if need be, of at most `most_bytes`.
+    /// The history in a folder, which is made if need be, of at most `most_bytes`, and less where its
+    /// disk has little room: a tenth of it stays free, of a large one a gigabyte.
     ///
     /// # Errors
     /// If the folder cannot be read or written, or another program uses it.
@@ -138,6 +139,8 @@ impl History {
     /// If it cannot be written; it is remembered all the same.
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
+        // First, for on a full disk nothing could be written.
+        let room = inner.make_room();
         let head = Head::of(answer);
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string(answer).unwrap_or_default();
@@ -151,7 +154,7 @@ impl History {
             inner.entries.pop_front();
         }
         written?;
-        inner.make_room()
+        room
     }
 
     /// Notes that the signals of a scan are on disk, in its `History::folder_for`; older ones make

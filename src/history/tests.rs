@@ -132,6 +132,18 @@ fn the_oldest_signals_make_room_and_their_answers_stay() {
 }
 
 #[test]
+fn the_oldest_signals_make_room_on_a_disk_that_is_nearly_full() {
+    let dir = tempfile::tempdir().unwrap();
+    let history = History::open(dir.path(), 1 << 20).unwrap();
+    let ids: Vec<String> = (1..=5).map(|scan| keep(&history, scan, 20_000)).collect();
+    let kept = || ids.iter().map(|id| history.folder(id).is_ok()).collect::<Vec<_>>();
+    history.lock().let_go(20_001).unwrap();
+    assert_eq!(kept(), [false, false, true, true, true]);
+    history.lock().let_go(1 << 20).unwrap();
+    assert_eq!((kept(), scans(&history).len()), (vec![false; 5], 5));
+}
+
+#[test]
 fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() {
     let dir = tempfile::tempdir().unwrap();
     let most = 400_000;

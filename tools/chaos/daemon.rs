@@ -66,6 +66,8 @@ impl Daemon {
             }
             std::thread::sleep(Duration::from_millis(20));
         }
+        // What it said last may still be on its way.
+        std::thread::sleep(Duration::from_millis(500));
         Err(format!("it does not serve: {}", self.said()).into())
     }
 

@@ -18,8 +18,8 @@ use crate::dice::Dice;
 
 /// The sources of the stylus and of the microphone.
 const SOURCES: [&str; 6] = ["ac", "fr", "ir", "me", "mi1", "mi2"];
-/// Size of the disk.
-const SIZE: &str = "size=96m";
+/// Size of the disk: past scans come to its end within some 20 minutes.
+const SIZE: &str = "size=32m";
 
 /// A small disk in memory, where that may be mounted; else a folder that is moved away when it is to
 /// take no more.

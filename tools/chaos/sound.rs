@@ -17,6 +17,9 @@ use crate::{Failure, Samples};
 const RATE_HZ: f64 = 44_100.0;
 /// What is in buffers, and how long a stream may be silent before its state says so, in seconds.
 const SLACK_S: f64 = 1.5;
+/// How much more than the time since its opening a stream may seem to give, in seconds: delays that
+/// are no losses, and the clock of another process.
+const AHEAD_S: f64 = 0.5;
 /// Length of what is played, in seconds: longer than a station lives.
 const PLAYED_S: usize = 120;
 
@@ -127,7 +130,7 @@ impl Sound {
         let unknowable = samples(silent) + (SLACK_S * RATE_HZ) as u64;
         let opened = states.first().map_or(ended, |(since, _)| *since);
         // It goes on until the station has ended, which is by now.
-        let most = ((opened.elapsed().as_secs_f64() + SLACK_S) * RATE_HZ) as u64;
+        let most = ((opened.elapsed().as_secs_f64() + AHEAD_S) * RATE_HZ) as u64;
         Ok((Samples { sent: samples(since), received, lost, unknowable }, most))
     }
 }
