@@ -146,8 +146,11 @@ fn a_hangup_ends_a_program_but_not_under_nohup() {
     let data = data.to_str().unwrap();
     let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
     assert!(surfaced(&synth, full()).status.success());
-    for (under, outlives) in [("env", false), ("nohup", true)] {
-        let mut child = Command::new(under)
+    // The test itself may run under `nohup`.
+    let (plain, nohup) = (["env", "--default-signal=HUP"], ["nohup"]);
+    for (under, outlives) in [(&plain[..], false), (&nohup[..], true)] {
+        let mut child = Command::new(under[0])
+            .args(&under[1..])
             .arg(env!("CARGO_BIN_EXE_surfaced"))
             .args(["replay", data, "--method", "reference", "--serve=127.0.0.1:0"])
             .stdin(Stdio::null())
@@ -172,7 +175,17 @@ fn a_hangup_ends_a_program_but_not_under_nohup() {
             send("TERM");
         }
         // In order, whether or not its scans were named by then.
-        let status = child.wait().unwrap();
+        let began = Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait().unwrap() {
+                break status;
+            }
+            if began.elapsed().as_secs() >= 30 {
+                child.kill().unwrap();
+                panic!("it does not end");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        };
         assert!(matches!(status.code(), Some(0 | 1 | 3)), "{status}");
     }
 }
