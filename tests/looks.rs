@@ -16,15 +16,15 @@ use surfaced::trial::{Signal, Trial};
 /// Counts what is allocated, by any thread. The only test of this file is alone with it.
 struct Counting;
 
-/// Bytes that were ever asked for.
-static ASKED: AtomicU64 = AtomicU64::new(0);
+/// Bytes that were ever allocated.
+static ALLOCATED: AtomicU64 = AtomicU64::new(0);
 /// Bytes that are held now.
 static HELD: AtomicI64 = AtomicI64::new(0);
 
 // SAFETY: all is passed on to the system's allocator; the rest only counts.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ASKED.fetch_add(layout.size() as u64, Ordering::Relaxed);
+        ALLOCATED.fetch_add(layout.size() as u64, Ordering::Relaxed);
         HELD.fetch_add(layout.size() as i64, Ordering::Relaxed);
         // SAFETY: as of the caller.
         unsafe { System.alloc(layout) }
@@ -72,16 +72,16 @@ fn a_look_costs_the_same_at_the_hundredth_second_of_a_scan_as_at_its_tenth() {
     let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let dragged = |source: &str| scene.get(source).unwrap().phase == Phase::Drag;
 
-    // Of a second of looks each: what they ask for, and what is held after them.
+    // Of a second of looks each: what they allocate, and what is held after them.
     let mut costs = Vec::new();
     follower.begin();
     for second in 0..100 {
-        let asked = ASKED.load(Ordering::Relaxed);
+        let before = ALLOCATED.load(Ordering::Relaxed);
         (1..=10).for_each(|n| step(&mut *follower, &scan, dragged, 10 * second + n));
-        costs.push((ASKED.load(Ordering::Relaxed) - asked, HELD.load(Ordering::Relaxed)));
+        costs.push((ALLOCATED.load(Ordering::Relaxed) - before, HELD.load(Ordering::Relaxed)));
     }
     let (tenth, hundredth) = (costs[9], costs[99]);
-    println!("bytes asked for and held: {tenth:?} at 10 s, {hundredth:?} at 100 s");
+    println!("bytes allocated and held: {tenth:?} at 10 s, {hundredth:?} at 100 s");
     assert!(tenth.0 > 100_000, "what looks do is not seen: {tenth:?}");
     // A list may be about to grow; a copy of what came since would be a hundred times this.
     let more = hundredth.0 as f64 / tenth.0 as f64;

@@ -8,7 +8,8 @@ mod common;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::os::fd::OwnedFd;
-use std::process::{Command, Output, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use bench::{Bench, SCANNED, synthetic, trial};
@@ -35,13 +36,33 @@ fn surfaced(args: &[&str], stderr: Stdio) -> Output {
         .unwrap()
 }
 
+/// Four trials by the expert and two by a user, in a folder of this one.
+fn small_dataset(dir: &Path) -> String {
+    let data = dir.join("data").to_str().unwrap().to_string();
+    let synth = ["synth", &data, "--surfaces", "2", "--trials", "2", "--users", "1"];
+    assert!(surfaced(&synth, full()).status.success());
+    data
+}
+
+/// How a program ends, within `limit_s` seconds.
+fn end_of(child: &mut Child, limit_s: u64, mut meanwhile: impl FnMut()) -> ExitStatus {
+    let began = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status;
+        }
+        if began.elapsed().as_secs() >= limit_s {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        meanwhile();
+    }
+}
+
 #[test]
 fn replay_and_eval_print_their_json() {
     let dir = tempfile::tempdir().unwrap();
-    let data = dir.path().join("data");
-    let data = data.to_str().unwrap();
-    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
-    assert!(surfaced(&synth, full()).status.success());
+    let data = &small_dataset(dir.path());
     for stderr in [closed, full] {
         let replay = ["replay", data, "--json", "--method", "reference"];
         let output = surfaced(&replay, stderr());
@@ -98,24 +119,14 @@ fn a_reader_of_json_who_stalls_does_not_hold_up_the_end() {
     let seconds = bench.play(&fake, &trial(&data, 0, SCANNED), 0.8);
     fake.serve(seconds + 1.0);
     assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
-    let began = Instant::now();
-    let status = loop {
-        match child.try_wait().unwrap() {
-            Some(status) => break status,
-            None => fake.obey(),
-        }
-        assert!(began.elapsed().as_secs() < 5, "it does not end");
-    };
+    let status = end_of(&mut child, 5, || fake.obey());
     assert_eq!(status.code(), Some(0));
 }
 
 #[test]
 fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
     let dir = tempfile::tempdir().unwrap();
-    let data = dir.path().join("data");
-    let data = data.to_str().unwrap();
-    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
-    assert!(surfaced(&synth, full()).status.success());
+    let data = &small_dataset(dir.path());
     let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
         .args(["replay", data, "--method", "reference", "--serve=127.0.0.1:0"])
         .stdin(Stdio::null())
@@ -142,10 +153,7 @@ fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
 #[test]
 fn a_hangup_ends_a_program_but_not_under_nohup() {
     let dir = tempfile::tempdir().unwrap();
-    let data = dir.path().join("data");
-    let data = data.to_str().unwrap();
-    let synth = ["synth", data, "--surfaces", "2", "--trials", "2", "--users", "1"];
-    assert!(surfaced(&synth, full()).status.success());
+    let data = &small_dataset(dir.path());
     // The test itself may run under `nohup`.
     let (plain, nohup) = (["env", "--default-signal=HUP"], ["nohup"]);
     for (under, outlives) in [(&plain[..], false), (&nohup[..], true)] {
@@ -175,17 +183,7 @@ fn a_hangup_ends_a_program_but_not_under_nohup() {
             send("TERM");
         }
         // In order, whether or not its scans were named by then.
-        let began = Instant::now();
-        let status = loop {
-            if let Some(status) = child.try_wait().unwrap() {
-                break status;
-            }
-            if began.elapsed().as_secs() >= 30 {
-                child.kill().unwrap();
-                panic!("it does not end");
-            }
-            std::thread::sleep(Duration::from_millis(20));
-        };
+        let status = end_of(&mut child, 30, || std::thread::sleep(Duration::from_millis(20)));
         assert!(matches!(status.code(), Some(0 | 1 | 3)), "{status}");
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::Failure;
 use super::protocol::ProtocolArg;
-use crate::evaluate::{self, Fold, Protocol};
+use crate::evaluate::{self, EvaluateError, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -43,22 +43,24 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
     Ok(entries)
 }
 
-/// The protocol that was named, else the one that fits the trials, which people learn of.
-pub(super) fn protocol_for(keys: &[TrialKey], named: Option<ProtocolArg>) -> Protocol {
-    match named {
-        Some(ProtocolArg(protocol)) => protocol,
-        None => {
-            let protocol = Protocol::natural(keys);
-            // Where none does, an error follows that says why.
-            if evaluate::folds(protocol, keys).is_ok() {
-                say!("protocol: {}, which fits these data", protocol.name());
-            }
-            protocol
-        }
+/// The protocol that was named, else the one that fits the trials, which people learn of; and its
+/// folds.
+///
+/// # Errors
+/// If the protocol finds no folds.
+pub(super) fn split(
+    keys: &[TrialKey],
+    named: Option<ProtocolArg>,
+) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
+    let protocol = named.map_or_else(|| Protocol::natural(keys), |ProtocolArg(protocol)| protocol);
+    let folds = evaluate::folds(protocol, keys)?;
+    if named.is_none() {
+        say!("protocol: {}, which fits these data", protocol.name());
     }
+    Ok((protocol, folds))
 }
 
-/// Narrows recordings to a scene, and splits them into folds by a protocol, see [`protocol_for`].
+/// Narrows recordings to a scene, and splits them into folds by a protocol, see [`split`].
 ///
 /// # Errors
 /// If no trial holds any of the scene's sources, or the protocol finds no folds.
@@ -69,8 +71,7 @@ pub(super) fn choose(
 ) -> Result<Choice, Failure> {
     let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let protocol = protocol_for(&keys, protocol);
-    let folds = evaluate::folds(protocol, &keys)?;
+    let (protocol, folds) = split(&keys, protocol)?;
     Ok(Choice { scene, entries, protocol, folds })
 }
 

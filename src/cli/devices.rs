@@ -58,7 +58,7 @@ fn microphones() -> DeviceClass {
 }
 
 /// Keeps libraries from writing on stderr until it is dropped: those behind ALSA's plugins, as JACK's,
-/// do so when what they look for is not there, which is told as the problem of that device. For this
+/// do so when what they look for is not there, which the list shows as that device's problem. For this
 /// command alone, in which no other thread writes there.
 #[cfg(feature = "microphone")]
 struct HushedStderr(Option<std::os::fd::OwnedFd>);
@@ -78,7 +78,7 @@ impl HushedStderr {
 impl Drop for HushedStderr {
     fn drop(&mut self) {
         if let Some(kept) = &self.0 {
-            // It was open a moment ago; nobody could be told if that has changed.
+            // It was open a moment ago; if that has changed, nothing is left to say it on.
             let _ = rustix::stdio::dup2_stderr(kept);
         }
     }

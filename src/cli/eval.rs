@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use self::report::{Answer, Report};
 use super::answers::AnswerArgs;
 use super::bad_files::{self, BadFileArgs, Skipped};
-use super::choose::{protocol_for, within};
+use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
 use super::protocol::ProtocolArg;
 use super::show::quoted;
@@ -17,7 +17,7 @@ use crate::dataset::table;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
-    UnknownOutcome, enrol, folds,
+    UnknownOutcome, enrol,
 };
 use crate::library::lock::LibraryLock;
 use crate::recognise::{Method, MethodName, RecogniseError};
@@ -179,8 +179,7 @@ fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<Report, Failu
 }
 
 fn evaluated(args: &Args, data: Data<'_>) -> Result<Report, Failure> {
-    let protocol = protocol_for(&data.keys, args.protocol);
-    let before = folds(protocol, &data.keys)?;
+    let (protocol, before) = split(&data.keys, args.protocol)?;
     let folds = enrolled(args, protocol, &before, &data.keys)?;
     let method = args.method.spec()?.build(data.scene);
     let steps = show::Steps::new();

@@ -93,6 +93,7 @@ impl Signalled {
 /// `nohup`, stays ignored.
 pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
     let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
+    // SIGTERM is the last: where it is caught, so are the others.
     let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {

@@ -189,11 +189,15 @@ impl Tally {
             longer.unwrap_or_default()
         );
         // Why it is unsure, unless a warning has said so; other states explain themselves.
-        let is_told = |why: &&String| {
-            answer.spoiled.contains(why) || answer.remarks.iter().any(|told| told.text == **why)
+        let is_known = |why: &&String| {
+            answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
         };
         if answer.state == AnswerState::Unsure {
-            answer.reasons.iter().filter(|why| !is_told(why)).for_each(|why| say!("        {why}"));
+            answer
+                .reasons
+                .iter()
+                .filter(|why| !is_known(why))
+                .for_each(|why| say!("        {why}"));
         }
     }
 

@@ -164,7 +164,7 @@ impl Device for Microphone {
 }
 
 impl Stream {
-    /// Carries its sound to the session until it ends. Moments are told in seconds since `begin`.
+    /// Carries its sound to the session until it ends. Moments are in seconds since `begin`.
     fn follow(&mut self, listening: &mut Listening, begin: Instant, control: &Control) -> End {
         let now_s = || begin.elapsed().as_secs_f64();
         listening.opened(now_s());
@@ -178,11 +178,11 @@ impl Stream {
                     StreamError::Gone(why) => gone = gone.or(Some(why)),
                 }
             }
-            let heard = listening.look(&mut self.tap, gone.is_some(), now_s);
-            if heard.sound {
+            let carried = listening.look(&mut self.tap, gone.is_some(), now_s);
+            if carried.sound {
                 control.state(DeviceState::Streaming, "");
             }
-            if let Some(level) = heard.level {
+            if let Some(level) = carried.level {
                 control.warn(said_of(level));
             }
             if let Some(why) = gone {

@@ -115,7 +115,7 @@ impl Inner {
         self.let_go(lacking)
     }
 
-    /// The same, where the disk lacks so many bytes.
+    /// The same, where the disk lacks `lacking` bytes.
     pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.most_bytes / FOR_ANSWERS;

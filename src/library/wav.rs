@@ -13,6 +13,9 @@ use super::files::{self, EMPTY_FILE};
 use super::series_header::{Header, too_long};
 use crate::trial::Series;
 
+/// Bytes that are decoded together: whole samples of any size.
+const BLOCK: usize = 48 * 1024;
+
 /// Reads a header and checks that the file is long enough to hold what it promises.
 ///
 /// # Errors
@@ -43,11 +46,10 @@ fn decode(file: &mut impl Read, data: Data) -> io::Result<Vec<f32>> {
     let bytes = usize::from(container);
     let scale = 1.0 / 2f64.powi(i32::from(container) * 8 - 1);
     let mut samples = Vec::with_capacity(length as usize / bytes);
-    // Whole samples of any size.
-    let mut block = [0; 48 * 1024];
+    let mut block = [0; BLOCK];
     let mut left = length;
     while left > 0 {
-        let block = &mut block[..left.min(48 * 1024) as usize];
+        let block = &mut block[..left.min(BLOCK as u64) as usize];
         file.read_exact(block)?;
         left -= block.len() as u64;
         samples.extend(block.chunks_exact(bytes).map(|sample| match (format, sample) {

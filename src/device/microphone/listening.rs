@@ -33,7 +33,7 @@ enum Before {
 
 /// What a look at the callback's ring gave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct Carried {
     /// Whether sound was carried.
     pub sound: bool,
     /// The level, if it has changed.
@@ -82,25 +82,25 @@ impl<'a> Listening<'a> {
 
     /// Moves on all that waits in the ring. After a pause it waits for what is late, unless this is
     /// the `last` look at this ring.
-    pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Heard {
+    pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
         // What the ring itself has lost is there as much as what it holds.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
         // Only now the time: then whatever holds up this thread makes sound seem late, which can
         // happen, and never early.
         let now_s = clock();
         if held == 0 {
-            return Heard::default();
+            return Carried::default();
         }
         if self.before == Before::Frames && self.received && self.silent_s(now_s) > PAUSE_S {
             self.before = Before::Pause(now_s);
         }
         match self.before {
-            Before::Pause(end_s) if now_s - end_s < CATCH_UP_S && !last => Heard::default(),
+            Before::Pause(end_s) if now_s - end_s < CATCH_UP_S && !last => Carried::default(),
             _ => self.carry(tap, held, now_s),
         }
     }
 
-    fn carry(&mut self, tap: &mut SeriesTap, held: u64, now_s: f64) -> Heard {
+    fn carry(&mut self, tap: &mut SeriesTap, held: u64, now_s: f64) -> Carried {
         let end = self.sink.position() + held;
         let missing = match std::mem::replace(&mut self.before, Before::Frames) {
             Before::Frames => 0,
@@ -131,7 +131,7 @@ impl<'a> Listening<'a> {
         });
         self.last_s = now_s;
         self.received = true;
-        Heard { sound: true, level }
+        Carried { sound: true, level }
     }
 }
 
@@ -162,9 +162,9 @@ mod tests {
 
     #[derive(Clone, Copy, Debug)]
     enum Act {
-        /// For so many steps.
+        /// For this number of steps.
         Play(u64),
-        /// Nothing for so many steps, and this share of their sound never comes. The rest comes at
+        /// Nothing for `steps` steps, and this share of their sound never comes. The rest comes at
         /// once, some steps after new sound, either in callbacks with a look after each, or all
         /// before the next look.
         Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },

@@ -15,7 +15,7 @@ const TRIAL_S: f64 = 5.0;
 /// A frame can come late but not early. So the earliest arrival, less the frame's own time, is the
 /// moment at which the stream seems to have begun; later than that by more than the usual delay
 /// means that frames are missing. Once they were counted by this clock, sound that seems to come
-/// early was not missing but late, and tells nothing about the begin: a begin that followed it would
+/// early was not missing but late, and says nothing about the begin: a begin that followed it would
 /// count the same time again at each interruption.
 #[derive(Clone, Debug)]
 pub struct Pace {

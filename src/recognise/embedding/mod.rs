@@ -27,7 +27,7 @@ mod picture;
 mod pixel_pairs;
 mod posterior;
 mod scan;
-pub mod scatter;
+mod scatter;
 mod series;
 mod training;
 mod view_sums;

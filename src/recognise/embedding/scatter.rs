@@ -53,7 +53,7 @@ impl Scatter {
     }
 }
 
-/// Σ z·zᵀ of the rows, shape (D, D): zeros in the upper triangle, but for the blocks on the diagonal.
+/// Σ z·zᵀ of the rows, shape (D, D). What stands above the diagonal means nothing.
 fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
     let (n, dims) = vectors.dim();
     let mut gram = Array2::zeros((dims, dims));
