@@ -2,7 +2,7 @@
 //!
 //! ```
 //! use surfaced::dataset::synth::{self, Parameters};
-//! use surfaced::recognise::{MethodName, MethodSpec, prepare_library};
+//! use surfaced::recognise::{MethodName, MethodSpec, ready_model};
 //!
 //! // Recordings; `dataset::open(folder, &Scene::lmt108())` opens your own.
 //! let small = Parameters { surfaces: 3, trials: 3, users: 1, drag_seconds: 0.5, ..Parameters::default() };
@@ -12,7 +12,7 @@
 //!
 //! let method = MethodSpec::from(MethodName::Embedding).build(&data.scene);
 //! let all = (0..library.len()).collect();
-//! let model = prepare_library(&*method, &library, &all, None, &|_, _| ())?.fit_all(&*method)?;
+//! let model = ready_model(&*method, &library, &all, None, &|_, _| ())?.model;
 //!
 //! let query = model.prepare(&queries[0], &queries[0].load()?)?;
 //! assert_eq!(model.rank(&query)?.surface(), queries[0].key.surface);

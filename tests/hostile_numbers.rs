@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Method, MethodName, MethodSpec, Ranking, RecogniseError, Reference, ReferenceOptions,
-    SumPrecision, prepare_library,
+    SumPrecision, ready_model,
 };
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
@@ -72,7 +72,7 @@ fn ranking(
         if identical { seed.wrapping_add(1).wrapping_mul(kinds[0] as u64 * 2 + 3) } else { !seed };
     let query = Arc::new(trial("ash", 9, kinds[0], draw));
     let all = (0..library.len()).collect();
-    let model = prepare_library(method, &library, &all, None, &|_, _| ())?.fit_all(method)?;
+    let model = ready_model(method, &library, &all, None, &|_, _| ())?.model;
     model.rank(&model.prepare(&Entry::in_memory(Arc::clone(&query)), &query)?)
 }
 

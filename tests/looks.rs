@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use common::id;
 use surfaced::dataset::synth;
 use surfaced::recognise::{
-    Follow, FollowOptions, FreshFrames, LOOK_S, MethodName, MethodSpec, prepare_library,
+    Follow, FollowOptions, FreshFrames, LOOK_S, MethodName, MethodSpec, ready_model,
 };
 use surfaced::scene::Phase;
 use surfaced::trial::{Signal, Trial};
@@ -66,8 +66,7 @@ fn a_look_costs_the_same_at_the_hundredth_second_of_a_scan_as_at_its_tenth() {
         library.entries.iter().map(|entry| entry.clone().within(&scene)).collect();
     let method = MethodSpec::from(MethodName::Embedding).build(&scene);
     let all = (0..entries.len()).collect();
-    let prepared = prepare_library(&*method, &entries, &all, None, &|_, _| ()).unwrap();
-    let model = prepared.fit_all(&*method).unwrap();
+    let model = ready_model(&*method, &entries, &all, None, &|_, _| ()).unwrap().model;
     let scan = entries[0].load().unwrap();
     let mut follower = model.follow(&FollowOptions::default()).unwrap();
     let dragged = |source: &str| scene.get(source).unwrap().phase == Phase::Drag;

@@ -18,7 +18,7 @@ use crate::duration::{
 use crate::library::{Entry, Library};
 use crate::recognise::{
     FollowOptions, Goal, LeftOutAccuracy, MethodName, MethodSpec, RecogniseError, ScanTime,
-    prepare_library,
+    ready_model,
 };
 use crate::scene::SourceId;
 
@@ -187,9 +187,8 @@ impl Args {
         let method = MethodSpec::from(MethodName::Embedding).build(&scene);
         let all = (0..entries.len()).collect();
         let step = |done, of| steps.show("preparing the library", done, of);
-        let prepared = prepare_library(&*method, &entries, &all, Some(&self.lib), &step)?;
-        let model = prepared.fit_all(&*method)?;
-        Ok(model.left_out_accuracy().unwrap_or_default())
+        let ready = ready_model(&*method, &entries, &all, Some(&self.lib), &step)?;
+        Ok(ready.model.left_out_accuracy().unwrap_or_default())
     }
 
     fn failure(&self, error: ReportError) -> Failure {

@@ -20,7 +20,7 @@ use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
 use crate::library::lock::LibraryLock;
 use crate::outputs::{HttpOutput, MqttOutput};
-use crate::recognise::{LOOK_S, prepare_library};
+use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, Settings, Shelf};
@@ -111,10 +111,10 @@ pub fn load(
         }
         let all = (0..entries.len()).collect();
         let cache = how.cache_in(&path);
-        let prepared = prepare_library(&*method, &entries, &all, cache.as_deref(), &|_, _| {})
-            .map_err(|error| error.to_string())?;
-        prepared.remarks.iter().for_each(|remark| say!("{remark}"));
-        let model = prepared.fit_all(&*method).map_err(|error| error.to_string())?;
+        let ReadyModel { model, remarks } =
+            ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})
+                .map_err(|error| error.to_string())?;
+        remarks.iter().for_each(|remark| say!("{remark}"));
         let mut by =
             Recogniser::new(model, scene, state).with_trials(&entries).planned(how.planned_s());
         answers.apply(&mut by).map_err(|error| error.to_string())?;

@@ -20,7 +20,7 @@ use crate::evaluate::{Evaluation, Fold, first_seconds};
 use crate::history;
 use crate::library::Entry;
 use crate::library::lock::LibraryLock;
-use crate::recognise::{LOOK_S, Method, Model, RecogniseError};
+use crate::recognise::{LOOK_S, Method, Model, ReadyModel, RecogniseError, ready_model};
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::{Settings, Shelf};
@@ -262,9 +262,17 @@ impl Stage {
 
 fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
+    let cache = stage.cache.as_deref();
+    if let [fold] = &stage.folds[..] {
+        let step = |done, of| steps.show("preparing the library", done, of);
+        let library = fold.library.iter().copied().collect();
+        let ReadyModel { model, remarks } =
+            ready_model(method, &stage.entries, &library, cache, &step)?;
+        remarks.iter().for_each(|remark| say!("{remark}"));
+        return Ok(vec![model]);
+    }
     let progress = |step, done, of| steps.show(step, done, of);
     let evaluation = Evaluation::new(&stage.scene, &stage.entries, &stage.folds);
-    let cache = stage.cache.as_deref();
     let run = Evaluation { cache, progress: &progress, ..evaluation }.prepare(method)?;
     run.cache_remarks().iter().for_each(|remark| say!("{remark}"));
     stage.folds.iter().map(|fold| run.fit(&fold.library)).collect()

@@ -240,11 +240,22 @@ pub(crate) fn stamp<'a>(
     for (id, paths) in sources {
         parts.push(id.as_str().as_bytes().to_vec());
         for path in paths {
-            let about = std::fs::metadata(path).ok()?;
-            parts.push([about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat());
-            let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
-            parts.push(times.map(i64::to_le_bytes).concat());
+            parts.push(of_file(path)?);
         }
     }
     Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
+}
+
+/// A number for the program that runs: another one after it is built or installed anew.
+pub(crate) fn program_stamp() -> Option<u64> {
+    Some(seed::stable_hash(&[&of_file(&std::env::current_exe().ok()?)?]))
+}
+
+/// What changes whenever a file does.
+fn of_file(path: &Path) -> Option<Vec<u8>> {
+    let about = std::fs::metadata(path).ok()?;
+    let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
+    let mut all = [about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat();
+    all.extend(times.map(i64::to_le_bytes).concat());
+    Some(all)
 }

@@ -44,6 +44,17 @@ pub trait Method: Send + Sync {
         library: Vec<Prepared>,
         shape: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError>;
+
+    /// A number for all that a model of a library depends on besides its trials; `None` by a method
+    /// whose models are made as fast as they are read.
+    fn model_key(&self, _shape: &LibraryShape) -> Option<u64> {
+        None
+    }
+
+    /// The model that [`Model::store`] gave these bytes for; `None` if there is none.
+    fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
+        None
+    }
 }
 
 /// A library, ready to be compared with.
@@ -112,6 +123,11 @@ pub trait Model: Send + Sync {
     /// For people: what the library was too small for, a line each.
     fn remarks(&self) -> &[String] {
         &[]
+    }
+
+    /// The model as bytes, for [`Method::restore`]; `None` if it is not kept.
+    fn store(&self) -> Option<Vec<u8>> {
+        None
     }
 }
 

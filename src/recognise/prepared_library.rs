@@ -40,14 +40,6 @@ impl PreparedLibrary {
         let library = trials.into_iter().filter_map(|&i| self.trials[i].clone()).collect();
         method.fit(library, &self.shape)
     }
-
-    /// A model of all of them.
-    ///
-    /// # Errors
-    /// As [`Method::fit`].
-    pub fn fit_all(&self, method: &dyn Method) -> Result<Arc<dyn Model>, RecogniseError> {
-        method.fit(self.trials.iter().flatten().cloned().collect(), &self.shape)
-    }
 }
 
 /// Prepares the `wanted` ones of `entries`, by index, for a library of the shape that they have.
@@ -67,6 +59,17 @@ pub fn prepare_library(
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PreparedLibrary, RecogniseError> {
     let shape = LibraryShape::of(&wanted.iter().map(|&i| &entries[i]).collect::<Vec<_>>())?;
+    prepare_for(method, Arc::new(shape), (entries, wanted), beside, progress)
+}
+
+/// As [`prepare_library`], for a shape that is known.
+pub(super) fn prepare_for(
+    method: &dyn Method,
+    shape: Arc<LibraryShape>,
+    (entries, wanted): (&[Entry], &BTreeSet<usize>),
+    beside: Option<&Path>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<PreparedLibrary, RecogniseError> {
     let mut remarks = Vec::new();
     let cache = beside.map(|folder| {
         let key = [FORMAT, method.settings_key(&shape)].map(u64::to_le_bytes);
@@ -117,5 +120,5 @@ pub fn prepare_library(
             remarks.extend(cache.replace(&records));
         }
     }
-    Ok(PreparedLibrary { shape: Arc::new(shape), trials, remarks, from_cache })
+    Ok(PreparedLibrary { shape, trials, remarks, from_cache })
 }

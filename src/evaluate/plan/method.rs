@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, Progress};
 use crate::library::Entry;
-use crate::recognise::{Goal, MethodName, MethodSpec, ReferenceOptions, prepare_library};
+use crate::recognise::{Goal, MethodName, MethodSpec, ReferenceOptions, ready_model};
 use crate::scene::Scene;
 
 /// Settings of `reference` that may take the place of `embedding`, n and R, the cheapest first.
@@ -63,9 +63,8 @@ pub(super) fn needed_s(on: Trying<'_>, target: f64, progress: Progress<'_>) -> O
     let method = embedding().build(on.scene);
     let all = (0..entries.len()).collect();
     let step = |done, of| progress("finding the scan time", done, of);
-    let prepared = prepare_library(&*method, &entries, &all, on.cache, &step).ok()?;
-    let model = prepared.fit_all(&*method).ok()?;
-    model.left_out_accuracy()?.scan_time(Goal::Accuracy(target)).scan_s()
+    let ready = ready_model(&*method, &entries, &all, on.cache, &step).ok()?;
+    ready.model.left_out_accuracy()?.scan_time(Goal::Accuracy(target)).scan_s()
 }
 
 /// The choice of a method, once sources and scan time are chosen.

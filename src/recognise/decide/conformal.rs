@@ -45,7 +45,7 @@ pub fn nonconformity(distances: &[f64]) -> Option<f64> {
 }
 
 /// Nonconformity of left-out library trials, whole and their beginnings.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformity {
     /// Length in seconds and nonconformity, both rising; whole trials come last.
     by_length: Vec<(f64, Vec<f64>)>,

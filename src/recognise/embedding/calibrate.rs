@@ -5,6 +5,8 @@
 //! "On calibration of modern neural networks", for a τ by likelihood on held-out data). It is never
 //! below 1, and no probability is stated beyond what the left-out trials can show.
 
+use serde::{Deserialize, Serialize};
+
 /// Highest τ that is tried.
 const HIGHEST: f64 = 200.0;
 
@@ -15,7 +17,7 @@ const STEPS: usize = 60;
 pub type HeldOut = (Vec<f64>, usize);
 
 /// τ as a function of the length of a scan.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Temperature {
     /// (T in seconds, τ), T rising.
     points: Vec<(f64, f64)>,

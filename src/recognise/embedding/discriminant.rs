@@ -8,6 +8,7 @@
 //! classes.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use serde::{Deserialize, Serialize};
 
 use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
 use super::scatter::Scatter;
@@ -20,7 +21,7 @@ pub const SHRINKAGE: f64 = 0.03;
 const LEAST_WITHIN: f64 = 1e-3;
 
 /// A trained discriminant.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Discriminant {
     /// Shape (r, D), r < C.
     projection: Array2<f32>,
@@ -99,6 +100,14 @@ impl Discriminant {
         Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
     }
 
+    /// Whether it is of so many classes and features.
+    pub fn is_of(&self, classes: usize, dims: usize) -> bool {
+        let space = self.origin.len();
+        self.present.len() == classes
+            && self.means.dim() == (classes, space)
+            && self.projection.dim() == (space, dims)
+    }
+
     /// Whether a class had training vectors.
     pub fn knows(&self, class: usize) -> bool {
         self.present[class]
@@ -140,10 +149,27 @@ impl Discriminant {
 
     /// d_c for each class; infinite for those without training vectors.
     pub fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
-        let u = self.project(vector);
+        self.distances_in_space(&self.project(vector))
+    }
+
+    /// The same of several vectors of D features, with one product of matrices.
+    pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
+        let mut rows = Array2::zeros((vectors.len(), self.projection.ncols()));
+        for (mut row, vector) in rows.rows_mut().into_iter().zip(vectors) {
+            row.assign(&ArrayView1::from(vector));
+        }
+        let less_origin = |(&x, origin): (&f32, &f64)| f64::from(x) - origin;
+        let projected = rows.dot(&self.projection.t());
+        let projected = projected.rows().into_iter();
+        let projected = projected.map(|u| u.iter().zip(&self.origin).map(less_origin).collect());
+        projected.map(|u: Vec<f64>| self.distances_in_space(&u)).collect()
+    }
+
+    /// d_c of a vector in the space of the class means.
+    fn distances_in_space(&self, u: &[f64]) -> Vec<f64> {
         let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
             if present {
-                mean.iter().zip(&u).map(|(m, u)| (m - u).powi(2)).sum()
+                mean.iter().zip(u).map(|(m, u)| (m - u).powi(2)).sum()
             } else {
                 f64::INFINITY
             }

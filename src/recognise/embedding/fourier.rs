@@ -7,6 +7,7 @@
 //! angle, so that a level can be taken off after the sums are made.
 
 use multiversion::multiversion;
+use serde::{Deserialize, Serialize};
 
 /// The lower frequency, in radians a deviation.
 const OMEGA: f32 = 0.6;
@@ -21,7 +22,7 @@ pub(super) const LANES: usize = 8;
 pub(super) const FLUSH: usize = 64;
 
 /// How the bands of one view are brought onto the circle.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct BandScale {
     /// Mean of each band over a library.
     centre: Vec<f32>,

@@ -4,14 +4,16 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::picture::PictureEmbedder;
 use super::series::{Level, SeriesEmbedder, Window};
 use crate::recognise::checks::nothing_in_common;
 use crate::recognise::error::RecogniseError;
-use crate::recognise::features::frame_features::{FrameFeatures, SourceFrames};
+use crate::recognise::features::frame_features::{FrameFeatures, SeriesFrames, SourceFrames};
 use crate::recognise::features::image_features::Part;
 use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
+use crate::trial::TrialKey;
 
 /// Features are held within this many deviations of the library.
 const CLIP: f32 = 8.0;
@@ -39,7 +41,7 @@ impl Excerpt {
 }
 
 /// How one source becomes its stretch of the vector.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) enum SourceEmbedder {
     Series(Box<SeriesEmbedder>),
     Picture(PictureEmbedder),
@@ -124,6 +126,8 @@ fn is_whole(domain: &Domain, highest_hz: f64) -> bool {
 pub(super) struct Stretch {
     pub spec: SourceSpec,
     pub embedder: SourceEmbedder,
+    /// The first trial of the library that has the source, for messages.
+    first: TrialKey,
     /// Its places in the vector.
     pub columns: Range<usize>,
 }
@@ -132,6 +136,22 @@ impl Stretch {
     /// Whether a series says something by its level alone, as a switch does.
     pub fn level_counts(&self) -> bool {
         !self.spec.align_mean && self.spec.domain == Domain::Time
+    }
+
+    /// Checks that a series can be compared with those of the library, by frequency in Hz. Rates
+    /// may differ; one too low for the library's band may not.
+    fn check_rate(&self, series: &SeriesFrames) -> Result<(), RecogniseError> {
+        match &self.embedder {
+            SourceEmbedder::Series(library) if !series.views.comparable(&library.views) => {
+                Err(RecogniseError::Rates {
+                    source_name: self.spec.id.clone(),
+                    query_hz: series.rate_hz(),
+                    library_hz: library.views.0[0].rate_hz,
+                    trial: self.first.to_string(),
+                })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -146,43 +166,78 @@ pub(super) struct JointEmbedder {
     factor: Vec<f32>,
 }
 
+/// All of a [`JointEmbedder`] that does not follow from its scene.
+#[derive(Serialize, Deserialize)]
+pub(super) struct StoredJoint {
+    sources: Vec<(SourceId, SourceEmbedder, TrialKey)>,
+    mean: Vec<f32>,
+    factor: Vec<f32>,
+}
+
 /// Which sources of the vector something has.
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
-    /// Checks that a query, or a trial of the library itself, can be compared with a library.
-    pub fn check(
-        &self,
-        query: &FrameFeatures,
-        library: &[Arc<FrameFeatures>],
-    ) -> Result<(), RecogniseError> {
+    /// In units of a library.
+    pub fn new(scene: &Scene, library: &[Arc<FrameFeatures>]) -> Self {
+        let of_source = |spec: &SourceSpec| {
+            let with = |t: &'_ Arc<FrameFeatures>| t.sources.contains_key(&spec.id);
+            let first = library.iter().find(|t| with(t))?.key.clone();
+            let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
+            Some((spec.clone(), SourceEmbedder::new(spec, &trials)?, first))
+        };
+        let mut joint = Self::of(scene.sources().filter_map(of_source));
+        let dims = joint.stretches.last().map_or(0, |s| s.columns.end);
+        (joint.mean, joint.factor) = (vec![0.0; dims], vec![1.0; dims]);
+        joint
+    }
+
+    fn of(sources: impl Iterator<Item = (SourceSpec, SourceEmbedder, TrialKey)>) -> Self {
+        let mut stretches: Vec<Stretch> = Vec::new();
+        for (spec, embedder, first) in sources {
+            let begin = stretches.last().map_or(0, |s| s.columns.end);
+            let columns = begin..begin + embedder.dims();
+            stretches.push(Stretch { spec, embedder, first, columns });
+        }
+        Self { stretches, mean: Vec::new(), factor: Vec::new() }
+    }
+
+    /// What is to be kept of it beside its scene.
+    pub fn to_stored(&self) -> StoredJoint {
+        let parts = |s: &Stretch| (s.spec.id.clone(), s.embedder.clone(), s.first.clone());
+        StoredJoint {
+            sources: self.stretches.iter().map(parts).collect(),
+            mean: self.mean.clone(),
+            factor: self.factor.clone(),
+        }
+    }
+
+    /// The same again; `None` if that is not of this scene.
+    pub fn from_stored(scene: &Scene, stored: StoredJoint) -> Option<Self> {
+        let with_spec = |(id, embedder, first): (SourceId, SourceEmbedder, TrialKey)| {
+            let spec = scene.sources().find(|spec| spec.id == id)?.clone();
+            Some((spec, embedder, first))
+        };
+        let sources: Option<Vec<_>> = stored.sources.into_iter().map(with_spec).collect();
+        let joint = Self::of(sources?.into_iter());
+        let dims = joint.stretches.last()?.columns.end;
+        let fits = stored.mean.len() == dims && stored.factor.len() == dims;
+        fits.then_some(Self { mean: stored.mean, factor: stored.factor, ..joint })
+    }
+
+    /// Checks that a query, or a trial of the library itself, can be compared with the library.
+    pub fn check(&self, query: &FrameFeatures) -> Result<(), RecogniseError> {
         let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
         if !query.sources.keys().any(known) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
             return Err(nothing_in_common(query.sources.keys(), ids));
         }
-        for (id, source) in &query.sources {
-            let like = library.iter().find_map(|t| Some((t.sources.get(id)?, &t.key)));
-            if let Some((like, key)) = like {
-                source.check_rate(id, like, key)?;
+        for stretch in &self.stretches {
+            if let Some(series) = query.sources.get(&stretch.spec.id).and_then(|s| s.series()) {
+                stretch.check_rate(series)?;
             }
         }
         Ok(())
-    }
-
-    /// In units of a library.
-    pub fn new(scene: &Scene, library: &[Arc<FrameFeatures>]) -> Self {
-        let mut stretches: Vec<Stretch> = Vec::new();
-        for spec in scene.sources() {
-            let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
-            if let Some(embedder) = SourceEmbedder::new(spec, &trials) {
-                let begin = stretches.last().map_or(0, |s| s.columns.end);
-                let columns = begin..begin + embedder.dims();
-                stretches.push(Stretch { spec: spec.clone(), embedder, columns });
-            }
-        }
-        let dims = stretches.last().map_or(0, |s| s.columns.end);
-        Self { stretches, mean: vec![0.0; dims], factor: vec![1.0; dims] }
     }
 
     /// Length of a vector.

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::calibrate::{HeldOut, Temperature};
 use super::discriminant::Discriminant;
@@ -12,8 +13,6 @@ use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;
 use super::training::Training;
 use crate::recognise::decide::conformal::{Conformity, nonconformity};
-use crate::recognise::decide::scan_time::LeftOutAccuracy;
-use crate::recognise::decide::settle::Settling;
 use crate::recognise::features::frame_features::FrameFeatures;
 
 /// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
@@ -23,12 +22,9 @@ const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 /// stated.
 const MOST_BEGUN: usize = 400;
 
-/// Discriminants trained without each group of trials, by the sources that these have.
-type WithoutGroups = BTreeMap<(usize, Present), Option<Discriminant>>;
-
 /// What left-out trials showed.
+#[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    pub without: WithoutGroups,
     /// τ by the length of a scan.
     pub temperature: Temperature,
     /// How unlike all surfaces left-out trials look.
@@ -38,23 +34,26 @@ pub(super) struct LeftOut {
 }
 
 impl LeftOut {
-    /// Leaves each group of trials out in turn.
+    /// Leaves each group of trials out in turn; with what it showed, the discriminants without
+    /// each.
     pub fn new(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
         library: &[Arc<FrameFeatures>],
-    ) -> Self {
+    ) -> (Self, WithoutGroups) {
         let parts: BTreeSet<(usize, Present)> =
             (labels.group.iter().copied()).zip(training.present.iter().cloned()).collect();
-        let without: WithoutGroups = parts
-            .into_par_iter()
-            .map(|(group, present)| {
-                let trained = training.discriminant(joint, &present, Some(group));
-                ((group, present), trained)
-            })
-            .collect();
-        let trained = |i: usize| Self::trained(&without, labels, training, i);
+        let without = WithoutGroups(
+            parts
+                .into_par_iter()
+                .map(|(group, present)| {
+                    let trained = training.discriminant(joint, &present, Some(group));
+                    ((group, present), trained)
+                })
+                .collect(),
+        );
+        let trained = |i: usize| without.of(labels, training, i);
         let whole = |i: usize| Some((trained(i)?.distances(training.whole(i)), labels.class[i]));
         let whole: Vec<Option<HeldOut>> = (0..library.len()).into_par_iter().map(whole).collect();
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
@@ -92,23 +91,23 @@ impl LeftOut {
         let strange = |(s, of_length): (f64, Vec<HeldOut>)| {
             (s, of_length.iter().filter_map(|(d, _)| nonconformity(d)).collect())
         };
-        Self {
+        let left_out = Self {
             temperature: Temperature::fit(&held_out(&|_| true)),
             conformity: Conformity::new(held_out(&is_full).into_iter().map(strange).collect()),
             held_out: whole.into_iter().flatten().collect(),
-            without,
-        }
+        };
+        (left_out, without)
     }
+}
 
+/// Discriminants trained without each group of trials, by the sources that these have.
+pub(super) struct WithoutGroups(BTreeMap<(usize, Present), Option<Discriminant>>);
+
+impl WithoutGroups {
     /// The discriminant that a trial did not train, if its class is known without it.
-    pub fn trained<'a>(
-        without: &'a WithoutGroups,
-        labels: &Labels,
-        training: &Training,
-        trial: usize,
-    ) -> Option<&'a Discriminant> {
+    pub fn of(&self, labels: &Labels, training: &Training, trial: usize) -> Option<&Discriminant> {
         let part = (labels.group[trial], training.present[trial].clone());
-        without.get(&part)?.as_ref().filter(|trained| trained.knows(labels.class[trial]))
+        self.0.get(&part)?.as_ref().filter(|trained| trained.knows(labels.class[trial]))
     }
 }
 
@@ -116,11 +115,4 @@ impl LeftOut {
 pub(super) fn evenly(trials: usize) -> Vec<usize> {
     let used = trials.min(MOST_BEGUN);
     (0..used).map(|i| i * trials / used).collect()
-}
-
-/// What following left-out trials showed.
-#[derive(Clone)]
-pub(super) struct Followed {
-    pub settling: Settling,
-    pub accuracy: LeftOutAccuracy,
 }

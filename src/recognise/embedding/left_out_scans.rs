@@ -1,89 +1,144 @@
 //! When answers about left-out library trials would have been settled, and how many are right by when.
 
 use std::collections::BTreeSet;
+use std::sync::{Arc, PoisonError};
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::joint::Excerpt;
-use super::left_out::{Followed, LeftOut, evenly};
+use super::left_out::{WithoutGroups, evenly};
 use super::model::EmbeddingModel;
 use crate::recognise::decide::scan_time::{
     LeftOutAccuracy, LeftOutScan, LibraryCounts, looked_after,
 };
 use crate::recognise::decide::settle::{Look, Settling, Stops};
+use crate::recognise::features::FrameFeatures;
 use crate::recognise::follow::{FollowOptions, LOOK_S};
 
+/// What it takes to follow left-out trials.
+pub(super) struct Unfollowed {
+    pub library: Vec<Arc<FrameFeatures>>,
+    pub without: WithoutGroups,
+}
+
+/// What a left-out trial looks like as its drag grows, by a model trained without it. No option of
+/// following changes that.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct FollowedTrial {
+    /// Trials of one group were left out together.
+    group: usize,
+    /// Its class.
+    truth: usize,
+    /// The class that it is named by its whole length.
+    whole: usize,
+    /// Length of its drag in seconds.
+    drag_s: f64,
+    /// After each [`LOOK_S`] of it.
+    looks: Vec<LeftOutLook>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct LeftOutLook {
+    class: usize,
+    probability: f64,
+    p_value: Option<f64>,
+}
+
+impl FollowedTrial {
+    /// Where each stop rule would have stopped.
+    fn stops(&self, options: &FollowOptions) -> Stops {
+        let fits = |p_value| options.rejection.as_ref().is_none_or(|r| !r.rejects(p_value));
+        let look = |(i, look): (usize, &LeftOutLook)| Look {
+            scan_s: (i + 1) as f64 * LOOK_S,
+            label: look.class,
+            probability: look.probability,
+            fits: look.p_value.is_none_or(fits),
+        };
+        Stops::new(self.looks.iter().enumerate().map(look), self.truth, self.whole, self.drag_s)
+    }
+
+    fn scan(&self) -> LeftOutScan {
+        let right = |step: usize| self.looks[step - 1].class == self.truth;
+        LeftOutScan {
+            group: self.group,
+            scan_s: self.drag_s,
+            right: looked_after(self.drag_s).map(right).collect(),
+            right_whole: self.whole == self.truth,
+        }
+    }
+
+    /// Whether it is what following a trial of one of so many classes can give.
+    pub fn is_sound(&self, classes: usize) -> bool {
+        let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
+        self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)
+    }
+}
+
+/// Number of looks at a drag.
+fn looks_in(drag_s: f64) -> usize {
+    (drag_s / LOOK_S + 1e-9).floor() as usize
+}
+
 impl EmbeddingModel {
-    /// The stop rule, found but once.
+    /// The stop rule.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
-        let (found_for, followed) = self.followed_first_by(options);
-        if found_for == options {
-            followed.settling.clone()
-        } else {
-            self.follow_left_out(options).settling
-        }
+        let choose = || {
+            let stops: Vec<Stops> = self.followed().iter().map(|t| t.stops(options)).collect();
+            Settling::choose(&stops, options.loss)
+        };
+        let (found_for, settling) = self.settling.get_or_init(|| (options.clone(), choose()));
+        if found_for == options { settling.clone() } else { choose() }
     }
 
-    /// How many left-out trials are named right by when, which no option changes.
+    /// How many left-out trials are named right by when.
     pub(super) fn accuracy_by_time(&self) -> LeftOutAccuracy {
-        self.followed_first_by(&FollowOptions::default()).1.accuracy.clone()
+        let scans: Vec<LeftOutScan> = self.followed().iter().map(FollowedTrial::scan).collect();
+        LeftOutAccuracy::new(&scans, self.counts())
     }
 
-    /// What was found first, or now by these options.
-    fn followed_first_by(&self, options: &FollowOptions) -> &(FollowOptions, Followed) {
-        self.followed.get_or_init(|| (options.clone(), self.follow_left_out(options)))
+    /// What following left-out trials shows, found but once.
+    pub(super) fn followed(&self) -> &[FollowedTrial] {
+        self.followed.get_or_init(|| {
+            let unfollowed = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let follow = |unfollowed: Unfollowed| {
+                let trials = evenly(self.keys.len()).into_par_iter();
+                trials.filter_map(|trial| self.follow_one(&unfollowed, trial)).collect()
+            };
+            unfollowed.map_or_else(Vec::new, follow)
+        })
     }
 
-    /// Looks at library trials as [`crate::recognise::Follow`] would, with models trained without
-    /// them.
-    fn follow_left_out(&self, options: &FollowOptions) -> Followed {
-        let trials = evenly(self.library.len());
-        let (stops, scans): (Vec<Stops>, Vec<LeftOutScan>) =
-            trials.into_par_iter().filter_map(|i| self.follow_one(i, options)).unzip();
-        Followed {
-            settling: Settling::choose(&stops, options.loss),
-            accuracy: LeftOutAccuracy::new(&scans, self.counts()),
-        }
-    }
-
-    fn follow_one(&self, trial: usize, options: &FollowOptions) -> Option<(Stops, LeftOutScan)> {
-        let LeftOut { without, .. } = &self.left_out;
-        let trained = LeftOut::trained(without, &self.labels, &self.training, trial)?;
-        let drag_s = self.joint.drag_s(&self.library[trial])?;
-        let steps = (drag_s / LOOK_S + 1e-9).floor() as usize;
+    /// Looks at a library trial as [`crate::recognise::Follow`] would, with a model trained without
+    /// it.
+    fn follow_one(&self, with: &Unfollowed, trial: usize) -> Option<FollowedTrial> {
+        let trained = with.without.of(&self.labels, &self.training, trial)?;
+        let drag_s = self.joint.drag_s(&with.library[trial])?;
         let excerpts: Vec<Excerpt> =
-            (1..=steps).map(|step| Excerpt::beginning(step as f64 * LOOK_S)).collect();
-        let (vectors, present) = self.joint.embed(&self.library[trial], &excerpts);
-        let posterior = |vector: &[f32], scan_s: f64| {
-            self.posterior_of(trained.distances(vector.into()), &present, scan_s)
+            (1..=looks_in(drag_s)).map(|step| Excerpt::beginning(step as f64 * LOOK_S)).collect();
+        let (vectors, present) = self.joint.embed(&with.library[trial], &excerpts);
+        let look = |(i, distances): (usize, Vec<f64>)| {
+            let posterior = self.posterior_of(distances, &present, (i + 1) as f64 * LOOK_S);
+            let class = posterior.best();
+            let probability = posterior.log_posterior[class].exp();
+            LeftOutLook { class, probability, p_value: posterior.p_value }
         };
-        let at = |step: usize| posterior(&vectors[step - 1], step as f64 * LOOK_S);
-        let look = |step: usize| {
-            let posterior = at(step);
-            let fits = posterior.p_value.is_none_or(|p_value| {
-                options.rejection.as_ref().is_none_or(|rejection| !rejection.rejects(p_value))
-            });
-            let label = posterior.best();
-            let probability = posterior.log_posterior[label].exp();
-            Look { scan_s: step as f64 * LOOK_S, label, probability, fits }
-        };
-        let truth = self.labels.class[trial];
+        let looks = trained.distances_of_each(&vectors).into_iter().enumerate().map(look);
         let whole = trained.distances(self.training.whole(trial));
-        let whole = self.posterior_of(whole, &present, drag_s).best();
-        let scan = LeftOutScan {
+        Some(FollowedTrial {
             group: self.labels.group[trial],
-            scan_s: drag_s,
-            right: looked_after(drag_s).map(|step| at(step).best() == truth).collect(),
-            right_whole: whole == truth,
-        };
-        Some((Stops::new((1..=steps).map(look), truth, whole, drag_s), scan))
+            truth: self.labels.class[trial],
+            whole: self.posterior_of(whole, &present, drag_s).best(),
+            drag_s,
+            looks: looks.collect(),
+        })
     }
 
     /// What the library holds.
     fn counts(&self) -> LibraryCounts {
         let mut trials = vec![0; self.labels.classes];
         self.labels.class.iter().for_each(|&class| trials[class] += 1);
-        let people: BTreeSet<&str> = self.library.iter().map(|t| t.key.user.as_str()).collect();
+        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
         LibraryCounts {
             people: people.len(),
             across_people: self.labels.across_users,

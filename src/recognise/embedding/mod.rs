@@ -29,6 +29,7 @@ mod posterior;
 mod scan;
 mod scatter;
 mod series;
+mod stored;
 mod training;
 mod view_sums;
 
@@ -41,6 +42,7 @@ use self::follower::Follower;
 use self::joint::JointEmbedder;
 use self::labels::Labels;
 use self::left_out::LeftOut;
+use self::left_out_scans::Unfollowed;
 pub use self::model::EmbeddingModel;
 use self::posterior::QueryVector;
 use self::training::Training;
@@ -56,7 +58,8 @@ use super::rank::Ranking;
 use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId};
-use crate::trial::Trial;
+use crate::seed;
+use crate::trial::{Trial, TrialKey};
 
 /// The method's name.
 const NAME: &str = "embedding";
@@ -107,21 +110,24 @@ impl Embedding {
         let labels = Labels::new(&library.iter().map(|trial| &trial.key).collect::<Vec<_>>());
         let mut joint = JointEmbedder::new(&self.scene, &library);
         for trial in &library {
-            joint.check(trial, &library)?;
+            joint.check(trial)?;
         }
         let training = Training::new(&mut joint, &library, &labels, self.options.seed);
-        let left_out = LeftOut::new(&joint, &training, &labels, &library);
-        let remarks = remarks(&library, &labels, &left_out);
+        let (left_out, without) = LeftOut::new(&joint, &training, &labels, &library);
+        let keys: Vec<TrialKey> = library.iter().map(|trial| trial.key.clone()).collect();
+        let remarks = remarks(&keys, &labels, &left_out);
         Ok(EmbeddingModel {
             scene: self.scene.clone(),
             shape: shape.clone(),
-            library,
+            keys,
             labels,
             joint,
             training,
             left_out,
             discriminants: Mutex::default(),
+            unfollowed: Mutex::new(Some(Unfollowed { library, without })),
             followed: OnceLock::new(),
+            settling: OnceLock::new(),
             remarks,
         })
     }
@@ -153,6 +159,17 @@ impl Method for Embedding {
     ) -> Result<Arc<dyn Model>, RecogniseError> {
         let frames = library.iter().map(|trial| trial.frames(NAME).cloned());
         Ok(Arc::new(self.train(frames.collect::<Result<_, _>>()?, shape)?))
+    }
+
+    fn model_key(&self, shape: &LibraryShape) -> Option<u64> {
+        let Self { scene, options } = self;
+        let sources: Vec<_> = scene.sources().collect();
+        let text = format!("{sources:?} {options:?} {}", shape.key());
+        Some(seed::stable_hash(&[text.as_bytes()]))
+    }
+
+    fn restore(&self, bytes: &[u8], shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
+        Some(Arc::new(EmbeddingModel::from_bytes(bytes, &self.scene, shape)?))
     }
 }
 
@@ -202,13 +219,17 @@ impl Model for EmbeddingModel {
     fn remarks(&self) -> &[String] {
         &self.remarks
     }
+
+    fn store(&self) -> Option<Vec<u8>> {
+        self.to_bytes()
+    }
 }
 
 /// For people: what a library is too small for.
-fn remarks(library: &[Arc<FrameFeatures>], labels: &Labels, left_out: &LeftOut) -> Vec<String> {
+fn remarks(keys: &[TrialKey], labels: &Labels, left_out: &LeftOut) -> Vec<String> {
     let mut remarks = Vec::new();
     let mut users: BTreeMap<&str, usize> = BTreeMap::new();
-    library.iter().for_each(|trial| *users.entry(&trial.key.user).or_default() += 1);
+    keys.iter().for_each(|key| *users.entry(&key.user).or_default() += 1);
     match left_out.held_out.len() {
         0 => remarks.push(
             "probabilities are not calibrated: that takes two trials of each of two surfaces"

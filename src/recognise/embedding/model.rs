@@ -7,28 +7,36 @@ use super::calibrate::HeldOut;
 use super::discriminant::Discriminant;
 use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;
-use super::left_out::{Followed, LeftOut};
+use super::left_out::LeftOut;
+use super::left_out_scans::{FollowedTrial, Unfollowed};
 use super::training::Training;
+use crate::recognise::decide::settle::Settling;
 use crate::recognise::error::RecogniseError;
 use crate::recognise::features::FrameFeatures;
 use crate::recognise::follow::FollowOptions;
 use crate::recognise::shape::LibraryShape;
 use crate::scene::Scene;
+use crate::trial::TrialKey;
 
 /// A library, embedded and trained.
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(super) shape: Arc<LibraryShape>,
-    pub(super) library: Vec<Arc<FrameFeatures>>,
+    /// The library's trials, sorted.
+    pub(super) keys: Vec<TrialKey>,
     pub(super) labels: Labels,
     pub(super) joint: JointEmbedder,
     pub(super) training: Training,
     pub(super) left_out: LeftOut,
     /// By the sources of the queries so far.
     pub(super) discriminants: Mutex<HashMap<Present, Arc<Discriminant>>>,
-    /// What following left-out trials showed, by the options that were wanted first: scans are
-    /// followed by them again and again.
-    pub(super) followed: OnceLock<(FollowOptions, Followed)>,
+    /// What following left-out trials takes, until that is done.
+    pub(super) unfollowed: Mutex<Option<Unfollowed>>,
+    /// What it showed.
+    pub(super) followed: OnceLock<Vec<FollowedTrial>>,
+    /// The stop rule by the options that were wanted first: scans are followed by them again and
+    /// again.
+    pub(super) settling: OnceLock<(FollowOptions, Settling)>,
     /// For people: what the library was too small for.
     pub(super) remarks: Vec<String>,
 }
@@ -48,7 +56,7 @@ impl EmbeddingModel {
         &self,
         query: &FrameFeatures,
     ) -> Result<(Vec<f32>, Present), RecogniseError> {
-        self.joint.check(query, &self.library)?;
+        self.joint.check(query)?;
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
         }

@@ -1,5 +1,7 @@
 //! A picture as a vector: neighbouring pixels, group by group.
 
+use serde::{Deserialize, Serialize};
+
 use super::pixel_pairs::{PAIR_FEATURES, Pairs};
 use crate::recognise::features::image_features::{Part, PixelGrid, PixelGroup, pixel_pairs};
 
@@ -13,7 +15,7 @@ const PER_MAD: f32 = 1.4826;
 const ENOUGH: usize = 32;
 
 /// Centre and spread of one coordinate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Spread {
     /// Median.
     centre: f32,
@@ -22,7 +24,7 @@ struct Spread {
 }
 
 /// How pictures of one source become vectors.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct PictureEmbedder {
     /// For each group of [`PixelGroup::ALL`], both coordinates.
     scales: Vec<[Spread; 2]>,

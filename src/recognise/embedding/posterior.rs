@@ -118,10 +118,10 @@ impl EmbeddingModel {
             let whole = self.training.whole(trial);
             columns.iter().map(|&c| f64::from(whole[c] - vector[c]).powi(2)).sum()
         };
-        let members = (0..self.library.len()).filter(|&i| self.labels.class[i] == class);
+        let members = (0..self.keys.len()).filter(|&i| self.labels.class[i] == class);
         let nearest = members.min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         // Every class has a trial: classes were made of trials.
-        self.library[nearest.unwrap_or(0)].key.clone()
+        self.keys[nearest.unwrap_or(0)].clone()
     }
 
     /// What each source says: its share of the distance to each surface, over 2τ, so that the sums

@@ -10,6 +10,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale};
 use super::library_scale::band_scale;
@@ -50,7 +51,7 @@ pub(super) enum Window {
 }
 
 /// What of a series' level is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Level {
     /// Its mean and its loudness: alignment is off.
     Mean,
@@ -62,7 +63,7 @@ pub(super) enum Level {
 }
 
 /// How the series of one source become vectors.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeriesEmbedder {
     pub views: SourceViews,
     scales: [BandScale; 2],

@@ -63,28 +63,41 @@ impl Training {
         vectors.par_iter_mut().zip(&present).for_each(|(of_trial, present)| {
             of_trial.iter_mut().for_each(|vector| joint.standardise(vector, present));
         });
-        let place = |row| place(row, library.len());
         let mut rows = Array2::zeros((library.len() * (1 + EXCERPTS), joint.dims()));
         for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
-            let (trial, vector) = place(row);
+            let (trial, vector) = place(row, library.len());
             values.assign(&ArrayView1::from(&vectors[trial][vector]));
         }
+        let mut training = Self::of(rows, present, labels);
+        training.fill_absent(joint);
+        training
+    }
+
+    fn of(rows: Array2<f32>, present: Vec<Present>, labels: &Labels) -> Self {
         let of_row = |row: usize| {
-            let (trial, vector) = place(row);
+            let (trial, vector) = place(row, present.len());
             let class = labels.class[trial];
             (if vector == 0 { class } else { labels.classes + class }, labels.group[trial])
         };
         let (of_rows, groups) = (0..rows.nrows()).map(of_row).unzip();
-        let mut training = Self {
-            rows,
-            labels: of_rows,
-            groups,
-            classes: labels.classes,
-            present,
-            all: OnceLock::new(),
-        };
-        training.fill_absent(joint);
-        training
+        let (labels, classes) = (of_rows, labels.classes);
+        Self { rows, labels, groups, classes, present, all: OnceLock::new() }
+    }
+
+    /// All of it that does not follow from the labels: vectors, and which sources each trial has.
+    pub fn to_stored(&self) -> (&Array2<f32>, &[Present]) {
+        (&self.rows, &self.present)
+    }
+
+    /// The same again; `None` if that is not of trials with these labels and vectors of `dims`.
+    pub fn from_stored(
+        (rows, present): (Array2<f32>, Vec<Present>),
+        labels: &Labels,
+        dims: usize,
+    ) -> Option<Self> {
+        let trials = labels.class.len();
+        let fits = present.len() == trials && rows.dim() == (trials * (1 + EXCERPTS), dims);
+        fits.then(|| Self::of(rows, present, labels))
     }
 
     /// Sources that a row lacks take the mean of their label's other rows, so that they neither

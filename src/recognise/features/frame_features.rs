@@ -211,30 +211,6 @@ impl SourceFrames {
     pub fn picture(&self) -> Option<&PixelGrid> {
         if let Self::Picture(grid) = self { Some(grid) } else { None }
     }
-
-    /// Checks that a source of a query can be compared with that of a library trial, by frequency
-    /// in Hz. Rates may differ; one too low for the library's band may not.
-    ///
-    /// # Errors
-    /// If it cannot.
-    pub fn check_rate(
-        &self,
-        id: &SourceId,
-        library: &Self,
-        library_key: &TrialKey,
-    ) -> Result<(), RecogniseError> {
-        match (self.series(), library.series()) {
-            (Some(query), Some(library)) if !query.views.comparable(&library.views) => {
-                Err(RecogniseError::Rates {
-                    source_name: id.clone(),
-                    query_hz: query.rate_hz(),
-                    library_hz: library.rate_hz(),
-                    trial: library_key.to_string(),
-                })
-            }
-            _ => Ok(()),
-        }
-    }
 }
 
 /// A trial, ready for `embedding`.

@@ -1,0 +1,102 @@
+//! A model of a library, ready to name scans: from the cache where nothing has changed, else trained.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::error::RecogniseError;
+use super::method::{Method, Model};
+use super::prepared_library::prepare_for;
+use super::shape::LibraryShape;
+use crate::library::Entry;
+use crate::library::cache::{Cache, Record};
+use crate::library::files::program_stamp;
+use crate::seed;
+
+/// What the one record of the cache is called.
+const RECORD: &str = "model";
+
+/// A model, and how it came about.
+pub struct ReadyModel {
+    /// The model.
+    pub model: Arc<dyn Model>,
+    /// For people: what was wrong with the caches, a line each. Nothing of it is an error.
+    pub remarks: Vec<String>,
+}
+
+/// A model of the `wanted` ones of `entries`, by index. `beside` is the folder of the library, whose
+/// caches are read and brought up to date: that of models (`METHOD-model`), then that of prepared
+/// trials, see [`super::prepare_library`]. Without it, all is made anew. `progress` gets how much is
+/// prepared of how much.
+///
+/// What comes of it is the same with and without a cache: a stored model counts only if the method,
+/// the files of all trials, and this program itself are what they were.
+///
+/// # Errors
+/// If a trial cannot be read or does not fit the scene, and as [`Method::fit`].
+pub fn ready_model(
+    method: &dyn Method,
+    entries: &[Entry],
+    wanted: &BTreeSet<usize>,
+    beside: Option<&Path>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<ReadyModel, RecogniseError> {
+    let of_model: Vec<&Entry> = wanted.iter().map(|&i| &entries[i]).collect();
+    let shape = Arc::new(LibraryShape::of(&of_model)?);
+    let kept = beside.and_then(|folder| Kept::open(method, &of_model, &shape, folder));
+    if let Some(model) = kept.as_ref().and_then(|kept| kept.model(method, &shape)) {
+        return Ok(ReadyModel { model, remarks: Vec::new() });
+    }
+    let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
+    let model = prepared.fit(method, wanted)?;
+    let mut remarks = prepared.remarks;
+    if let Some(kept) = kept
+        && let Some(bytes) = model.store()
+    {
+        let why = kept.replace(bytes.into());
+        // Where trials could not be kept either, that has been said.
+        if remarks.is_empty() {
+            remarks.extend(why);
+        }
+    }
+    Ok(ReadyModel { model, remarks })
+}
+
+/// The cache of a library's model.
+struct Kept {
+    cache: Cache,
+    /// Stands for the trials of the model.
+    stamp: u64,
+}
+
+impl Kept {
+    /// Opens it; `None` if models of this method or of these trials are not kept.
+    fn open(
+        method: &dyn Method,
+        entries: &[&Entry],
+        shape: &LibraryShape,
+        folder: &Path,
+    ) -> Option<Self> {
+        // Another build may make another model of the same trials.
+        let key = [method.model_key(shape)?, program_stamp()?].map(u64::to_le_bytes);
+        let key = seed::stable_hash(&[&key[0], &key[1]]);
+        let trial = |entry: &&Entry| {
+            let mut name = entry.cache_name().into_bytes();
+            name.extend(entry.stamp()?.to_le_bytes());
+            Some(name)
+        };
+        let trials: Vec<Vec<u8>> = entries.iter().map(trial).collect::<Option<_>>()?;
+        let stamp = seed::stable_hash(&trials.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        // Whatever is wrong with it, the model is made anew, and the file with it.
+        let (cache, _) = Cache::open(folder, &format!("{}-model", method.name()), key);
+        Some(Self { cache, stamp })
+    }
+
+    fn model(&self, method: &dyn Method, shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
+        method.restore(self.cache.get(RECORD, self.stamp)?, shape)
+    }
+
+    fn replace(&self, bytes: std::borrow::Cow<'_, [u8]>) -> Option<String> {
+        self.cache.replace(&[Record { name: RECORD.into(), stamp: self.stamp, bytes }])
+    }
+}
