@@ -10,7 +10,9 @@
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use serde::{Deserialize, Serialize};
 
-use super::linear::{cholesky, orthonormal_rows, solve_lower, solve_lower_transposed};
+use super::linear::{
+    cholesky, orthonormal_rows, solve_lower, solve_lower_transposed, subtract_lower_product,
+};
 use super::scatter::Scatter;
 
 /// γ: how much of the metric is a multiple of the identity (method §9).
@@ -40,7 +42,7 @@ impl Discriminant {
     ///
     /// Returns `None` where all vectors are equal, no label has two, or fewer than two classes have
     /// any.
-    pub fn new(scatter: &Scatter, classes: usize, dims: usize) -> Option<Self> {
+    pub fn new(scatter: Scatter, classes: usize, dims: usize) -> Option<Self> {
         let present: Vec<bool> = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
         let known = present.iter().filter(|&&p| p).count();
         let vectors = scatter.counts.iter().sum::<f64>();
@@ -52,8 +54,6 @@ impl Discriminant {
         for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
             mean /= n.max(1.0);
         }
-        // As `cholesky` does, what follows reads the lower triangle and the diagonal alone.
-        let mut metric = &scatter.gram - &scatter.sums.t().dot(&means);
         let mean_square = scatter.gram.diag().sum() / vectors;
         let overall = scatter.sums.sum_axis(Axis(0)) / vectors;
         let total = (mean_square - overall.dot(&overall)) / dims as f64;
@@ -61,6 +61,9 @@ impl Discriminant {
         if total.is_nan() || total <= 1e-5 * mean_square / dims as f64 {
             return None;
         }
+        // The lower triangle alone, as `cholesky` reads no more.
+        let mut metric = scatter.gram;
+        subtract_lower_product(&scatter.sums.t(), &means.view(), &mut metric.view_mut());
         let within = metric.diag().iter().map(|x| x.max(0.0)).sum::<f64>() / freedom / dims as f64;
         let trace = within.max(LEAST_WITHIN * total);
         metric *= (1.0 - SHRINKAGE) / freedom;
@@ -217,7 +220,7 @@ mod tests {
     }
 
     fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::new(&Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
+        Discriminant::new(Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
     }
 
     #[test]
@@ -261,14 +264,13 @@ mod tests {
     #[test]
     fn leaving_out_is_subtracting() {
         let (vectors, labels) = data();
-        let sums = |from: usize, to: usize| {
-            Scatter::new(&vectors.slice(s![from..to, ..]).to_owned(), &labels[from..to], 8)
-        };
+        let some = |from: usize, to: usize| vectors.slice(s![from..to, ..]).to_owned();
+        let sums = |from: usize, to: usize| Scatter::new(&some(from, to), &labels[from..to], 8);
         let mut all = sums(0, 90);
-        let distances = |s: &Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
-        assert_eq!(distances(&all)[3], f64::INFINITY, "a class without vectors");
-        all.subtract(&sums(0, 30));
-        for (a, b) in distances(&all).iter().zip(distances(&sums(30, 90))) {
+        let distances = |s: Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
+        assert_eq!(distances(all.clone())[3], f64::INFINITY, "a class without vectors");
+        all.subtract(&some(0, 30), &labels[..30]);
+        for (a, b) in distances(all).iter().zip(distances(sums(30, 90))) {
             assert!((a - b).abs() < 1e-3 * (1.0 + b) || a == &b, "{a} vs {b}");
         }
     }
@@ -278,7 +280,7 @@ mod tests {
         let (vectors, labels) = data();
         let columns = [0, 1, 2, 5];
         let some = Scatter::new(&vectors, &labels, 6).select(&columns);
-        let wide = Discriminant::new(&some, 3, 4).unwrap().spread(&columns, 8);
+        let wide = Discriminant::new(some, 3, 4).unwrap().spread(&columns, 8);
         let mut changed = vectors.row(7).to_owned();
         changed[6] = 1e6;
         assert_eq!(wide.distances(vectors.row(7)), wide.distances(changed.view()));

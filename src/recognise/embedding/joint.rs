@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -33,11 +34,6 @@ pub(super) struct Excerpt {
 impl Excerpt {
     /// All of it.
     pub const WHOLE: Self = Self { window: Window::Whole, part: Part::Whole };
-
-    /// The first seconds of the drag, and all that is not of the drag.
-    pub fn beginning(seconds: f64) -> Self {
-        Self { window: Window::Beginning(seconds), part: Part::Whole }
-    }
 }
 
 /// How one source becomes its stretch of the vector.
@@ -73,42 +69,20 @@ impl SourceEmbedder {
         }
     }
 
-    fn embed(&self, phase: Phase, source: &SourceFrames, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
+    fn embed(&self, source: &SourceFrames, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
         match (self, source) {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
-                let window = |excerpt: &Excerpt| match excerpt.window {
-                    Window::Beginning(_) if phase != Phase::Drag => Window::Whole,
-                    window => window,
-                };
-                let windows: Vec<Window> = excerpts.iter().map(window).collect();
-                each_once(&windows, |windows| embedder.embed(series, windows))
+                let windows: Vec<Window> = excerpts.iter().map(|excerpt| excerpt.window).collect();
+                embedder.embed(series, &windows)
             }
             (Self::Picture(embedder), SourceFrames::Picture(grid)) => {
                 let parts: Vec<Part> = excerpts.iter().map(|excerpt| excerpt.part).collect();
-                each_once(&parts, |parts| parts.iter().map(|p| embedder.embed(grid, *p)).collect())
+                embedder.embed(grid, &parts)
             }
             // The checks of a trial against its scene give a source one kind of data.
             _ => vec![vec![0.0; self.dims()]; excerpts.len()],
         }
     }
-}
-
-/// The vectors of what is wanted, each made once however often it is wanted: what grows in a drag
-/// leaves a picture as it is.
-fn each_once<T: Copy + PartialEq>(
-    wanted: &[T],
-    make: impl FnOnce(&[T]) -> Vec<Vec<f32>>,
-) -> Vec<Vec<f32>> {
-    let mut distinct: Vec<T> = Vec::new();
-    let place = |one: &T| {
-        distinct.iter().position(|known| known == one).unwrap_or_else(|| {
-            distinct.push(*one);
-            distinct.len() - 1
-        })
-    };
-    let places: Vec<usize> = wanted.iter().map(place).collect();
-    let made = make(&distinct);
-    places.into_iter().map(|place| made[place].clone()).collect()
 }
 
 /// Whether a source is compared by all frequencies up to half its rate, or nearly all.
@@ -255,7 +229,7 @@ impl JointEmbedder {
     pub fn raw(&self, trial: &FrameFeatures, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
         let of_source = |stretch: &Stretch| {
             let source = trial.sources.get(&stretch.spec.id)?;
-            Some(stretch.embedder.embed(stretch.spec.phase, source, excerpts))
+            Some(stretch.embedder.embed(source, excerpts))
         };
         let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
         let mut all = vec![vec![0.0; self.dims()]; excerpts.len()];
@@ -290,12 +264,42 @@ impl JointEmbedder {
     /// the library's mean.
     pub fn standardise(&self, vector: &mut [f32], present: &Present) {
         for (stretch, _) in self.stretches.iter().zip(present).filter(|(_, has)| **has) {
-            for column in stretch.columns.clone() {
-                let z = (vector[column] - self.mean[column]) * self.factor[column];
-                vector[column] = z.clamp(-CLIP, CLIP);
-            }
+            self.standardise_source(stretch, vector);
+        }
+    }
+
+    fn standardise_source(&self, stretch: &Stretch, vector: &mut [f32]) {
+        for column in stretch.columns.clone() {
+            let z = (vector[column] - self.mean[column]) * self.factor[column];
+            vector[column] = z.clamp(-CLIP, CLIP);
         }
         debug_assert!(vector.iter().all(|x| x.is_finite()));
+    }
+
+    /// The standardised vectors of the beginnings of a trial's drag, of these lengths in seconds.
+    /// What is not of the drag is as in `whole`, the vector of the whole trial.
+    pub fn beginnings(
+        &self,
+        trial: &FrameFeatures,
+        whole: ArrayView1<'_, f32>,
+        seconds: &[f64],
+    ) -> Vec<Vec<f32>> {
+        let windows: Vec<Window> = seconds.iter().map(|&s| Window::Beginning(s)).collect();
+        let of_source = |stretch: &Stretch| match &stretch.embedder {
+            SourceEmbedder::Series(embedder) if stretch.spec.phase == Phase::Drag => {
+                Some(embedder.embed(trial.sources.get(&stretch.spec.id)?.series()?, &windows))
+            }
+            _ => None,
+        };
+        let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
+        let mut all = vec![whole.to_vec(); seconds.len()];
+        for (stretch, part) in self.stretches.iter().zip(parts) {
+            for (vector, of_source) in all.iter_mut().zip(part.into_iter().flatten()) {
+                vector[stretch.columns.clone()].copy_from_slice(&of_source);
+                self.standardise_source(stretch, vector);
+            }
+        }
+        all
     }
 
     /// The standardised vectors of some excerpts of a trial, and which sources it has.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::{HeldOut, Temperature};
 use super::discriminant::Discriminant;
-use super::joint::{Excerpt, JointEmbedder, Present};
+use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
 use super::training::Training;
 use crate::recognise::decide::conformal::{Conformity, nonconformity};
@@ -62,16 +62,14 @@ impl LeftOut {
         lengths.sort_by(f64::total_cmp);
         let middle_s = lengths.get(lengths.len() / 2).copied();
         let begun_s: Vec<f64> = middle_s.map_or(Vec::new(), |s| BEGINNINGS.map(|b| b * s).to_vec());
-        let excerpts: Vec<Excerpt> = begun_s.iter().map(|&s| Excerpt::beginning(s)).collect();
         let begun = |i: usize| {
             let trained = trained(i)?;
             if joint.drag_s(&library[i])? < *begun_s.last()? {
                 return None;
             }
-            let (vectors, _) = joint.embed(&library[i], &excerpts);
-            let distances =
-                vectors.iter().map(|v| (trained.distances(v[..].into()), labels.class[i]));
-            Some((i, distances.collect::<Vec<HeldOut>>()))
+            let vectors = joint.beginnings(&library[i], training.whole(i), &begun_s);
+            let distances = trained.distances_of_each(&vectors).into_iter();
+            Some((i, distances.map(|d| (d, labels.class[i])).collect::<Vec<HeldOut>>()))
         };
         let begun: Vec<(usize, Vec<HeldOut>)> = if begun_s.is_empty() {
             Vec::new()

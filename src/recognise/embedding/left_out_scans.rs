@@ -6,7 +6,6 @@ use std::sync::{Arc, PoisonError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::joint::Excerpt;
 use super::left_out::{WithoutGroups, evenly};
 use super::model::EmbeddingModel;
 use crate::recognise::decide::scan_time::{
@@ -114,21 +113,22 @@ impl EmbeddingModel {
     fn follow_one(&self, with: &Unfollowed, trial: usize) -> Option<FollowedTrial> {
         let trained = with.without.of(&self.labels, &self.training, trial)?;
         let drag_s = self.joint.drag_s(&with.library[trial])?;
-        let excerpts: Vec<Excerpt> =
-            (1..=looks_in(drag_s)).map(|step| Excerpt::beginning(step as f64 * LOOK_S)).collect();
-        let (vectors, present) = self.joint.embed(&with.library[trial], &excerpts);
+        let whole = self.training.whole(trial);
+        let looks_s: Vec<f64> = (1..=looks_in(drag_s)).map(|step| step as f64 * LOOK_S).collect();
+        let vectors = self.joint.beginnings(&with.library[trial], whole, &looks_s);
+        let present = &self.training.present[trial];
         let look = |(i, distances): (usize, Vec<f64>)| {
-            let posterior = self.posterior_of(distances, &present, (i + 1) as f64 * LOOK_S);
+            let posterior = self.posterior_of(distances, present, looks_s[i]);
             let class = posterior.best();
             let probability = posterior.log_posterior[class].exp();
             LeftOutLook { class, probability, p_value: posterior.p_value }
         };
         let looks = trained.distances_of_each(&vectors).into_iter().enumerate().map(look);
-        let whole = trained.distances(self.training.whole(trial));
+        let whole = trained.distances(whole);
         Some(FollowedTrial {
             group: self.labels.group[trial],
             truth: self.labels.class[trial],
-            whole: self.posterior_of(whole, &present, drag_s).best(),
+            whole: self.posterior_of(whole, present, drag_s).best(),
             drag_s,
             looks: looks.collect(),
         })

@@ -3,8 +3,9 @@
 //! 4th ed., §4.2.9 and §3.1).
 
 use ndarray::linalg::general_mat_mul;
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 
+/// Columns that are worked on one by one.
 const BLOCK: usize = 48;
 
 /// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads the
@@ -12,37 +13,87 @@ const BLOCK: usize = 48;
 ///
 /// Returns `None` if the matrix is not positive definite in f64.
 pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
+    factor(a.view_mut())?;
+    Some(a)
+}
+
+/// Halves the matrix until it is a block, so that products are of large matrices, and what they
+/// read stays in the caches (Gustavson 1997, "Recursion leads to automatic variable blocking for
+/// dense linear-algebra algorithms").
+fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     let n = a.nrows();
-    for k in (0..n).step_by(BLOCK) {
-        let end = (k + BLOCK).min(n);
-        for j in k..end {
-            let left: f64 = a.slice(s![j, k..j]).iter().map(|x| x * x).sum();
-            let pivot = a[[j, j]] - left;
-            // Written so that NaN is refused as well.
-            if !(pivot > 0.0 && pivot.is_finite()) {
-                return None;
-            }
-            let root = pivot.sqrt();
-            a[[j, j]] = root;
-            let (above, mut below) = a.view_mut().split_at(ndarray::Axis(0), j + 1);
-            let row_j = above.slice(s![j, k..j]);
-            for mut row in below.rows_mut() {
-                let dot: f64 = row.slice(s![k..j]).iter().zip(&row_j).map(|(x, y)| x * y).sum();
-                row[j] = (row[j] - dot) / root;
-            }
+    if n > BLOCK {
+        let half = half_of(n);
+        let (mut above, below) = a.split_at(Axis(0), half);
+        let (mut l21, mut a22) = below.split_at(Axis(1), half);
+        factor(above.slice_mut(s![.., ..half]))?;
+        solve_from_right(&above.slice(s![.., ..half]), l21.view_mut());
+        subtract_lower_product(&l21.view(), &l21.t(), &mut a22);
+        return factor(a22);
+    }
+    for j in 0..n {
+        let left: f64 = a.slice(s![j, ..j]).iter().map(|x| x * x).sum();
+        let pivot = a[[j, j]] - left;
+        // Written so that NaN is refused as well.
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
         }
-        if end == n {
-            break;
-        }
-        let panel = a.slice(s![end.., k..end]).to_owned();
-        for j in (end..n).step_by(BLOCK) {
-            let to = (j + BLOCK).min(n);
-            let rows = panel.slice(s![j - end.., ..]);
-            let cols = panel.slice(s![j - end..to - end, ..]);
-            general_mat_mul(-1.0, &rows, &cols.t(), 1.0, &mut a.slice_mut(s![j.., j..to]));
+        let root = pivot.sqrt();
+        a[[j, j]] = root;
+        let (above, mut below) = a.view_mut().split_at(Axis(0), j + 1);
+        let row_j = above.slice(s![j, ..j]);
+        for mut row in below.rows_mut() {
+            let dot: f64 = row.slice(s![..j]).iter().zip(&row_j).map(|(x, y)| x * y).sum();
+            row[j] = (row[j] - dot) / root;
         }
     }
-    Some(a)
+    Some(())
+}
+
+/// About half of more than a block, in whole blocks.
+fn half_of(n: usize) -> usize {
+    (n / 2).next_multiple_of(BLOCK)
+}
+
+/// Solves X·Lᵀ = B in place, L lower triangular.
+fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
+    let n = l.nrows();
+    if n > BLOCK {
+        let half = half_of(n);
+        let (mut first, mut second) = b.split_at(Axis(1), half);
+        solve_from_right(&l.slice(s![..half, ..half]), first.view_mut());
+        general_mat_mul(-1.0, &first, &l.slice(s![half.., ..half]).t(), 1.0, &mut second);
+        return solve_from_right(&l.slice(s![half.., half..]), second);
+    }
+    for mut row in b.rows_mut() {
+        for j in 0..n {
+            let known = row.slice(s![..j]);
+            let dot: f64 = known.iter().zip(l.slice(s![j, ..j])).map(|(x, y)| x * y).sum();
+            row[j] = (row[j] - dot) / l[[j, j]];
+        }
+    }
+}
+
+/// A ← A − X·Y in the lower triangle of A, at least; X·Y is symmetric.
+pub fn subtract_lower_product(
+    x: &ArrayView2<'_, f64>,
+    y: &ArrayView2<'_, f64>,
+    a: &mut ArrayViewMut2<'_, f64>,
+) {
+    /// Where the half that would be saved costs as much as it saves.
+    const ENOUGH: usize = 4 * BLOCK;
+    let n = a.nrows();
+    if n <= ENOUGH {
+        return general_mat_mul(-1.0, x, y, 1.0, a);
+    }
+    let half = half_of(n);
+    let (x1, x2) = x.split_at(Axis(0), half);
+    let (y1, y2) = y.split_at(Axis(1), half);
+    let (mut above, below) = a.view_mut().split_at(Axis(0), half);
+    let (mut below, mut last) = below.split_at(Axis(1), half);
+    subtract_lower_product(&x1, &y1, &mut above.slice_mut(s![.., ..half]));
+    general_mat_mul(-1.0, &x2, &y1, 1.0, &mut below);
+    subtract_lower_product(&x2, &y2, &mut last);
 }
 
 /// Solves L·X = B in place; `b` holds one column a right-hand side.
@@ -51,14 +102,14 @@ pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     for k in (0..n).step_by(BLOCK) {
         let end = (k + BLOCK).min(n);
         for i in k..end {
-            let (above, mut below) = b.view_mut().split_at(ndarray::Axis(0), i);
+            let (above, mut below) = b.view_mut().split_at(Axis(0), i);
             let mut row = below.row_mut(0);
             for j in k..i {
                 row.scaled_add(-l[[i, j]], &above.row(j));
             }
             row /= l[[i, i]];
         }
-        let (solved, mut rest) = b.view_mut().split_at(ndarray::Axis(0), end);
+        let (solved, mut rest) = b.view_mut().split_at(Axis(0), end);
         general_mat_mul(
             -1.0,
             &l.slice(s![end.., k..end]),
@@ -74,11 +125,11 @@ pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     let n = l.nrows();
     for k in (0..n).step_by(BLOCK).rev() {
         let end = (k + BLOCK).min(n);
-        let (mut rest, solved) = b.view_mut().split_at(ndarray::Axis(0), end);
+        let (mut rest, solved) = b.view_mut().split_at(Axis(0), end);
         let mut block = rest.slice_mut(s![k.., ..]);
         general_mat_mul(-1.0, &l.slice(s![end.., k..end]).t(), &solved, 1.0, &mut block);
         for i in (0..end - k).rev() {
-            let (mut above, below) = block.view_mut().split_at(ndarray::Axis(0), i + 1);
+            let (mut above, below) = block.view_mut().split_at(Axis(0), i + 1);
             let mut row = above.row_mut(i);
             for j in i + 1..end - k {
                 row.scaled_add(-l[[k + j, k + i]], &below.row(j - i - 1));

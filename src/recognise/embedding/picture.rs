@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::pixel_pairs::{PAIR_FEATURES, Pairs};
-use crate::recognise::features::image_features::{Part, PixelGrid, PixelGroup, pixel_pairs};
+use super::pixel_pairs::{PAIR_FEATURES, PairSums, Pairs, features};
+use crate::recognise::features::image_features::{
+    HsvCell, Part, PixelGrid, PixelGroup, QUARTERS, pixel_pairs,
+};
 
 /// Half the circle, in spreads of the library.
 const HALF_CIRCLE: f32 = 4.0;
@@ -54,9 +56,26 @@ impl PictureEmbedder {
         PAIR_FEATURES * self.scales.len()
     }
 
-    /// The vector of a part of a picture.
-    pub fn embed(&self, grid: &PixelGrid, part: Part) -> Vec<f32> {
-        let cells = grid.cells(part);
+    /// The vectors of some parts of a picture. Each quarter is worked on once, however many parts
+    /// hold it.
+    pub fn embed(&self, grid: &PixelGrid, parts: &[Part]) -> Vec<Vec<f32>> {
+        let quarters = QUARTERS.map(|quarter| {
+            let is_wanted = parts.iter().any(|part| [quarter, Part::Whole].contains(part));
+            is_wanted.then(|| self.pair_sums(&grid.cells(quarter)))
+        });
+        let of_part = |part: &Part| {
+            let is_in = |quarter: &Part| [quarter, &Part::Whole].contains(&part);
+            let held = QUARTERS.iter().zip(&quarters).filter(|(quarter, _)| is_in(quarter));
+            let held: Vec<&Vec<PairSums>> = held.filter_map(|(_, sums)| sums.as_ref()).collect();
+            let of_group =
+                |group: usize| features(&held.iter().map(|sums| &sums[group]).collect::<Vec<_>>());
+            (0..self.scales.len()).flat_map(of_group).collect()
+        };
+        parts.iter().map(of_part).collect()
+    }
+
+    /// What the pairs of each group add up to.
+    fn pair_sums(&self, cells: &[HsvCell]) -> Vec<PairSums> {
         let of_group = |(group, scale): (PixelGroup, &[Spread; 2])| {
             let circular = group.circular();
             let place = |x: f32, which: usize| {
@@ -67,13 +86,13 @@ impl PictureEmbedder {
                 }
             };
             let mut pairs = Pairs::default();
-            pixel_pairs(&cells, group, |a, b, saturation| {
+            pixel_pairs(cells, group, |a, b, saturation| {
                 let weight = if group.by_saturation() { saturation } else { 1.0 };
                 pairs.push(place(a, 0), place(b, 1), weight);
             });
-            pairs.features()
+            pairs.into()
         };
-        PixelGroup::ALL.into_iter().zip(&self.scales).flat_map(of_group).collect()
+        PixelGroup::ALL.into_iter().zip(&self.scales).map(of_group).collect()
     }
 }
 

@@ -87,8 +87,8 @@ impl ScanSums {
         if let Some(place) = place
             && let SourceEmbedder::Picture(embedder) = &joint.stretches[place].embedder
         {
-            let vector = embedder.embed(&PixelGrid::new(picture), Part::Whole);
-            self.sources[place] = Some(SourceSums::Picture(vector));
+            let mut vectors = embedder.embed(&PixelGrid::new(picture), &[Part::Whole]);
+            self.sources[place] = vectors.pop().map(SourceSums::Picture);
         }
     }
 

@@ -24,20 +24,27 @@ impl Scatter {
     /// Sums over `vectors`, shape (n, D), each with its label below `count`.
     pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
         let dims = vectors.ncols();
-        let mut counts = vec![0.0; count];
-        let mut sums = Array2::zeros((count, dims));
-        for (vector, &class) in vectors.rows().into_iter().zip(labels) {
-            counts[class] += 1.0;
-            sums.row_mut(class).zip_mut_with(&vector, |sum, &x| *sum += f64::from(x));
-        }
-        Self { counts, sums, gram: lower_gram(vectors) }
+        let mut scatter = Self {
+            counts: vec![0.0; count],
+            sums: Array2::zeros((count, dims)),
+            gram: Array2::zeros((dims, dims)),
+        };
+        scatter.add(vectors, labels, 1.0);
+        scatter
     }
 
     /// Takes the sums of some of the vectors off again.
-    pub fn subtract(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, other)| *mine -= other);
-        self.sums -= &other.sums;
-        self.gram -= &other.gram;
+    pub fn subtract(&mut self, vectors: &Array2<f32>, labels: &[usize]) {
+        self.add(vectors, labels, -1.0);
+    }
+
+    fn add(&mut self, vectors: &Array2<f32>, labels: &[usize], sign: f64) {
+        for (vector, &class) in vectors.rows().into_iter().zip(labels) {
+            self.counts[class] += sign;
+            let mut sum = self.sums.row_mut(class);
+            sum.zip_mut_with(&vector, |sum, &x| *sum += sign * f64::from(x));
+        }
+        add_lower_gram(&mut self.gram, vectors, sign);
     }
 
     /// The sums of some columns, in rising order.
@@ -53,10 +60,10 @@ impl Scatter {
     }
 }
 
-/// Σ z·zᵀ of the rows, shape (D, D). What stands above the diagonal means nothing.
-fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
-    let (n, dims) = vectors.dim();
-    let mut gram = Array2::zeros((dims, dims));
+/// Adds `sign`·Σ z·zᵀ of the rows to the lower triangle of a matrix of shape (D, D). What stands
+/// above the diagonal means nothing.
+fn add_lower_gram(gram: &mut Array2<f64>, vectors: &Array2<f32>, sign: f64) {
+    let n = vectors.nrows();
     let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
     blocks.into_par_iter().for_each(|(block, mut columns)| {
         let from = block * COLUMNS_A_SUM;
@@ -65,10 +72,9 @@ fn lower_gram(vectors: &Array2<f32>) -> Array2<f64> {
         for begin in (0..n).step_by(ROWS_A_SUM) {
             let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
             let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
-            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
+            below.zip_mut_with(&product, |sum, &x| *sum += sign * f64::from(x));
         }
     });
-    gram
 }
 
 #[cfg(test)]
@@ -81,7 +87,9 @@ mod tests {
         let value = |(i, j)| (((i * 31 + j * 17) % 97) as f32 - 48.0) / 16.0;
         let vectors = Array2::from_shape_fn((n, dims), value);
         let wide = vectors.mapv(f64::from);
-        let (lower, full) = (lower_gram(&vectors), wide.t().dot(&wide));
+        let full = wide.t().dot(&wide);
+        let mut lower = Array2::zeros((dims, dims));
+        add_lower_gram(&mut lower, &vectors, 1.0);
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
         }

@@ -17,7 +17,7 @@ use super::linear::{cholesky, solve_lower_transposed};
 use super::scatter::Scatter;
 use super::series::Window;
 use crate::recognise::features::frame_features::FrameFeatures;
-use crate::recognise::features::image_features::Part;
+use crate::recognise::features::image_features::QUARTERS;
 use crate::seed;
 use crate::trial::TrialKey;
 
@@ -167,9 +167,9 @@ impl Training {
             if let Some(group) = without {
                 let left_out: Vec<usize> =
                     (0..self.rows.nrows()).filter(|&row| self.groups[row] == group).collect();
-                scatter.subtract(&self.scatter(&left_out, &columns));
+                scatter.subtract(&self.select(&left_out, &columns), &self.labels_of(&left_out));
             }
-            Discriminant::new(&scatter, self.classes, columns.len())?
+            Discriminant::new(scatter, self.classes, columns.len())?
         };
         Some(discriminant.spread(&columns, joint.dims()))
     }
@@ -178,10 +178,8 @@ impl Training {
         self.all.get_or_init(|| Scatter::new(&self.rows, &self.labels, 2 * self.classes))
     }
 
-    fn scatter(&self, rows: &[usize], columns: &[usize]) -> Scatter {
-        let values = self.select(rows, columns);
-        let labels: Vec<usize> = rows.iter().map(|&row| self.labels[row]).collect();
-        Scatter::new(&values, &labels, 2 * self.classes)
+    fn labels_of(&self, rows: &[usize]) -> Vec<usize> {
+        rows.iter().map(|&row| self.labels[row]).collect()
     }
 
     fn select(&self, rows: &[usize], columns: &[usize]) -> Array2<f32> {
@@ -201,9 +199,9 @@ impl Training {
         for (i, mut row) in factor.rows_mut().into_iter().enumerate() {
             row.slice_mut(ndarray::s![i + 1..]).fill(0.0);
         }
-        let labels: Vec<usize> = rows.iter().map(|&row| self.labels[row]).collect();
-        let scatter = Scatter::new(&factor.mapv(|x| x as f32), &labels, 2 * self.classes);
-        let inside = Discriminant::new(&scatter, self.classes, columns.len())?;
+        let (inside, labels) = (factor.mapv(|x| x as f32), self.labels_of(rows));
+        let scatter = Scatter::new(&inside, &labels, 2 * self.classes);
+        let inside = Discriminant::new(scatter, self.classes, columns.len())?;
         Some(inside.map_projection(|projection| {
             let mut back = projection.t().mapv(f64::from);
             solve_lower_transposed(&factor, &mut back);
@@ -225,12 +223,10 @@ fn place(row: usize, trials: usize) -> (usize, usize) {
 fn excerpts(key: &TrialKey, seed: u64) -> Vec<Excerpt> {
     let name = key.to_string();
     let mut rng = seed::rng(seed, &[b"excerpts", name.as_bytes()]);
-    let quarters = [(false, false), (false, true), (true, false), (true, true)];
     let excerpt = |i: usize| {
         let from = seed::uniform(&mut rng) * (1.0 - SHARE);
         let window = Window::Share { from, length: SHARE };
-        let (lower, right) = quarters[i % quarters.len()];
-        Excerpt { window, part: Part::Quarter(lower, right) }
+        Excerpt { window, part: QUARTERS[i % QUARTERS.len()] }
     };
     std::iter::once(Excerpt::WHOLE).chain((0..EXCERPTS).map(excerpt)).collect()
 }

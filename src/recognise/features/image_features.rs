@@ -17,7 +17,7 @@ const OFFSETS: [usize; 3] = [1, 4, 16];
 type Cell = [[u8; 3]; 1 + 2 * OFFSETS.len()];
 
 /// The same in hue, saturation, value.
-type HsvCell = [[f32; 3]; 1 + 2 * OFFSETS.len()];
+pub type HsvCell = [[f32; 3]; 1 + 2 * OFFSETS.len()];
 
 /// A part of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +27,14 @@ pub enum Part {
     /// One quarter: lower half, right half.
     Quarter(bool, bool),
 }
+
+/// The quarters, which divide the whole.
+pub const QUARTERS: [Part; 4] = [
+    Part::Quarter(false, false),
+    Part::Quarter(false, true),
+    Part::Quarter(true, false),
+    Part::Quarter(true, true),
+];
 
 /// The grid of a picture.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
