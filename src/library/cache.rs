@@ -14,10 +14,9 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
 use std::io::{self, BufWriter, Read, Write};
-use std::ops::Range;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{FileExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -29,19 +28,32 @@ const MAGIC: &[u8; 14] = b"surfaced cache";
 /// Raised whenever what prepared trials hold, or how they are stored, changes.
 const VERSION: u16 = 2;
 const HEADER: usize = MAGIC.len() + 2 + 8;
+/// Bytes of a checksum.
+const CHECKSUM: u64 = 4;
+/// Longest name of a record in bytes: those of a surface and a user, and a number.
+const LONGEST_NAME: u32 = 1 << 16;
 /// How the name of a file ends that is being written; its writer holds a lock on it.
 const UNFINISHED: &str = ".unfinished";
 /// A file that nobody has locked for so long was left by a writer that was killed.
 const ABANDONED: Duration = Duration::from_secs(60);
 
-/// What a cache file held.
+/// What a cache file holds; its records are read when they are wanted.
 #[derive(Debug)]
 pub struct Cache {
     path: PathBuf,
     key: u64,
-    bytes: Vec<u8>,
-    /// Stamp, bytes, and all that the checksum covers, by name.
-    records: BTreeMap<String, (u64, Range<usize>, Range<usize>)>,
+    /// It is replaced, never changed.
+    file: Option<File>,
+    records: BTreeMap<String, Place>,
+}
+
+/// Where a record lies.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    stamp: u64,
+    /// Where its bytes begin, and how many there are; their checksum follows.
+    begin: u64,
+    length: u64,
 }
 
 /// One trial to be stored.
@@ -59,7 +71,7 @@ impl Cache {
     /// version or with another key counts as empty; the remark says why, if that may surprise.
     pub fn open(library: &Path, method: &str, key: u64) -> (Self, Option<String>) {
         let path = library.join(format!(".{method}.surfaced-cache"));
-        let mut cache = Self { path, key, bytes: Vec::new(), records: BTreeMap::new() };
+        let mut cache = Self { path, key, file: None, records: BTreeMap::new() };
         let remark = match cache.read() {
             Ok(()) => None,
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
@@ -70,20 +82,29 @@ impl Cache {
         (cache, remark)
     }
 
-    /// Reads the file, if it is one for these settings; an error leaves the records found so far.
+    /// Opens the file, if it is one for these settings, and finds its records; an error leaves those
+    /// found so far.
     fn read(&mut self) -> io::Result<()> {
         let (mut file, length) = files::open(&self.path)?;
-        // First, so that nothing else that has this name is read into memory.
-        self.bytes = vec![0; HEADER.min(length as usize)];
-        file.read_exact(&mut self.bytes)?;
-        self.check_header().map_err(io::Error::other)?;
-        // No more than it had when it was opened: it is replaced, never appended to.
-        file.take(length - HEADER as u64).read_to_end(&mut self.bytes)?;
-        self.index().map_err(io::Error::other)
+        let mut header = vec![0; HEADER.min(length as usize)];
+        file.read_exact(&mut header)?;
+        self.check_header(&header).map_err(io::Error::other)?;
+        let mut at = HEADER as u64;
+        while at < length {
+            let damaged = || io::Error::other("the file is cut short or damaged");
+            let (name, place) = record(&file, at, length).ok_or_else(damaged)?;
+            at = place.begin + place.length + CHECKSUM;
+            self.records.insert(name, place);
+            // Of what is known so far, all can be read.
+            if self.file.is_none() {
+                self.file = Some(file.try_clone()?);
+            }
+        }
+        Ok(())
     }
 
-    fn check_header(&self) -> Result<(), String> {
-        let rest = self.bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
+    fn check_header(&self, bytes: &[u8]) -> Result<(), String> {
+        let rest = bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
         let (version, rest) = rest.split_first_chunk().ok_or("the file is cut short")?;
         let version = u16::from_le_bytes(*version);
         if version != VERSION {
@@ -96,24 +117,13 @@ impl Cache {
         }
     }
 
-    /// Finds the records.
-    fn index(&mut self) -> Result<(), String> {
-        let bytes = self.bytes.as_slice();
-        let mut at = HEADER;
-        while at < bytes.len() {
-            let found = record(bytes, at).ok_or("the file is cut short or damaged")?;
-            at = found.end;
-            self.records.insert(found.name.into(), (found.stamp, found.bytes, found.checked));
-        }
-        Ok(())
-    }
-
     /// The bytes stored under a name, if they are whole and their stamp is this one.
-    pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<&[u8]> {
-        let (of_record, bytes, checked) = self.records.get(name)?;
-        let sum = self.bytes.get(checked.end..checked.end + 4)?;
-        let whole = crc32fast::hash(&self.bytes[checked.clone()]).to_le_bytes() == sum;
-        (*of_record == stamp && whole).then(|| &self.bytes[bytes.clone()])
+    pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
+        let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
+        let mut bytes = vec![0; usize::try_from(place.length + CHECKSUM).ok()?];
+        self.file.as_ref()?.read_exact_at(&mut bytes, place.begin).ok()?;
+        let sum = bytes.split_off(place.length as usize);
+        (checksum(&head(name, stamp, place.length), &bytes)[..] == sum).then_some(bytes)
     }
 
     /// Writes a new file in the place of the old one; says what went wrong, if anything did.
@@ -144,17 +154,10 @@ impl Cache {
         file.write_all(&VERSION.to_le_bytes())?;
         file.write_all(&self.key.to_le_bytes())?;
         for record in records {
-            let mut head = Vec::new();
-            head.extend((record.name.len() as u32).to_le_bytes());
-            head.extend(record.name.as_bytes());
-            head.extend(record.stamp.to_le_bytes());
-            head.extend((record.bytes.len() as u64).to_le_bytes());
-            let mut sum = crc32fast::Hasher::new();
-            sum.update(&head);
-            sum.update(&record.bytes);
+            let head = head(&record.name, record.stamp, record.bytes.len() as u64);
             file.write_all(&head)?;
             file.write_all(&record.bytes)?;
-            file.write_all(&sum.finalize().to_le_bytes())?;
+            file.write_all(&checksum(&head, &record.bytes))?;
         }
         file.flush()?;
         drop(file);
@@ -182,32 +185,43 @@ fn remove_abandoned(folder: &Path, name: &str) {
     }
 }
 
-/// Where one record lies.
-struct Found<'a> {
-    name: &'a str,
-    stamp: u64,
-    bytes: Range<usize>,
-    checked: Range<usize>,
-    end: usize,
+/// What stands before the bytes of a record.
+fn head(name: &str, stamp: u64, length: u64) -> Vec<u8> {
+    let mut head = (name.len() as u32).to_le_bytes().to_vec();
+    head.extend(name.as_bytes());
+    head.extend(stamp.to_le_bytes());
+    head.extend(length.to_le_bytes());
+    head
 }
 
-fn record(all: &[u8], at: usize) -> Option<Found<'_>> {
-    let length = u32::from_le_bytes(*all.get(at..)?.first_chunk()?) as usize;
-    let name_at = at + 4;
-    let name = std::str::from_utf8(all.get(name_at..name_at.checked_add(length)?)?).ok()?;
-    let stamp_at = name_at + length;
-    let stamp = u64::from_le_bytes(*all.get(stamp_at..)?.first_chunk()?);
-    let count = u64::from_le_bytes(*all.get(stamp_at + 8..)?.first_chunk()?);
-    let start = stamp_at + 16;
-    let bytes = start..start.checked_add(usize::try_from(count).ok()?)?;
-    let end = bytes.end.checked_add(4)?;
-    (end <= all.len()).then_some(Found { name, stamp, checked: at..bytes.end, bytes, end })
+fn checksum(head: &[u8], bytes: &[u8]) -> [u8; CHECKSUM as usize] {
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(head);
+    sum.update(bytes);
+    sum.finalize().to_le_bytes()
+}
+
+/// The record that begins at a place of a file of `length` bytes.
+fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
+    let mut name_length = [0; 4];
+    file.read_exact_at(&mut name_length, at).ok()?;
+    let name_length = u32::from_le_bytes(name_length);
+    if name_length > LONGEST_NAME {
+        return None;
+    }
+    let mut rest = vec![0; name_length as usize + 16];
+    file.read_exact_at(&mut rest, at + 4).ok()?;
+    let (name, numbers) = rest.split_at(name_length as usize);
+    let (stamp, count) = numbers.split_at(8);
+    let number = |bytes: &[u8]| Some(u64::from_le_bytes(*bytes.first_chunk()?));
+    let begin = at + 4 + rest.len() as u64;
+    let place = Place { stamp: number(stamp)?, begin, length: number(count)? };
+    let end = begin.checked_add(place.length)?.checked_add(CHECKSUM)?;
+    Some((String::from_utf8(name.to_vec()).ok()?, place)).filter(|_| end <= length)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::fs::File;
-
     use super::*;
 
     fn records() -> Vec<Record<'static>> {
@@ -231,7 +245,7 @@ mod tests {
         let folder = written();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
         assert_eq!(remark, None);
-        assert_eq!(cache.get("beech", 8), Some(&[2; 100][..]));
+        assert_eq!(cache.get("beech", 8), Some(vec![2; 100]));
         assert_eq!(cache.get("beech", 9), None, "files have changed");
         assert_eq!(cache.get("ash", 8), None);
         let (cache, _) = Cache::open(folder.path(), "other", 5);

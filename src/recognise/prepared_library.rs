@@ -85,7 +85,7 @@ pub(super) fn prepare_for(
         }
         let entry = &entries[i];
         let stored = cache.as_ref().and_then(|cache| {
-            Prepared::decode(entry, cache.get(&entry.cache_name(), entry.stamp()?)?)
+            Prepared::decode(entry, &cache.get(&entry.cache_name(), entry.stamp()?)?)
         });
         let prepared = match stored {
             Some(prepared) => {

@@ -93,7 +93,7 @@ impl Kept {
     }
 
     fn model(&self, method: &dyn Method, shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
-        method.restore(self.cache.get(RECORD, self.stamp)?, shape)
+        method.restore(&self.cache.get(RECORD, self.stamp)?, shape)
     }
 
     fn replace(&self, bytes: std::borrow::Cow<'_, [u8]>) -> Option<String> {

@@ -159,11 +159,13 @@ impl SeriesEmbedder {
         let blocks: Vec<Range<usize>> =
             windows.iter().map(|window| blocks_of(series, *window)).collect();
         let [long, short] = [0, 1].map(|view| self.view_sums(series, view, &blocks));
-        let of_window = |(range, (long, short))| {
-            let sums = SeriesSums { views: [long, short], blocks: series.blocks.window(range) };
+        let none = || WindowSums::new(self.channels());
+        let sums = sums_of(&blocks, none, |sums, blocks| series.blocks.add_to(sums, blocks));
+        let of_window = |((long, short), blocks)| {
+            let sums = SeriesSums { views: [long, short], blocks };
             self.vector(&sums, series.blocks.reference(), series.rate_hz())
         };
-        blocks.into_iter().zip(long.into_iter().zip(short)).map(of_window).collect()
+        long.into_iter().zip(short).zip(sums).map(of_window).collect()
     }
 
     /// Sums of one view over each window. Each frame is worked on once, however many windows hold
@@ -180,20 +182,22 @@ impl SeriesEmbedder {
         ends.sort_unstable();
         ends.dedup();
         let width = self.views.0[view].width();
-        let mut all = vec![ViewSums::new(self.channels(), width); windows.len()];
+        let none = || ViewSums::new(self.channels(), width);
         let mut values = Vec::new();
-        for piece in ends.windows(2) {
+        let mut of_piece = |piece: &[usize]| {
             let holds = |r: &Range<usize>| r.start <= piece[0] && piece[1] <= r.end;
-            if !ranges.iter().any(holds) {
-                continue;
-            }
-            series.frames[view].unpack(width, piece[0]..piece[1], &mut values);
-            let mut sums = ViewSums::new(self.channels(), width);
-            sums.add(&self.scales[view], &values);
-            let holding = all.iter_mut().zip(&ranges).filter(|(_, range)| holds(range));
-            holding.for_each(|(total, _)| total.join(&sums));
-        }
-        all
+            ranges.iter().any(holds).then(|| {
+                series.frames[view].unpack(width, piece[0]..piece[1], &mut values);
+                let mut sums = none();
+                sums.add(&self.scales[view], &values);
+                sums
+            })
+        };
+        let pieces: Vec<Option<ViewSums>> = ends.windows(2).map(&mut of_piece).collect();
+        sums_of(&ranges, none, |sums, frames| {
+            let within = ends.iter().zip(&pieces).filter(|(begin, _)| frames.contains(begin));
+            within.filter_map(|(_, piece)| piece.as_ref()).for_each(|piece| sums.join(piece));
+        })
     }
 
     /// The vector of what a window adds up to; `reference` is that of its blocks.
@@ -274,6 +278,28 @@ impl SeriesEmbedder {
             }
         }
     }
+}
+
+/// What some ranges add up to; one that begins as another does continues it.
+fn sums_of<S: Clone>(
+    ranges: &[Range<usize>],
+    none: impl Fn() -> S,
+    mut add: impl FnMut(&mut S, Range<usize>),
+) -> Vec<S> {
+    let mut order: Vec<usize> = (0..ranges.len()).collect();
+    order.sort_unstable_by_key(|&i| (ranges[i].start, ranges[i].end));
+    let mut all = vec![none(); ranges.len()];
+    let mut before: Option<usize> = None;
+    for i in order {
+        let mut missing = ranges[i].clone();
+        if let Some(begun) = before.filter(|&b| ranges[b].start == missing.start) {
+            all[i] = all[begun].clone();
+            missing.start = ranges[begun].end;
+        }
+        add(&mut all[i], missing);
+        before = Some(i);
+    }
+    all
 }
 
 /// The blocks of a window; at least one.

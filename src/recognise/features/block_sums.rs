@@ -5,6 +5,8 @@
 //! scan that grows, cost additions alone. All powers are of x minus a reference near the first
 //! block's mean, so that an offset costs no digits.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use super::block_layout::{LAGS, Of, place, products, width};
@@ -53,13 +55,18 @@ impl BlockSums {
     }
 
     /// What a run of blocks adds up to.
-    pub fn window(&self, blocks: std::ops::Range<usize>) -> WindowSums {
-        let width = width(self.channels);
+    pub fn window(&self, blocks: Range<usize>) -> WindowSums {
         let mut sums = WindowSums::new(self.channels);
+        self.add_to(&mut sums, blocks);
+        sums
+    }
+
+    /// Adds a run of blocks to those before it.
+    pub fn add_to(&self, sums: &mut WindowSums, blocks: Range<usize>) {
+        let width = width(self.channels);
         for of_block in self.sums[blocks.start * width..blocks.end * width].chunks_exact(width) {
             sums.add(of_block);
         }
-        sums
     }
 }
 
