@@ -75,7 +75,7 @@ pub(super) fn features(parts: &[&PairSums]) -> [f32; PAIR_FEATURES] {
     total.features.map(|sum| (sum / total.weight.max(1e-30)) as f32)
 }
 
-#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn sum_pairs(first: &[f32], second: &[f32], weights: &[f32], sums: &mut [f64; PAIR_FEATURES]) {
     let flush = LANES * FLUSH;
     for ((first, second), weights) in
