@@ -29,7 +29,7 @@ fn rankings(options: ReferenceOptions, library: &[Entry], queries: &[Entry]) -> 
     let method = Reference::new(Scene::lmt108(), options);
     let all = (0..library.len()).collect();
     let library = prepare_library(&method, library, &all, None, &|_, _| ()).unwrap();
-    let model = library.fit_all(&method).unwrap();
+    let model = library.fit(&method, &all).unwrap();
     let query = |e: &Entry| model.prepare(e, &e.load().unwrap()).unwrap();
     queries.iter().map(|e| model.rank(&query(e)).unwrap()).collect()
 }
@@ -93,7 +93,7 @@ fn prepare(folder: &Path, method: impl Into<MethodSpec>) -> (usize, Vec<String>,
     let wanted: BTreeSet<usize> = (0..library.entries.len()).collect();
     let made =
         prepare_library(&*method, &library.entries, &wanted, Some(folder), &|_, _| ()).unwrap();
-    let model = made.fit_all(&*method).unwrap();
+    let model = made.fit(&*method, &wanted).unwrap();
     let query = &library.entries[0];
     let query = model.prepare(query, &query.load().unwrap()).unwrap();
     (made.from_cache, made.remarks, model.rank(&query).unwrap())

@@ -111,7 +111,7 @@ pub fn load(
         }
         let all = (0..entries.len()).collect();
         let cache = how.cache_in(&path);
-        let ReadyModel { model, remarks } =
+        let ReadyModel { model, remarks, .. } =
             ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})
                 .map_err(|error| error.to_string())?;
         remarks.iter().for_each(|remark| say!("{remark}"));

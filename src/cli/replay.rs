@@ -266,7 +266,7 @@ fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, Rec
     if let [fold] = &stage.folds[..] {
         let step = |done, of| steps.show("preparing the library", done, of);
         let library = fold.library.iter().copied().collect();
-        let ReadyModel { model, remarks } =
+        let ReadyModel { model, remarks, .. } =
             ready_model(method, &stage.entries, &library, cache, &step)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
         return Ok(vec![model]);

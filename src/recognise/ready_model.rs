@@ -20,6 +20,8 @@ const RECORD: &str = "model";
 pub struct ReadyModel {
     /// The model.
     pub model: Arc<dyn Model>,
+    /// Whether it came from the cache.
+    pub from_cache: bool,
     /// For people: what was wrong with the caches, a line each. Nothing of it is an error.
     pub remarks: Vec<String>,
 }
@@ -45,7 +47,7 @@ pub fn ready_model(
     let shape = Arc::new(LibraryShape::of(&of_model)?);
     let kept = beside.and_then(|folder| Kept::open(method, &of_model, &shape, folder));
     if let Some(model) = kept.as_ref().and_then(|kept| kept.model(method, &shape)) {
-        return Ok(ReadyModel { model, remarks: Vec::new() });
+        return Ok(ReadyModel { model, from_cache: true, remarks: Vec::new() });
     }
     let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
     let model = prepared.fit(method, wanted)?;
@@ -59,7 +61,7 @@ pub fn ready_model(
             remarks.extend(why);
         }
     }
-    Ok(ReadyModel { model, remarks })
+    Ok(ReadyModel { model, from_cache: false, remarks })
 }
 
 /// The cache of a library's model.
