@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::calibrate::{HeldOut, Temperature};
+use super::calibrated_probability::{HeldOut, Temperature};
 use super::discriminant::Discriminant;
 use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;
