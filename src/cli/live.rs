@@ -8,8 +8,8 @@ use crossbeam_channel::Sender;
 
 use super::answers::AnswerArgs;
 use super::choose::within;
+use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::lines::JsonLines;
 use super::plan::Comparing;
 use super::serve::ServeArgs;
 use super::supervisor::Supervisor;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
+use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::lines::JsonLines;
 use super::plan::{Comparing, ComparingArgs};
 use super::protocol::ProtocolArg;
 use super::serve::ServeArgs;

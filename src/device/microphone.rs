@@ -10,7 +10,7 @@
 mod alsa;
 mod callback_sink;
 mod level;
-mod listening;
+mod lost_sound;
 mod mono;
 mod pace;
 
@@ -28,7 +28,7 @@ pub(crate) use callback_sink::CallbackSink;
 pub(crate) use level::{Level, LevelWatch};
 pub(crate) use mono::Pick;
 
-use listening::Listening;
+use lost_sound::Listening;
 
 use super::open::{LONGEST_RETRY, OpenError, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};

@@ -50,12 +50,13 @@ pub use decide::dead_sensor::without_flawed;
 #[doc(hidden)]
 pub use embedding::EmbeddingModel;
 #[doc(hidden)]
-pub use features::{FrameFeatures, amplitude_spectrum, hsv};
+pub use features::{FrameFeatures, hsv};
 #[doc(hidden)]
 pub use follow::LOOK_S;
 #[doc(hidden)]
 pub use reference::{
-    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
+    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, amplitude_spectrum, image_grid,
+    score_samples,
 };
 
 pub(crate) use combine::{log_discrepancy, medians};

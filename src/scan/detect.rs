@@ -5,10 +5,10 @@
 //! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
 //! limits of level are multiples of each stream's own noise floor.
 
-mod level;
+mod noise_floor;
 
-pub use level::SensorKind;
-pub(crate) use level::{HOP_S, Level};
+pub use noise_floor::SensorKind;
+pub(crate) use noise_floor::{HOP_S, Level};
 
 /// What is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -21,7 +21,8 @@ use tokio_io_timeout::TimeoutStream;
 use super::api;
 use super::client::{Peer, neighbourhood};
 use super::hub::Hub;
-use super::settings::{Limits, Settings};
+use super::limits::Limits;
+use super::settings::Settings;
 
 /// The largest head of a request, in bytes.
 const LARGEST_HEAD: usize = 16 << 10;

@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 
 use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
+use super::limits::LARGEST_BODY;
 use super::problem::Problem;
 use super::request::Shared;
-use super::settings::{LARGEST_BODY, Settings};
+use super::settings::Settings;
 use super::subscribers::EventFilter;
 use super::{metrics, order, page, scans, shelf};
 use crate::station::Command;

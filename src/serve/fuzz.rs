@@ -15,7 +15,8 @@ use tokio::runtime::Runtime;
 use tower_service::Service;
 
 use super::hub::Hub;
-use super::settings::{LARGEST_BODY, Limits, Settings};
+use super::limits::{LARGEST_BODY, Limits};
+use super::settings::Settings;
 use super::token::Token;
 use super::{api, label};
 use crate::station::Command;

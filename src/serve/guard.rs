@@ -20,9 +20,10 @@ use rand::rngs::SysRng;
 
 use super::client::{Client, neighbourhood};
 use super::hub::Hub;
+use super::limits::Limits;
 use super::problem::Problem;
 use super::rates::Rates;
-use super::settings::{Limits, Settings};
+use super::settings::Settings;
 use super::token::Token;
 
 /// The cookie that holds the token.

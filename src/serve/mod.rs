@@ -21,6 +21,7 @@ pub mod fuzz;
 mod guard;
 mod hub;
 mod label;
+mod limits;
 mod metrics;
 mod order;
 mod page;
@@ -40,8 +41,9 @@ mod trace;
 mod whole;
 
 pub use error::ServeError;
+pub use limits::Limits;
 pub use reporter::Reporter;
 pub use server::Server;
 pub(crate) use settings::{Audit, PORT};
-pub use settings::{Limits, Settings, Shelf};
+pub use settings::{Settings, Shelf};
 pub use token::Token;

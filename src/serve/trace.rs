@@ -66,7 +66,7 @@ pub struct Stream {
     /// Its least and greatest sample so far, a pair a channel.
     extremes: Vec<(f32, f32)>,
     /// How close each channel comes to its limits.
-    limits: Vec<Limits>,
+    limits: Vec<ChannelLimits>,
     /// Whether a channel rested at its limit in the bin that is not full.
     clipped: bool,
 }
@@ -74,7 +74,7 @@ pub struct Stream {
 /// Finds where a channel runs into its limits: samples in a row at the highest or lowest value that
 /// it has had.
 #[derive(Clone, Debug)]
-struct Limits {
+struct ChannelLimits {
     low: f32,
     high: f32,
     last: f32,
@@ -89,7 +89,7 @@ const RUN: usize = 3;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
 
-impl Limits {
+impl ChannelLimits {
     const NEW: Self =
         Self { low: f32::INFINITY, high: f32::NEG_INFINITY, last: f32::NAN, run: 0, between: 0 };
 
@@ -117,7 +117,7 @@ impl Stream {
             next: fresh.start,
             filled: 0,
             extremes: vec![NONE_YET; fresh.channels],
-            limits: vec![Limits::NEW; fresh.channels],
+            limits: vec![ChannelLimits::NEW; fresh.channels],
             clipped: false,
         }
     }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::calibrate::{HeldOut, Temperature};
+use super::calibrated_probability::{HeldOut, Temperature};
 use super::discriminant::Discriminant;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;

@@ -12,7 +12,7 @@
 //! The score of a surface is 1/posterior, so that, as everywhere, smaller is more alike, and the
 //! margin is the log of the odds.
 
-pub mod calibrate;
+pub mod calibrated_probability;
 pub mod discriminant;
 mod follower;
 mod fourier;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::calibrate::HeldOut;
+use super::calibrated_probability::HeldOut;
 use super::discriminant::Discriminant;
 use super::joint::{Excerpt, JointEmbedder, Present};
 use super::labels::Labels;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ndarray::ArrayView1;
 
-use super::calibrate::{held_back, log_posterior};
+use super::calibrated_probability::{held_back, log_posterior};
 use super::joint::{Present, columns};
 use super::model::EmbeddingModel;
 use crate::recognise::decide::conformal::nonconformity;

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::block_sums::BlockSums;
-use super::frames::{FrameView, ViewFrames};
 use super::image_features::PixelGrid;
+use super::windowed_frames::{FrameView, ViewFrames};
 use crate::recognise::checks::check_signal;
 use crate::recognise::error::RecogniseError;
 use crate::recognise::shape::LibraryShape;

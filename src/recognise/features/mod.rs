@@ -16,17 +16,15 @@ mod block_layout;
 pub(super) mod block_sums;
 mod colour;
 pub(super) mod frame_features;
-pub(super) mod frames;
 pub(super) mod image_features;
 pub(crate) mod picture_statistics;
 pub(crate) mod series_statistics;
-mod spectrum;
 mod vector;
 pub(super) mod window_sums;
+pub(super) mod windowed_frames;
 
 pub use colour::hsv;
 pub use frame_features::FrameFeatures;
-pub use spectrum::amplitude_spectrum;
 pub use vector::FeatureVector;
 
 pub(crate) use vector::SourceFeatures;

@@ -1,6 +1,6 @@
 //! Features of a series: moments and ratios in time, and a log-band spectrum.
 
-use super::frames::{FrameView, VIEWS, ViewFrames};
+use super::windowed_frames::{FrameView, VIEWS, ViewFrames};
 use crate::scene::Domain;
 use crate::trial::Series;
 

@@ -2,8 +2,9 @@
 
 use ndarray::Array2;
 
+use super::amplitude_spectrum::amplitude_spectrum;
 use super::sampling::{DomainExtent, Positions};
-use crate::recognise::features::{amplitude_spectrum, hsv};
+use crate::recognise::features::hsv;
 use crate::scene::{Colour, Domain, SourceSpec};
 use crate::trial::{Image, Series, Signal};
 

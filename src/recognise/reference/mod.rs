@@ -6,6 +6,7 @@
 //! within 1e-4 of a score ([`SumPrecision`]), and, where asked for, successive halving. Results depend
 //! neither on the number of threads nor on the library's order.
 
+mod amplitude_spectrum;
 mod domain;
 mod halving;
 mod model;
@@ -18,6 +19,7 @@ mod sampling;
 mod score;
 pub(super) mod storage;
 
+pub use amplitude_spectrum::amplitude_spectrum;
 pub use domain::DomainSamples;
 pub use halving::{STAGES, Stage};
 pub use model::ReferenceModel;

@@ -1,18 +1,18 @@
 //! The configuration of a station, in two steps: a file laid over the defaults, and what the
 //! program works with.
 
-mod address;
 mod error;
 mod file;
 mod merge;
 mod only;
+mod output_address;
 mod resolve;
 mod resolved;
 
 use std::path::Path;
 
-pub use address::{HttpAddress, MqttAddress};
 pub use error::ConfigError;
+pub use output_address::{HttpAddress, MqttAddress};
 pub use resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
 
 use merge::DEFAULTS;

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::address::{HttpAddress, MqttAddress};
+use super::output_address::{HttpAddress, MqttAddress};
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::{Selector, Wanted};
