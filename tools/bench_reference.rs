@@ -217,7 +217,7 @@ fn library(query: bool, halving: bool, cache: bool) {
             prepared.remarks.join("; ")
         );
     }
-    let fit = |method| prepared.fit_all(method).unwrap_or_else(|error| panic!("{error}"));
+    let fit = |method| prepared.fit(method, &wanted).unwrap_or_else(|error| panic!("{error}"));
     let (exact, halved) = (fit(&exact), fit(&halved));
     if query {
         let entry = &of_users[0];
