@@ -105,8 +105,14 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
 
     let mut found = Found::new(&raw, &features, &lags, threshold);
     let mut variance = vec![0.0; at_once.len()];
+    let mut summed = None;
     for _ in 0..CORRECTIONS {
         let reach = found.reach(longest);
+        // Over the same lags the same comes out again.
+        let lags_within = lags.all.iter().filter(|lag| lag.frames as f64 <= reach).count();
+        if summed.replace(lags_within) == Some(lags_within) {
+            break;
+        }
         variance = correction::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
         let corrected = correction::corrected(&raw, &variance);
         found = Found::new(&corrected, &features, &lags, threshold);
