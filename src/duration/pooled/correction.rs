@@ -21,7 +21,7 @@ pub fn mean_variance(
 ) -> Vec<f64> {
     let count = covariances.features;
     let length = frames as f64;
-    let mut sum = at_once.to_vec();
+    let mut one_way = vec![0.0; count * count];
     let mut taken = 0.0;
     for (lag, values) in lags.iter().zip(&covariances.lags) {
         if lag.frames as f64 > longest {
@@ -31,16 +31,13 @@ pub fn mean_variance(
         taken += weight;
         let scale = weight / covariances.blocks as f64;
         for block in values.chunks_exact(count * count) {
-            for i in 0..count {
-                for j in 0..count {
-                    sum[i * count + j] += scale * (block[i * count + j] + block[j * count + i]);
-                }
-            }
+            one_way.iter_mut().zip(block).for_each(|(sum, c)| *sum += scale * c);
         }
     }
     let scale = 1.0 / (length - 1.0 - 2.0 * taken);
-    sum.iter_mut().for_each(|v| *v *= scale);
-    sum
+    (0..count * count)
+        .map(|at| (at_once[at] + one_way[at] + one_way[at % count * count + at / count]) * scale)
+        .collect()
 }
 
 /// (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) of every block and lag: correlations of what was not centred.
@@ -48,10 +45,12 @@ pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariance
     let count = covariances.features;
     let scale: Vec<f64> =
         (0..count).map(|i| (1.0 + mean_variance[i * count + i]).sqrt().recip()).collect();
+    let scale: Vec<f64> =
+        (0..count * count).map(|at| scale[at / count] * scale[at % count]).collect();
     let mut corrected = covariances.clone();
     for block in corrected.lags.iter_mut().flat_map(|lag| lag.chunks_exact_mut(count * count)) {
-        for (at, value) in block.iter_mut().enumerate() {
-            *value = (*value + mean_variance[at]) * scale[at / count] * scale[at % count];
+        for ((value, shift), scale) in block.iter_mut().zip(mean_variance).zip(&scale) {
+            *value = (*value + shift) * scale;
         }
     }
     corrected

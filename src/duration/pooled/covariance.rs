@@ -1,8 +1,10 @@
 //! Covariance of the features at two moments a lag apart, block by block: nearly all of the work.
 
+use std::ops::Range;
+
 use multiversion::multiversion;
 
-use super::dot::dot;
+use super::dot::{COLUMNS, LANES, Lane, Length, ROWS, dots, total};
 use super::features::Features;
 use super::lags::Lag;
 
@@ -22,36 +24,46 @@ pub struct Covariances {
     pub lags: Vec<Vec<f64>>,
 }
 
-/// The covariances at each lag, ⌈20/Q⌉ blocks of starts a trial.
-pub fn covariances(features: &Features, lags: &[Lag]) -> Covariances {
+/// The covariance at lag 0 over all trials, F × F, and the covariances at each lag, ⌈20/Q⌉ blocks of
+/// starts a trial.
+pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances) {
     let count = features.columns.len();
-    let blocks_a_trial = BLOCKS.div_ceil(features.trials);
+    let parts = BLOCKS.div_ceil(features.trials);
+    let blocks = features.trials * parts;
     let mut grid = Grid::new(features);
-    let lags = lags
-        .iter()
-        .map(|lag| {
-            while grid.stride < lag.stride {
-                grid.coarsen();
-            }
-            let lag_on_grid = lag.frames / grid.stride;
-            let starts = grid.frames - lag_on_grid;
-            let mut out = vec![0.0; features.trials * blocks_a_trial * count * count];
-            for (b, block) in out.chunks_exact_mut(count * count).enumerate() {
-                let (trial, part) = (b / blocks_a_trial, b % blocks_a_trial);
-                let from = part * starts / blocks_a_trial;
-                let to = (part + 1) * starts / blocks_a_trial;
-                let columns: Vec<&[f32]> = grid.trial(trial).collect();
-                add_products(&columns, from, to, lag_on_grid, block);
-                let scale = 1.0 / (to - from).max(1) as f64;
-                block.iter_mut().for_each(|sum| *sum *= scale);
-            }
-            out
-        })
-        .collect();
-    Covariances { features: count, blocks: features.trials * blocks_a_trial, lags }
+    let at_once = grid.at_once(features.trials);
+    let mut means = Vec::with_capacity(lags.len());
+    for lags in lags.chunk_by(|a, b| a.stride == b.stride) {
+        while grid.stride < lags[0].stride {
+            grid.coarsen();
+        }
+        let first = means.len();
+        means.resize(first + lags.len(), vec![0.0; blocks * count * count]);
+        for block in 0..blocks {
+            let (trial, part) = (block / parts, block % parts);
+            let entries = block * count * count..(block + 1) * count * count;
+            let of_lags = lags.iter().zip(&mut means[first..]).map(|(lag, means)| {
+                let lag = lag.frames / grid.stride;
+                let starts = grid.frames - lag;
+                let starts = part * starts / parts..(part + 1) * starts / parts;
+                Block { lag, starts, mean: &mut means[entries.clone()] }
+            });
+            grid.fill(trial, &mut of_lags.collect::<Vec<_>>());
+        }
+    }
+    (at_once, Covariances { features: count, blocks, lags: means })
 }
 
-/// Every `stride`-th frame of each trial.
+/// One block at one lag.
+struct Block<'a> {
+    lag: usize,
+    /// Of its trial.
+    starts: Range<usize>,
+    /// Where the mean of f(s)·f(s + lag)ᵀ goes; zeros before.
+    mean: &'a mut [f64],
+}
+
+/// Every `stride`-th frame of each trial. Zeros at the end fill a register, as [`dots`] may read on.
 struct Grid {
     stride: usize,
     frames: usize,
@@ -60,13 +72,20 @@ struct Grid {
 
 impl Grid {
     fn new(features: &Features) -> Self {
-        Self { stride: 1, frames: features.frames, columns: features.columns.clone() }
+        let padded = |column: &Vec<f32>| [column.as_slice(), &[0.0; LANES]].concat();
+        Self {
+            stride: 1,
+            frames: features.frames,
+            columns: features.columns.iter().map(padded).collect(),
+        }
     }
 
     fn coarsen(&mut self) {
         for column in &mut self.columns {
-            *column = (column.chunks_exact(self.frames))
+            let frames = column.len() - LANES;
+            *column = (column[..frames].chunks_exact(self.frames))
                 .flat_map(|trial| trial.iter().step_by(2))
+                .chain(&[0.0; LANES])
                 .copied()
                 .collect();
         }
@@ -74,36 +93,87 @@ impl Grid {
         self.frames = self.frames.div_ceil(2);
     }
 
-    fn trial(&self, trial: usize) -> impl Iterator<Item = &[f32]> {
-        self.columns.iter().map(move |c| &c[trial * self.frames..(trial + 1) * self.frames])
+    /// Covariance at lag 0, over all trials.
+    fn at_once(&self, trials: usize) -> Vec<f64> {
+        let mut mean = vec![0.0; self.columns.len() * self.columns.len()];
+        let starts = 0..trials * self.frames;
+        self.fill(0, &mut [Block { lag: 0, starts, mean: &mut mean }]);
+        mean
     }
-}
 
-/// Adds Σ f(s)·f(s + lag)ᵀ over from ≤ s < to.
-#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
-fn add_products(columns: &[&[f32]], from: usize, to: usize, lag: usize, out: &mut [f64]) {
-    let count = columns.len();
-    for start in (from..to).step_by(TILE) {
-        let end = to.min(start + TILE);
-        for (i, a) in columns.iter().enumerate() {
-            let a = &a[start..end];
-            let row = &mut out[i * count..(i + 1) * count];
-            for (sum, b) in row.iter_mut().zip(columns) {
-                *sum += f64::from(dot(a, &b[start + lag..end + lag]));
+    /// Fills blocks of one trial, a lag each: some frames at all lags and then the next ones, while
+    /// they are in the cache.
+    fn fill(&self, trial: usize, blocks: &mut [Block]) {
+        let longest = blocks.iter().map(|block| block.starts.len()).max().unwrap_or(0);
+        let mut lanes = vec![[0.0; LANES]; self.columns.len() * self.columns.len()];
+        for from in (0..longest).step_by(TILE) {
+            for Block { lag, starts, mean } in &mut *blocks {
+                let frames = starts.len().min(from + TILE).saturating_sub(from);
+                let earlier = trial * self.frames + starts.start + from;
+                let at = (earlier, earlier + *lag);
+                add_products(&self.columns, at, frames, &mut lanes, mean);
             }
+        }
+        for Block { starts, mean, .. } in blocks {
+            let scale = 1.0 / starts.len().max(1) as f64;
+            mean.iter_mut().for_each(|sum| *sum *= scale);
         }
     }
 }
 
-/// Covariance at lag 0, over all trials.
-pub fn covariance_at_once(features: &Features) -> Vec<f64> {
-    let columns: Vec<&[f32]> = features.columns.iter().map(Vec::as_slice).collect();
+/// Adds Σ f(earlier + s)·f(later + s)ᵀ over s < frames; `lanes` is for the sums on the way.
+#[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn add_products(
+    columns: &[Vec<f32>],
+    (earlier, later): (usize, usize),
+    frames: usize,
+    lanes: &mut [Lane],
+    out: &mut [f64],
+) {
+    if frames == 0 {
+        return;
+    }
+    let frames = &Length::of(frames);
+    for first in (0..columns.len()).step_by(COLUMNS) {
+        match &columns[first..] {
+            [x, y, z, ..] => {
+                let b = [&x[later..], &y[later..], &z[later..]];
+                rows(columns, earlier, first, b, frames, lanes);
+            }
+            [x, y] => rows(columns, earlier, first, [&x[later..], &y[later..]], frames, lanes),
+            [x] => rows(columns, earlier, first, [&x[later..]], frames, lanes),
+            [] => {}
+        }
+    }
+    for (sum, lanes) in out.iter_mut().zip(&*lanes) {
+        *sum += f64::from(total(lanes));
+    }
+}
+
+/// The sums of some columns, from column `first` on.
+#[inline(always)]
+fn rows<const B: usize>(
+    columns: &[Vec<f32>],
+    earlier: usize,
+    first: usize,
+    b: [&[f32]; B],
+    frames: &Length,
+    lanes: &mut [Lane],
+) {
     let count = columns.len();
-    let frames = features.trials * features.frames;
-    let mut out = vec![0.0; count * count];
-    add_products(&columns, 0, frames, 0, &mut out);
-    out.iter_mut().for_each(|sum| *sum /= frames as f64);
-    out
+    let (pairs, rest) = columns.as_chunks::<ROWS>();
+    for (pair, [x, y]) in pairs.iter().enumerate() {
+        let products = dots([&x[earlier..], &y[earlier..]], b, frames);
+        for (i, products) in products.iter().enumerate() {
+            let at = (pair * ROWS + i) * count + first;
+            lanes[at..at + B].copy_from_slice(products);
+        }
+    }
+    for x in rest {
+        let [products] = dots([&x[earlier..]], b, frames);
+        let at = (count - 1) * count + first;
+        lanes[at..at + B].copy_from_slice(&products);
+    }
 }
 
 #[cfg(test)]
@@ -133,7 +203,7 @@ mod tests {
             let channels = (0..channels).map(channel).collect();
             let features = features(&Samples { trials, frames, channels });
             let lags = lags(trials, frames).all;
-            let got = covariances(&features, &lags);
+            let (at_once, got) = covariances(&features, &lags);
             assert!(got.blocks >= BLOCKS && got.blocks.is_multiple_of(trials));
             let f = got.features;
             for (lag, values) in lags.iter().zip(&got.lags).step_by(7) {
@@ -144,6 +214,12 @@ mod tests {
                         assert!((got - want).abs() < 1e-5, "{lag:?} {block} {i} {j}: {got} {want}");
                     }
                 }
+            }
+            let product = |(x, y): (&f32, &f32)| f64::from(*x) * f64::from(*y);
+            for (i, j) in [(0, 0), (f - 1, 0), (1, f - 1)] {
+                let (x, y) = (&features.columns[i], &features.columns[j]);
+                let want = x.iter().zip(y).map(product).sum::<f64>() / x.len() as f64;
+                assert!((at_once[i * f + j] - want).abs() < 1e-5, "{i} {j}");
             }
         }
     }

@@ -26,7 +26,7 @@ mod normal_scores;
 mod samples;
 mod size;
 
-use covariance::{Covariances, covariance_at_once, covariances};
+use covariance::{Covariances, covariances};
 use crossing::Curve;
 pub use estimate::{CORRELATION, PooledDependence, PooledEstimate, VALUES, at_needed_rate};
 use features::{Features, features};
@@ -101,13 +101,18 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
     let threshold = size::of_correlation(correlation);
     let longest = lags.all.last().map_or(0, |lag| lag.frames);
     let range = longest as f64 / BEYOND;
-    let raw = covariances(&features, &lags.all);
-    let at_once = covariance_at_once(&features);
+    let (at_once, raw) = covariances(&features, &lags.all);
 
     let mut found = Found::new(&raw, &features, &lags, threshold);
     let mut variance = vec![0.0; at_once.len()];
+    let mut summed = None;
     for _ in 0..CORRECTIONS {
         let reach = found.reach(longest);
+        // Over the same lags the same comes out again.
+        let lags_within = lags.all.iter().filter(|lag| lag.frames as f64 <= reach).count();
+        if summed.replace(lags_within) == Some(lags_within) {
+            break;
+        }
         variance = correction::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
         let corrected = correction::corrected(&raw, &variance);
         found = Found::new(&corrected, &features, &lags, threshold);

@@ -58,42 +58,44 @@ fn size(
     let (count, blocks) = (covariances.features, covariances.blocks);
     let n = blocks as f64;
     let share = 1.0 / bin.lags.len() as f64;
-    let entries: Vec<usize> =
-        earlier.clone().flat_map(|i| later.clone().map(move |j| i * count + j)).collect();
+    let entries = earlier.len() * later.len();
     let mut value = 0.0;
     // U without each block, and each entry's mean over the lags in each block.
     let mut without = vec![0.0; blocks];
-    let mut of_block = vec![0.0; blocks * entries.len()];
+    let mut of_block = vec![0.0; blocks * entries];
+    // The entries of one lag, block by block and side by side, and their sum over the blocks.
+    let mut of_lag = Vec::with_capacity(blocks * entries);
+    let mut total = vec![0.0; entries];
     for lag in &covariances.lags[bin.lags.clone()] {
-        let block = |b: usize| &lag[b * count * count..(b + 1) * count * count];
-        let mut total = vec![0.0; entries.len()];
-        let mut squares = 0.0;
-        for b in 0..blocks {
-            for (e, &at) in entries.iter().enumerate() {
-                let c = block(b)[at];
-                total[e] += c;
-                squares += c * c;
-                of_block[b * entries.len() + e] += share * c;
+        of_lag.clear();
+        for block in lag.chunks_exact(count * count) {
+            for row in block.chunks_exact(count).take(earlier.end).skip(earlier.start) {
+                of_lag.extend_from_slice(&row[later.clone()]);
             }
         }
-        let whole: f64 = total.iter().map(|t| t * t).sum();
+        total.fill(0.0);
+        for block in of_lag.chunks_exact(entries) {
+            total.iter_mut().zip(block).for_each(|(total, c)| *total += c);
+        }
+        of_block.iter_mut().zip(&of_lag).for_each(|(mean, c)| *mean += share * c);
+        let squares: f64 = of_lag.chunks_exact(entries).map(square).sum();
+        let whole = square(&total);
         value += share * (whole - squares) / (n * (n - 1.0));
-        for (b, without) in without.iter_mut().enumerate() {
-            let (mut product, mut square) = (0.0, 0.0);
-            for (e, &at) in entries.iter().enumerate() {
-                product += total[e] * block(b)[at];
-                square += block(b)[at] * block(b)[at];
-            }
+        for (without, block) in without.iter_mut().zip(of_lag.chunks_exact(entries)) {
+            let product: f64 = total.iter().zip(block).map(|(total, c)| total * c).sum();
             // ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
-            let rest = whole - 2.0 * product + square - squares + square;
+            let rest = whole - 2.0 * product - squares + 2.0 * square(block);
             *without += share * rest / ((n - 1.0) * (n - 2.0));
         }
     }
-    let entry_error = (0..entries.len())
-        .map(|e| deviation((0..blocks).map(|b| of_block[b * entries.len() + e])) / n.sqrt())
-        .fold(0.0, f64::max);
+    let of_entry = |e: usize| of_block.iter().skip(e).step_by(entries).copied();
+    let entry_error = (0..entries).map(|e| deviation(of_entry(e)) / n.sqrt()).fold(0.0, f64::max);
     let error = deviation(without.iter().copied()) * (n - 1.0) / n.sqrt();
     Size { value, error, entry_error }
+}
+
+fn square(entries: &[f64]) -> f64 {
+    entries.iter().map(|c| c * c).sum()
 }
 
 /// Sample standard deviation.
