@@ -53,12 +53,17 @@ impl Temperature {
 
 /// The τ in [1, 200] of least log loss.
 pub fn best_temperature(held_out: &[HeldOut]) -> f64 {
+    best_fit(held_out).0
+}
+
+/// That τ, and the log loss.
+pub(super) fn best_fit(held_out: &[HeldOut]) -> (f64, f64) {
     let loss = |tau: f64| -> f64 {
         held_out.iter().map(|(d, class)| -log_posterior(d, tau)[*class].max(-700.0)).sum()
     };
     let tau = |step: usize| HIGHEST.powf(step as f64 / (STEPS - 1) as f64);
-    let losses = (0..STEPS).map(|step| (loss(tau(step)), tau(step)));
-    losses.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1.0, |(_, tau)| tau)
+    let fits = (0..STEPS).map(|step| (tau(step), loss(tau(step))));
+    fits.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((1.0, 0.0))
 }
 
 /// ln of softmax(−d/(2τ)); −∞ for infinite distances.

@@ -2,7 +2,7 @@
 //!
 //! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
 //! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
-//! all vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
+//! all vectors, by their weights, about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
 //! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S:
 //! they order classes as the full Mahalanobis distance does, and what is left out does not separate
 //! classes.
@@ -45,17 +45,22 @@ impl Discriminant {
     pub fn new(scatter: Scatter, classes: usize, dims: usize) -> Option<Self> {
         let present: Vec<bool> = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
         let known = present.iter().filter(|&&p| p).count();
-        let vectors = scatter.counts.iter().sum::<f64>();
-        let freedom = vectors - scatter.counts.iter().filter(|&&n| n > 0.5).count() as f64;
-        if known < 2 || freedom < 0.5 {
+        let there = || scatter.weighted_counts().filter(|(_, n)| *n > 0.5);
+        let vectors: f64 = there().map(|(weight, n)| weight * n).sum();
+        let freedom: f64 = there().map(|(weight, n)| weight * (n - 1.0)).sum();
+        if known < 2 || there().all(|(_, n)| n < 1.5) {
             return None;
+        }
+        let mut weighted = scatter.sums.clone();
+        for (mut sum, &weight) in weighted.rows_mut().into_iter().zip(&scatter.weights) {
+            sum *= weight;
         }
         let mut means = scatter.sums.clone();
         for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
             mean /= n.max(1.0);
         }
         let mean_square = scatter.gram.diag().sum() / vectors;
-        let overall = scatter.sums.sum_axis(Axis(0)) / vectors;
+        let overall = weighted.sum_axis(Axis(0)) / vectors;
         let total = (mean_square - overall.dot(&overall)) / dims as f64;
         // The sums of squares are good to about 1e-6 of themselves: less is noise.
         if total.is_nan() || total <= 1e-5 * mean_square / dims as f64 {
@@ -63,7 +68,7 @@ impl Discriminant {
         }
         // The lower triangle alone, as `cholesky` reads no more.
         let mut metric = scatter.gram;
-        subtract_lower_product(&scatter.sums.t(), &means.view(), &mut metric.view_mut());
+        subtract_lower_product(&weighted.t(), &means.view(), &mut metric.view_mut());
         let within = metric.diag().iter().map(|x| x.max(0.0)).sum::<f64>() / freedom / dims as f64;
         let trace = within.max(LEAST_WITHIN * total);
         metric *= (1.0 - SHRINKAGE) / freedom;
@@ -220,7 +225,11 @@ mod tests {
     }
 
     fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::new(Scatter::new(vectors, labels, 2 * classes), classes, vectors.ncols())
+        Discriminant::new(
+            Scatter::new(vectors, labels, vec![1.0; 2 * classes]),
+            classes,
+            vectors.ncols(),
+        )
     }
 
     #[test]
@@ -265,7 +274,11 @@ mod tests {
     fn leaving_out_is_subtracting() {
         let (vectors, labels) = data();
         let some = |from: usize, to: usize| vectors.slice(s![from..to, ..]).to_owned();
-        let sums = |from: usize, to: usize| Scatter::new(&some(from, to), &labels[from..to], 8);
+        // The last class's label is of excerpts here.
+        let weights = vec![1.0, 1.0, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0];
+        let sums = |from: usize, to: usize| {
+            Scatter::new(&some(from, to), &labels[from..to], weights.clone())
+        };
         let mut all = sums(0, 90);
         let distances = |s: Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
         assert_eq!(distances(all.clone())[3], f64::INFINITY, "a class without vectors");
@@ -276,10 +289,32 @@ mod tests {
     }
 
     #[test]
+    fn an_excerpt_of_weight_two_counts_as_two() {
+        let (vectors, labels) = data();
+        let of_excerpts = |i: usize| i / 3 % 3 == 2;
+        let label = |i: usize| if of_excerpts(i) { labels[i] + 3 } else { labels[i] };
+        let twice: Vec<usize> =
+            (0..90).flat_map(|i| vec![i; 1 + usize::from(of_excerpts(i))]).collect();
+        let distances = |rows: &[usize], weight: f64| {
+            let labels: Vec<usize> = rows.iter().map(|&i| label(i)).collect();
+            let weights = [[1.0; 3], [weight; 3]].concat();
+            let scatter = Scatter::new(&vectors.select(Axis(0), rows), &labels, weights);
+            Discriminant::new(scatter, 3, 8).unwrap().distances(vectors.row(5))
+        };
+        // One degree of freedom less for each mean, which scales all distances alike.
+        let all: Vec<usize> = (0..90).collect();
+        let (weighted, repeated) = (distances(&all, 2.0), distances(&twice, 1.0));
+        for (a, b) in weighted.iter().zip(&repeated) {
+            assert!((a / weighted[0] - b / repeated[0]).abs() < 1e-3, "{weighted:?} {repeated:?}");
+        }
+        assert!((weighted[1] - distances(&all, 1.0)[1]).abs() > 1e-2 * weighted[1]);
+    }
+
+    #[test]
     fn columns_that_are_left_out_count_for_nothing() {
         let (vectors, labels) = data();
         let columns = [0, 1, 2, 5];
-        let some = Scatter::new(&vectors, &labels, 6).select(&columns);
+        let some = Scatter::new(&vectors, &labels, vec![1.0; 6]).select(&columns);
         let wide = Discriminant::new(some, 3, 4).unwrap().spread(&columns, 8);
         let mut changed = vectors.row(7).to_owned();
         changed[6] = 1e6;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::calibrated_probability::{HeldOut, Temperature};
+use super::calibrated_probability::{HeldOut, Temperature, best_fit};
 use super::discriminant::Discriminant;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
@@ -22,6 +22,9 @@ const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 /// stated.
 const MOST_BEGUN: usize = 400;
 
+/// Weights of excerpts that are tried: from as much as a whole trial to next to nothing.
+const EXCERPT_WEIGHTS: [f64; 4] = [1.0, 0.1, 0.01, 0.001];
+
 /// What left-out trials showed.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
@@ -34,28 +37,16 @@ pub(super) struct LeftOut {
 }
 
 impl LeftOut {
-    /// Leaves each group of trials out in turn; with what it showed, the discriminants without
-    /// each.
+    /// What trials show that are left out with their groups; `without` is of the same library.
     pub fn new(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
         library: &[Arc<FrameFeatures>],
-    ) -> (Self, WithoutGroups) {
-        let parts: BTreeSet<(usize, Present)> =
-            (labels.group.iter().copied()).zip(training.present.iter().cloned()).collect();
-        let without = WithoutGroups(
-            parts
-                .into_par_iter()
-                .map(|(group, present)| {
-                    let trained = training.discriminant(joint, &present, Some(group));
-                    ((group, present), trained)
-                })
-                .collect(),
-        );
+        without: &WithoutGroups,
+    ) -> Self {
         let trained = |i: usize| without.of(labels, training, i);
-        let whole = |i: usize| Some((trained(i)?.distances(training.whole(i)), labels.class[i]));
-        let whole: Vec<Option<HeldOut>> = (0..library.len()).into_par_iter().map(whole).collect();
+        let whole = without.whole_trials(labels, training);
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
             (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();
@@ -89,12 +80,11 @@ impl LeftOut {
         let strange = |(s, of_length): (f64, Vec<HeldOut>)| {
             (s, of_length.iter().filter_map(|(d, _)| nonconformity(d)).collect())
         };
-        let left_out = Self {
+        Self {
             temperature: Temperature::fit(&held_out(&|_| true)),
             conformity: Conformity::new(held_out(&is_full).into_iter().map(strange).collect()),
             held_out: whole.into_iter().flatten().collect(),
-        };
-        (left_out, without)
+        }
     }
 }
 
@@ -102,6 +92,47 @@ impl LeftOut {
 pub(super) struct WithoutGroups(BTreeMap<(usize, Present), Option<Discriminant>>);
 
 impl WithoutGroups {
+    /// Leaves each group of trials out in turn. Where groups are people, excerpts get the weight by
+    /// which left-out people's trials are named best: that of least log loss.
+    pub fn new(joint: &JointEmbedder, training: &mut Training, labels: &Labels) -> Self {
+        if !labels.across_users {
+            return Self::train(joint, training, labels);
+        }
+        let mut best: Option<(f64, f64, Self)> = None;
+        for weight in EXCERPT_WEIGHTS {
+            training.weigh_excerpts(weight);
+            let without = Self::train(joint, training, labels);
+            let held_out: Vec<HeldOut> =
+                without.whole_trials(labels, training).into_iter().flatten().collect();
+            let (_, loss) = best_fit(&held_out);
+            if best.as_ref().is_none_or(|(least, ..)| loss < *least) {
+                best = Some((loss, weight, without));
+            }
+        }
+        let (_, weight, without) = best.expect("there are weights to try");
+        training.weigh_excerpts(weight);
+        without
+    }
+
+    fn train(joint: &JointEmbedder, training: &Training, labels: &Labels) -> Self {
+        let parts: BTreeSet<(usize, Present)> =
+            (labels.group.iter().copied()).zip(training.present.iter().cloned()).collect();
+        let train = |(group, present): (usize, Present)| {
+            let trained = training.discriminant(joint, &present, Some(group));
+            ((group, present), trained)
+        };
+        Self(parts.into_par_iter().map(train).collect())
+    }
+
+    /// Distances of each whole trial, and its class, where that is known without it.
+    fn whole_trials(&self, labels: &Labels, training: &Training) -> Vec<Option<HeldOut>> {
+        let whole = |i: usize| {
+            let trained = self.of(labels, training, i)?;
+            Some((trained.distances(training.whole(i)), labels.class[i]))
+        };
+        (0..labels.class.len()).into_par_iter().map(whole).collect()
+    }
+
     /// The discriminant that a trial did not train, if its class is known without it.
     pub fn of(&self, labels: &Labels, training: &Training, trial: usize) -> Option<&Discriminant> {
         let part = (labels.group[trial], training.present[trial].clone());

@@ -41,7 +41,7 @@ use serde::{Deserialize, Serialize};
 use self::follower::Follower;
 use self::joint::JointEmbedder;
 use self::labels::Labels;
-use self::left_out::LeftOut;
+use self::left_out::{LeftOut, WithoutGroups};
 use self::left_out_scans::Unfollowed;
 pub use self::model::EmbeddingModel;
 use self::posterior::QueryVector;
@@ -112,8 +112,9 @@ impl Embedding {
         for trial in &library {
             joint.check(trial)?;
         }
-        let training = Training::new(&mut joint, &library, &labels, self.options.seed);
-        let (left_out, without) = LeftOut::new(&joint, &training, &labels, &library);
+        let mut training = Training::new(&mut joint, &library, &labels, self.options.seed);
+        let without = WithoutGroups::new(&joint, &mut training, &labels);
+        let left_out = LeftOut::new(&joint, &training, &labels, &library, &without);
         let keys: Vec<TrialKey> = library.iter().map(|trial| trial.key.clone()).collect();
         let remarks = remarks(&keys, &labels, &left_out);
         Ok(EmbeddingModel {

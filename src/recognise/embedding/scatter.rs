@@ -12,19 +12,22 @@ const COLUMNS_A_SUM: usize = 256;
 /// Sums over some training vectors; they add and subtract.
 #[derive(Clone, Debug)]
 pub struct Scatter {
+    /// How much a vector of each label weighs.
+    pub(super) weights: Vec<f64>,
     /// Number of vectors of each label.
     pub(super) counts: Vec<f64>,
     /// Sum of the vectors of each label, shape (labels, D).
     pub(super) sums: Array2<f64>,
-    /// Σ z·zᵀ; the lower triangle alone.
+    /// Σ w·z·zᵀ; the lower triangle alone.
     pub(super) gram: Array2<f64>,
 }
 
 impl Scatter {
-    /// Sums over `vectors`, shape (n, D), each with its label below `count`.
-    pub fn new(vectors: &Array2<f32>, labels: &[usize], count: usize) -> Self {
-        let dims = vectors.ncols();
+    /// Sums over `vectors`, shape (n, D), each with its label, for which there is a weight.
+    pub fn new(vectors: &Array2<f32>, labels: &[usize], weights: Vec<f64>) -> Self {
+        let (count, dims) = (weights.len(), vectors.ncols());
         let mut scatter = Self {
+            weights,
             counts: vec![0.0; count],
             sums: Array2::zeros((count, dims)),
             gram: Array2::zeros((dims, dims)),
@@ -44,7 +47,21 @@ impl Scatter {
             let mut sum = self.sums.row_mut(class);
             sum.zip_mut_with(&vector, |sum, &x| *sum += sign * f64::from(x));
         }
-        add_lower_gram(&mut self.gram, vectors, sign);
+        match labels.iter().any(|&label| self.weights[label] != 1.0) {
+            false => add_lower_gram(&mut self.gram, vectors, sign),
+            true => {
+                let mut weighted = vectors.clone();
+                for (mut vector, &label) in weighted.rows_mut().into_iter().zip(labels) {
+                    vector *= self.weights[label].sqrt() as f32;
+                }
+                add_lower_gram(&mut self.gram, &weighted, sign);
+            }
+        }
+    }
+
+    /// Each label's weight, and how many vectors it has.
+    pub(super) fn weighted_counts(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.weights.iter().copied().zip(self.counts.iter().copied())
     }
 
     /// The sums of some columns, in rising order.
@@ -53,6 +70,7 @@ impl Scatter {
             return self.clone();
         }
         Self {
+            weights: self.weights.clone(),
             counts: self.counts.clone(),
             sums: self.sums.select(Axis(1), columns),
             gram: self.gram.select(Axis(0), columns).select(Axis(1), columns),

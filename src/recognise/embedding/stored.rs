@@ -22,7 +22,7 @@ use crate::trial::TrialKey;
 struct Stored {
     keys: Vec<TrialKey>,
     joint: StoredJoint,
-    training: (Array2<f32>, Vec<Present>),
+    training: (Array2<f32>, Vec<Present>, f64),
     left_out: LeftOut,
     followed: Vec<FollowedTrial>,
     /// Of all sources, which most queries have.
@@ -33,12 +33,11 @@ impl EmbeddingModel {
     /// The model as bytes. Following left-out trials takes a while, unless that has been done.
     pub(super) fn to_bytes(&self) -> Option<Vec<u8>> {
         let discriminant = self.discriminant(&vec![true; self.joint.stretches.len()]);
-        let (rows, present) = self.training.to_stored();
         // In the order of `Stored`.
         let stored = (
             &self.keys,
             self.joint.to_stored(),
-            (rows, present),
+            self.training.to_stored(),
             &self.left_out,
             self.followed(),
             &*discriminant,

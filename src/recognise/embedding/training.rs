@@ -3,7 +3,8 @@
 //! Other people drag at other places and speeds. Random excerpts of 40 % of a trial, the same span
 //! for all its sources, show within one person's library what such differences do (method §9); the
 //! scatter within classes pools them about the class's mean of excerpts, and whole trials about the
-//! class's mean of whole trials.
+//! class's mean of whole trials. Where a library has several people, its whole trials show what
+//! people do: how much excerpts still weigh is found by leaving people out (`left_out`).
 
 use std::sync::{Arc, OnceLock};
 
@@ -40,6 +41,8 @@ pub(super) struct Training {
     /// Group of each row: groups are left out together.
     groups: Vec<usize>,
     classes: usize,
+    /// How much an excerpt weighs in the scatter within classes; a whole trial weighs 1.
+    excerpt_weight: f64,
     /// Which sources each trial has.
     pub present: Vec<Present>,
     /// Sums over all rows, once they are needed.
@@ -68,12 +71,12 @@ impl Training {
             let (trial, vector) = place(row, library.len());
             values.assign(&ArrayView1::from(&vectors[trial][vector]));
         }
-        let mut training = Self::of(rows, present, labels);
+        let mut training = Self::of(rows, present, 1.0, labels);
         training.fill_absent(joint);
         training
     }
 
-    fn of(rows: Array2<f32>, present: Vec<Present>, labels: &Labels) -> Self {
+    fn of(rows: Array2<f32>, present: Vec<Present>, excerpt_weight: f64, labels: &Labels) -> Self {
         let of_row = |row: usize| {
             let (trial, vector) = place(row, present.len());
             let class = labels.class[trial];
@@ -81,23 +84,29 @@ impl Training {
         };
         let (of_rows, groups) = (0..rows.nrows()).map(of_row).unzip();
         let (labels, classes) = (of_rows, labels.classes);
-        Self { rows, labels, groups, classes, present, all: OnceLock::new() }
+        Self { rows, labels, groups, classes, excerpt_weight, present, all: OnceLock::new() }
     }
 
-    /// All of it that does not follow from the labels: vectors, and which sources each trial has.
-    pub fn to_stored(&self) -> (&Array2<f32>, &[Present]) {
-        (&self.rows, &self.present)
+    /// The same with excerpts of another weight.
+    pub fn weigh_excerpts(&mut self, weight: f64) {
+        (self.excerpt_weight, self.all) = (weight, OnceLock::new());
+    }
+
+    /// All of it that does not follow from the labels: vectors, which sources each trial has, and
+    /// the weight of excerpts.
+    pub fn to_stored(&self) -> (&Array2<f32>, &[Present], f64) {
+        (&self.rows, &self.present, self.excerpt_weight)
     }
 
     /// The same again; `None` if that is not of trials with these labels and vectors of `dims`.
     pub fn from_stored(
-        (rows, present): (Array2<f32>, Vec<Present>),
+        (rows, present, excerpt_weight): (Array2<f32>, Vec<Present>, f64),
         labels: &Labels,
         dims: usize,
     ) -> Option<Self> {
         let trials = labels.class.len();
         let fits = present.len() == trials && rows.dim() == (trials * (1 + EXCERPTS), dims);
-        fits.then(|| Self::of(rows, present, labels))
+        fits.then(|| Self::of(rows, present, excerpt_weight, labels))
     }
 
     /// Sources that a row lacks take the mean of their label's other rows, so that they neither
@@ -175,7 +184,14 @@ impl Training {
     }
 
     fn all(&self) -> &Scatter {
-        self.all.get_or_init(|| Scatter::new(&self.rows, &self.labels, 2 * self.classes))
+        self.all.get_or_init(|| Scatter::new(&self.rows, &self.labels, self.weights()))
+    }
+
+    /// The weight of each label.
+    fn weights(&self) -> Vec<f64> {
+        let mut weights = vec![1.0; self.classes];
+        weights.resize(2 * self.classes, self.excerpt_weight);
+        weights
     }
 
     fn labels_of(&self, rows: &[usize]) -> Vec<usize> {
@@ -200,7 +216,7 @@ impl Training {
             row.slice_mut(ndarray::s![i + 1..]).fill(0.0);
         }
         let (inside, labels) = (factor.mapv(|x| x as f32), self.labels_of(rows));
-        let scatter = Scatter::new(&inside, &labels, 2 * self.classes);
+        let scatter = Scatter::new(&inside, &labels, self.weights());
         let inside = Discriminant::new(scatter, self.classes, columns.len())?;
         Some(inside.map_projection(|projection| {
             let mut back = projection.t().mapv(f64::from);
