@@ -1,7 +1,7 @@
 //! Carries sound on from the callback's ring, and counts what never came or came twice, by the clock.
 
 use super::pace::Pace;
-use super::{Level, LevelWatch, RATE_HZ};
+use super::{LevelWatch, RATE_HZ, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
 /// After a pause of this length in seconds, sound may be missing although nobody has said so: a
@@ -37,7 +37,7 @@ pub(super) struct Carried {
     /// Whether sound was carried.
     pub sound: bool,
     /// The level, if it has changed.
-    pub level: Option<Level>,
+    pub level: Option<SoundLevel>,
 }
 
 impl<'a> Listening<'a> {
