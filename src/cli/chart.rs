@@ -159,7 +159,7 @@ mod tests {
 
     /// A method's options without a command around them.
     #[derive(clap::Parser)]
-    struct Options {
+    struct ParsedMethod {
         #[command(flatten)]
         method: MethodArgs,
     }
@@ -169,7 +169,7 @@ mod tests {
         for (method, _) in settings() {
             let words = options_of(&method);
             let words = std::iter::once("surfaced").chain(words.split(' '));
-            let parsed = Options::try_parse_from(words).unwrap();
+            let parsed = ParsedMethod::try_parse_from(words).unwrap();
             assert_eq!(parsed.method.spec().ok(), Some(method));
         }
     }

@@ -199,14 +199,14 @@ mod tests {
 
     /// How samples come: in bursts, each late by a share that is exponential and now and then has
     /// a Pareto tail (index 1.5, so that its variance is infinite).
-    struct Line {
+    struct SampleArrivals {
         rate_hz: f64,
         drift: f64,
         burst_s: f64,
         jitter_s: f64,
     }
 
-    impl Line {
+    impl SampleArrivals {
         fn true_time(&self, index: u64) -> f64 {
             3.0 + index as f64 / self.rate_hz * (1.0 + self.drift)
         }
@@ -243,7 +243,8 @@ mod tests {
                 for (rate_hz, burst_s, jitter_s) in
                     [(10_000.0, 0.003, 0.000_5), (10_000.0, 0.016, 0.004), (44_100.0, 0.01, 0.002)]
                 {
-                    let line = Line { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
+                    let line =
+                        SampleArrivals { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
                     let (_, error_s) = line.run(40.0, 6.0, seed);
                     worst = worst.max(error_s);
                 }
@@ -255,21 +256,24 @@ mod tests {
 
     #[test]
     fn the_drift_is_found() {
-        let line = Line { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
+        let line =
+            SampleArrivals { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
         let (clock, _) = line.run(60.0, 100.0, 7);
         assert!((clock.drift() - 100e-6).abs() < 10e-6, "{}", clock.drift());
     }
 
     #[test]
     fn a_stylus_without_its_crystal_is_followed() {
-        let line = Line { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
+        let line =
+            SampleArrivals { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
         let (_, error_s) = line.run(60.0, 16.0, 3);
         assert!(error_s <= 1e-3, "{error_s}");
     }
 
     #[test]
     fn an_index_and_its_time_belong_to_each_other() {
-        let line = Line { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
+        let line =
+            SampleArrivals { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
         let (clock, _) = line.run(30.0, 100.0, 1);
         for index in [0, 1, 44_099, 1_000_000] {
             assert_eq!(clock.index_at(clock.time_s(index).unwrap()), Some(index));

@@ -215,16 +215,16 @@ mod tests {
 
         fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
             self.reach("follow");
-            Some(Box::new(Follower { by: *self, settling: Settling::choose(&[], 0.01) }))
+            Some(Box::new(PanicFollower { by: *self, settling: Settling::choose(&[], 0.01) }))
         }
     }
 
-    struct Follower {
+    struct PanicFollower {
         by: PanicsIn,
         settling: Settling,
     }
 
-    impl Follow for Follower {
+    impl Follow for PanicFollower {
         fn begin(&mut self) {}
 
         fn add(&mut self, _: FreshFrames<'_>) -> Result<(), RecogniseError> {
