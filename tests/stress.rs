@@ -8,7 +8,7 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 use surfaced::dataset::synth;
-use surfaced::evaluate::stress::{self, Disturbance, Plan};
+use surfaced::evaluate::stress::{self, Disturbance, StressPlan};
 use surfaced::evaluate::{self, Fold, Protocol};
 use surfaced::library::Entry;
 use surfaced::recognise::{Embedding, EmbeddingOptions};
@@ -123,7 +123,7 @@ fn holds(scene: &Scene, entries: &[Entry], folds: &[Fold], levels: &[(&str, &'st
     };
     let disturbances: Vec<Disturbance> = stress::all().into_iter().filter_map(at_level).collect();
     let disturbances = &disturbances[..];
-    let plan = Plan { scene, entries, folds, disturbances, seed: 1, keep_flawed: false };
+    let plan = StressPlan { scene, entries, folds, disturbances, seed: 1, keep_flawed: false };
     let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
     let report = stress::run(&method, &plan, &|_, _, _| ()).unwrap();
     assert!(report.clean.accuracy >= 0.9, "{report:?}");

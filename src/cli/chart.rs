@@ -9,7 +9,7 @@ use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, show, shown};
 use crate::evaluate::chart::{
-    Chart, Charting, What, brief, charted, drag_s, figure, measure, side_by_side,
+    Chart, Charting, Comparer, brief, charted, drag_s, figure, measure, side_by_side,
 };
 use crate::scene::SourceId;
 
@@ -127,8 +127,8 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
             }
         };
         let name = match &one.what {
-            What::Method(method) => options_of(method),
-            What::Control(_, name) | What::Loudness(name) => name.clone(),
+            Comparer::Method(method) => options_of(method),
+            Comparer::Control(_, name) | Comparer::Loudness(name) => name.clone(),
         };
         say!("{}/{}  {name}{left}", done + 1, all.len());
         let (measured, left_out) = measure(on, one, &name)?;
@@ -159,7 +159,7 @@ mod tests {
 
     /// A method's options without a command around them.
     #[derive(clap::Parser)]
-    struct Options {
+    struct ParsedMethod {
         #[command(flatten)]
         method: MethodArgs,
     }
@@ -169,7 +169,7 @@ mod tests {
         for (method, _) in settings() {
             let words = options_of(&method);
             let words = std::iter::once("surfaced").chain(words.split(' '));
-            let parsed = Options::try_parse_from(words).unwrap();
+            let parsed = ParsedMethod::try_parse_from(words).unwrap();
             assert_eq!(parsed.method.spec().ok(), Some(method));
         }
     }

@@ -80,7 +80,7 @@ fn compare_samples(args: &Args) -> Done {
 }
 
 #[derive(serde::Serialize)]
-struct Report {
+struct CompareReport {
     a: String,
     b: String,
     synthetic: bool,
@@ -101,7 +101,8 @@ fn compare_trials(args: &Args) -> Done {
     };
     let comparison = compare(&a, &b, &scene, &options)?;
     let synthetic = a_synthetic || b_synthetic;
-    let report = Report { a: a.key.to_string(), b: b.key.to_string(), synthetic, comparison };
+    let report =
+        CompareReport { a: a.key.to_string(), b: b.key.to_string(), synthetic, comparison };
     if args.json {
         show::json(&report);
     } else {
@@ -110,7 +111,7 @@ fn compare_trials(args: &Args) -> Done {
     Ok(())
 }
 
-fn show(report: &Report, alpha: f64) {
+fn show(report: &CompareReport, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
     result!("A  {}\nB  {}{mark}\n", report.a, report.b);
     result!("source     score n·MMD²    MMD²          σ             κ             p");

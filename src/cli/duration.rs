@@ -118,7 +118,7 @@ impl Args {
 
 /// What programs get.
 #[derive(Serialize)]
-struct Document<'a> {
+struct DurationDocument<'a> {
     #[serde(flatten)]
     report: &'a DurationReport,
     /// How long to drag.
@@ -146,7 +146,7 @@ pub fn run(args: &Args) -> Done {
         show::wrote(&[path]);
     }
     if args.json {
-        show::json(&Document { report: &found, answer: &answer });
+        show::json(&DurationDocument { report: &found, answer: &answer });
         return Ok(());
     }
     result!("{}", found.table().trim_end());

@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use crossbeam_channel::Sender;
 
-use super::live::{Listen, StationArgs, Work, library_of, verdict, work};
+use super::live::{Listen, StationArgs, StationWork, library_of, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show, shown};
@@ -70,7 +70,7 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     let keep = Keep { surface, user, trials: Some(wanted), good_only: true };
     let trials = show::counted(wanted as usize, "trial");
     let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
-    let Stored { kept, lost } = store(&config, &args.station, keep, hint)?;
+    let KeptCounts { kept, lost } = store(&config, &args.station, keep, hint)?;
     if kept < wanted {
         let lost = if lost > 0 { format!("; {lost} could not be written") } else { String::new() };
         return Err(Failure::Failed(format!("{kept} of {wanted} trials were recorded{lost}")));
@@ -84,7 +84,7 @@ pub fn record(args: &RecordArgs) -> Done {
     let (surface, user) = (args.label.clone(), args.user.clone());
     let keep = Keep { surface, user, trials: None, good_only: false };
     let hint = format!("keeping every scan as {}; q quits", args.label);
-    let Stored { kept, lost } = store(&config, &args.station, keep, hint)?;
+    let KeptCounts { kept, lost } = store(&config, &args.station, keep, hint)?;
     let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));
     match (kept, lost) {
         (_, 0) => Ok(()),
@@ -95,7 +95,7 @@ pub fn record(args: &RecordArgs) -> Done {
 
 /// How many scans were kept, and how many could not be written.
 #[derive(Clone, Copy, Default)]
-struct Stored {
+struct KeptCounts {
     kept: u32,
     lost: u32,
 }
@@ -106,18 +106,18 @@ fn store(
     args: &StationArgs,
     keep: Keep,
     hint: String,
-) -> Result<Stored, Failure> {
+) -> Result<KeptCounts, Failure> {
     let library = library_of(config)?;
     describe(&library, &config.scene)?;
-    let stored = Rc::new(Cell::new(Stored::default()));
+    let stored = Rc::new(Cell::new(KeptCounts::default()));
     let counted = stored.clone();
     let order = keep.clone();
     let count: Listen<'_> =
-        Box::new(move |commands| Box::new(Count { commands, order, stored: counted }));
+        Box::new(move |commands| Box::new(KeptCounter { commands, order, stored: counted }));
     let totals = work(
         config,
         assemble(config),
-        Work {
+        StationWork {
             load: None,
             store: library.clone(),
             keep: Some(keep),
@@ -159,23 +159,23 @@ fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
 /// Counts scans, and ends the station with the last that is wanted.
 ///
 /// An order without an end counts whatever is kept meanwhile, also under other labels.
-struct Count {
+struct KeptCounter {
     commands: Sender<Command>,
     order: Keep,
-    stored: Rc<Cell<Stored>>,
+    stored: Rc<Cell<KeptCounts>>,
 }
 
-impl Listener for Count {
+impl Listener for KeptCounter {
     fn on_event(&mut self, event: &StationEvent) {
         let StationEvent::Enrolled(Enrolled { outcome, surface, user, .. }) = event else { return };
         let ours = (surface, user) == (&self.order.surface, &self.order.user);
         if self.order.trials.is_some() && !ours {
             return;
         }
-        let Stored { kept, lost } = self.stored.get();
+        let KeptCounts { kept, lost } = self.stored.get();
         let stored = match outcome {
-            EnrolledOutcome::Kept => Stored { kept: kept + 1, lost },
-            EnrolledOutcome::Lost => Stored { kept, lost: lost + 1 },
+            EnrolledOutcome::Kept => KeptCounts { kept: kept + 1, lost },
+            EnrolledOutcome::Lost => KeptCounts { kept, lost: lost + 1 },
             EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
         };
         self.stored.set(stored);

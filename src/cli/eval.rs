@@ -5,7 +5,7 @@ mod report;
 
 use std::path::{Path, PathBuf};
 
-use self::report::{Answer, Report};
+use self::report::{EvalAnswer, EvalReport};
 use super::answers::AnswerArgs;
 use super::bad_files::{self, BadFileArgs, Skipped};
 use super::choose::{split, within};
@@ -16,7 +16,7 @@ use super::{Done, Failure, SourceArgs, paper, show};
 use crate::dataset::table;
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, Evaluation, Fold, Protocol, SettledOutcome, Trials,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
     UnknownOutcome, enrol,
 };
 use crate::library::lock::LibraryLock;
@@ -93,11 +93,11 @@ fn groups(text: &str) -> Result<usize, String> {
 }
 
 /// What is evaluated, and what it is called.
-struct Data<'a> {
+struct EvalData<'a> {
     name: &'a str,
     synthetic: bool,
     scene: &'a Scene,
-    trials: Trials<'a>,
+    trials: EvaluatedTrials<'a>,
     keys: Vec<TrialKey>,
     cache: Option<&'a Path>,
 }
@@ -125,12 +125,12 @@ pub fn run(args: &Args) -> Done {
             skipped = left_out;
             let scene = args.sources.narrow(library.scene.clone())?;
             let entries = within(&library, &scene)?;
-            let data = Data {
+            let data = EvalData {
                 name: &library.name,
                 synthetic: library.synthetic,
                 scene: &scene,
                 keys: entries.iter().map(|entry| entry.key.clone()).collect(),
-                trials: Trials::Recordings(&entries),
+                trials: EvaluatedTrials::Recordings(&entries),
                 cache: args.method.uses_cache().then_some(data.as_path()),
             };
             evaluated(args, data).map_err(|error| bad_files::explain(&entries, error))?
@@ -147,7 +147,7 @@ pub fn run(args: &Args) -> Done {
 }
 
 /// Says what the recordings are good for.
-fn advise(data: &Path, report: &Report) {
+fn advise(data: &Path, report: &EvalReport) {
     let lib = quoted(data);
     if report.outcome.method == MethodName::Embedding.as_str() {
         show::next(&format!(
@@ -159,7 +159,7 @@ fn advise(data: &Path, report: &Report) {
     }
 }
 
-fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<Report, Failure> {
+fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<EvalReport, Failure> {
     if args.paper {
         return Err(Failure::Usage("--paper needs recordings; these are feature tables".into()));
     }
@@ -167,18 +167,18 @@ fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<Report, Failu
         return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
     }
     let trials = features::vectors(tables, &args.sources.sources)?;
-    let data = Data {
+    let data = EvalData {
         name: &tables.name,
         synthetic: false,
         scene: &Scene::lmt108(),
         keys: trials.iter().map(|trial| trial.key.clone()).collect(),
-        trials: Trials::Features(&trials),
+        trials: EvaluatedTrials::Features(&trials),
         cache: None,
     };
     evaluated(args, data)
 }
 
-fn evaluated(args: &Args, data: Data<'_>) -> Result<Report, Failure> {
+fn evaluated(args: &Args, data: EvalData<'_>) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(&data.keys, args.protocol)?;
     let folds = enrolled(args, protocol, &before, &data.keys)?;
     let method = args.method.spec()?.build(data.scene);
@@ -200,11 +200,11 @@ fn evaluated(args: &Args, data: Data<'_>) -> Result<Report, Failure> {
 /// Measures all that was requested.
 fn measured(
     args: &Args,
-    (data, protocol): (&Data<'_>, Protocol),
+    (data, protocol): (&EvalData<'_>, Protocol),
     method: &dyn Method,
     evaluation: Evaluation<'_>,
     before: &[Fold],
-) -> Result<Report, EvaluateError> {
+) -> Result<EvalReport, EvaluateError> {
     let run = evaluation.prepare(method)?;
     run.cache_remarks().iter().for_each(|remark| say!("{remark}"));
     let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
@@ -217,7 +217,7 @@ fn measured(
         0 => None,
         count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
     };
-    Ok(Report {
+    Ok(EvalReport {
         outcome: measured.outcome,
         protocol,
         data: data.name.into(),
@@ -226,7 +226,7 @@ fn measured(
         settled,
         unknown,
         enrolled,
-        predictions: measured.predictions.into_iter().map(Answer::from).collect(),
+        predictions: measured.predictions.into_iter().map(EvalAnswer::from).collect(),
         warnings: show::left_out(&measured.left_out),
     })
 }

@@ -36,7 +36,7 @@ pub struct JsonLines {
 
 /// One line.
 #[derive(Serialize)]
-struct Line<'a, T> {
+struct JsonLine<'a, T> {
     #[serde(flatten)]
     of: Option<&'a T>,
     warnings: Vec<String>,
@@ -67,7 +67,7 @@ impl JsonLines {
 
     fn print(&mut self, of: Option<&impl Serialize>) {
         let Some(lines) = &self.lines else { return };
-        let line = show::json_text(&Line { of, warnings: std::mem::take(&mut self.warnings) });
+        let line = show::json_text(&JsonLine { of, warnings: std::mem::take(&mut self.warnings) });
         if self.waits {
             // Fails only when nobody reads any more.
             let _ = lines.send(line);

@@ -136,7 +136,7 @@ fn done(library: &Path, step: &Step) {
 
 /// A line of the list.
 #[derive(Serialize)]
-struct Row {
+struct LibraryRow {
     #[serde(flatten)]
     listed: ListedTrial,
     /// What it is named when it is left out; absent with `--quick`.
@@ -164,9 +164,9 @@ fn list(args: &ListArgs) -> Done {
         let (verdict, flaws) =
             (of.as_ref().map(|of| of.verdict), of.as_ref().map(|of| of.flaws.clone()));
         let (named, margin) = of.map_or((None, None), |of| (of.named, of.margin));
-        Row { listed, verdict, named, margin, flaws: flaws.unwrap_or_default() }
+        LibraryRow { listed, verdict, named, margin, flaws: flaws.unwrap_or_default() }
     };
-    let rows: Vec<Row> = listed.into_iter().map(row).collect();
+    let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
     if args.json {
         show::json(&rows);
     } else {
@@ -175,7 +175,7 @@ fn list(args: &ListArgs) -> Done {
     Ok(())
 }
 
-fn print(row: &Row) {
+fn print(row: &LibraryRow) {
     let ListedTrial { trial, key, started_at, seconds, .. } = &row.listed;
     let verdict = match (row.verdict, &row.named) {
         (Some(TrialVerdict::Right), _) => "right".into(),

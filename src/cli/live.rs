@@ -154,7 +154,7 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
 pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
 /// A station at work, as a command wants it.
-pub struct Work<'a> {
+pub struct StationWork<'a> {
     /// Reads the library, if scans are to be named.
     pub load: Option<Load>,
     /// Where enrolled scans go.
@@ -182,7 +182,7 @@ pub fn given(assembled: &Assembled) -> BTreeSet<SourceId> {
 pub fn work(
     config: &StationConfig,
     assembled: Assembled,
-    work: Work<'_>,
+    work: StationWork<'_>,
 ) -> Result<Totals, Failure> {
     if assembled.devices.is_empty() {
         for what in &assembled.left_out {

@@ -46,7 +46,7 @@ impl ValueEnum for MethodArg {
 
 /// How positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Positions {
+pub enum PositionSampling {
     /// Once a repetition, for the whole library.
     Shared,
     /// Anew for each pair of trials, as the authors' program does.
@@ -61,7 +61,7 @@ pub struct MethodArgs {
     method: Option<MethodArg>,
     /// With `reference`: how sample positions are drawn (default: shared)
     #[arg(long, value_enum)]
-    positions: Option<Positions>,
+    positions: Option<PositionSampling>,
     /// With `reference`: samples drawn from a source, n (default: 400)
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     n: Option<usize>,
@@ -159,8 +159,8 @@ impl MethodArgs {
             repetitions: self.repetitions.unwrap_or(usual.repetitions),
             neighbours: self.neighbours.unwrap_or(usual.neighbours),
             positions: match self.positions {
-                None | Some(Positions::Shared) => PositionMode::Shared,
-                Some(Positions::PerPair) => PositionMode::PerPair,
+                None | Some(PositionSampling::Shared) => PositionMode::Shared,
+                Some(PositionSampling::PerPair) => PositionMode::PerPair,
             },
             seed: self.seed,
             precision: if self.exact { SumPrecision::Oracle } else { SumPrecision::Fast },

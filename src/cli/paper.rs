@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
 use super::{Done, Failure, show, shown};
-use crate::evaluate::paper::{self, MergeError, Part, Report, ReportRow, Shard};
+use crate::evaluate::paper::{self, MergeError, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
@@ -99,7 +99,7 @@ fn failed(path: &Path, error: impl std::fmt::Display) -> Failure {
     Failure::Failed(format!("{}: {error}", shown(path)))
 }
 
-fn read(path: &Path) -> Result<Part, Failure> {
+fn read(path: &Path) -> Result<PaperPart, Failure> {
     let text = std::fs::read(path).map_err(|error| failed(path, error))?;
     serde_json::from_slice(&text).map_err(|error| {
         failed(path, format!("{error}; expected what `surfaced eval --paper --shard` wrote"))
@@ -116,8 +116,8 @@ fn write(path: &Path, text: &str) -> Done {
     std::fs::rename(&unfinished, path).map_err(|error| failed(path, error))
 }
 
-fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
-    let report = Report::new(part);
+fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
+    let report = PaperReport::new(part);
     if let Some(out) = out {
         // Plain numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string_pretty(&report).expect("plain data");
@@ -139,7 +139,7 @@ fn finish(part: &Part, out: Option<&Path>, json: bool) -> Done {
     Ok(())
 }
 
-fn print(report: &Report) {
+fn print(report: &PaperReport) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
     result!();
     result!("{}{mark} · reference · {}", report.data, report.settings);

@@ -65,7 +65,7 @@ pub struct Args {
 }
 
 /// What is played, and what it is compared with.
-pub(super) struct Stage {
+pub(super) struct ReplayStage {
     /// Name of the library.
     pub name: String,
     pub scene: Scene,
@@ -113,7 +113,7 @@ fn advise(args: &Args) {
 
 /// The embedded scene: the expert's trials are the library, those of users the queries, also of the
 /// surface that the library lacks.
-fn demonstration(how: &Comparing) -> Result<Stage, Failure> {
+fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     let synth::Embedded { library, remarks } = synth::embedded();
     show::library(&library);
     remarks.iter().for_each(|remark| say!("  {remark}"));
@@ -124,14 +124,14 @@ fn demonstration(how: &Comparing) -> Result<Stage, Failure> {
     queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
     let fold = Fold { name: "expert".into(), library: of_expert, queries };
     let folds = vec![fold];
-    Ok(Stage { name: library.name, scene, entries, folds, synthetic: true, cache: None })
+    Ok(ReplayStage { name: library.name, scene, entries, folds, synthetic: true, cache: None })
 }
 
 fn by_protocol(
     how: &Comparing,
     folder: &Path,
     protocol: Option<ProtocolArg>,
-) -> Result<Stage, Failure> {
+) -> Result<ReplayStage, Failure> {
     let data = super::open(folder)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
@@ -140,10 +140,10 @@ fn by_protocol(
         say!("protocol: {}", protocol.name());
     }
     let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
-    Ok(Stage { name, scene, entries, folds, synthetic, cache })
+    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache })
 }
 
-fn against(how: &Comparing, data: &Path, library: &Path) -> Result<Stage, Failure> {
+fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, Failure> {
     let same = |path: &Path| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         return Err(Failure::Usage(format!(
@@ -165,11 +165,11 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<Stage, Failur
     };
     entries.extend(queries);
     let scene = of_data.with(scene);
-    Ok(Stage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
+    Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
 /// Plays the stage's queries, and names them. `reading` keeps edits off the library until it is read.
-fn play(args: &Args, how: &Comparing, stage: &Stage, reading: Option<LibraryLock>) -> Done {
+fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<LibraryLock>) -> Done {
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
@@ -229,7 +229,11 @@ fn play(args: &Args, how: &Comparing, stage: &Stage, reading: Option<LibraryLock
 
 /// What names the queries, each by the library of its fold, and whether it follows scans while they
 /// go on; says what its answers rest on.
-fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser, bool), Failure> {
+fn recogniser(
+    args: &Args,
+    how: &Comparing,
+    stage: &ReplayStage,
+) -> Result<(Recogniser, bool), Failure> {
     let models = models(&*how.method.build(&stage.scene), stage)?;
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
@@ -242,7 +246,7 @@ fn recogniser(args: &Args, how: &Comparing, stage: &Stage) -> Result<(Recogniser
     Ok((recogniser, applied.follows))
 }
 
-impl Stage {
+impl ReplayStage {
     /// The queries, each with its fold.
     fn queries(&self) -> impl Iterator<Item = (usize, &Entry)> {
         let of_fold = |(index, fold): (usize, &'_ Fold)| {
@@ -260,7 +264,7 @@ impl Stage {
     }
 }
 
-fn models(method: &dyn Method, stage: &Stage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
+fn models(method: &dyn Method, stage: &ReplayStage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
     let steps = show::Steps::new();
     let cache = stage.cache.as_deref();
     if let [fold] = &stage.folds[..] {

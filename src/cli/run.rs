@@ -1,7 +1,7 @@
 //! `surfaced run`: the station at work, with the devices that are there.
 
 use super::answers::AnswerArgs;
-use super::live::{StationArgs, Work, check, given, library_of, load, verdict, work};
+use super::live::{StationArgs, StationWork, check, given, library_of, load, verdict, work};
 use super::plan::ComparingArgs;
 use super::{Done, Failure, shown};
 use crate::station::assemble;
@@ -46,7 +46,7 @@ pub fn run(args: &Args) -> Done {
     let totals = work(
         &config,
         assembled,
-        Work {
+        StationWork {
             load: Some(load),
             store: library,
             keep: None,

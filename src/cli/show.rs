@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::evaluate::LeftOut;
+use crate::evaluate::LeftOutSources;
 use crate::library::Library;
 use crate::station::{Answer, AnswerState};
 
@@ -37,7 +37,7 @@ pub fn json_text(value: &impl serde::Serialize) -> String {
 }
 
 /// Says which sources were left out of queries, and why; gives the same lines.
-pub fn left_out(left_out: &LeftOut) -> Vec<String> {
+pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {
     let lines = left_out.iter().filter_map(|(remark, trials)| {
         let more = match trials.len() {
             0 | 1 => String::new(),

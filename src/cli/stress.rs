@@ -6,7 +6,9 @@ use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::{MethodArg, at_least_one};
 use super::{Done, Failure, say, show, shown};
-use crate::evaluate::stress::{self, Disturbance, Measure, Plan, Report, disturb, figure};
+use crate::evaluate::stress::{
+    self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
+};
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::SourceSpec;
 
@@ -51,7 +53,7 @@ pub fn run(args: &Args) -> Done {
     args.figure.check()?;
     // Read first: an hour of measuring should not end at a name that was mistyped.
     let beside = match &args.beside {
-        Some(path) => Some((path, earlier::<Report>(path, "stress")?)),
+        Some(path) => Some((path, earlier::<StressReport>(path, "stress")?)),
         None => None,
     };
     let again = is_earlier(&args.lib);
@@ -71,16 +73,16 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn measured(args: &Args) -> Result<Report, Failure> {
+fn measured(args: &Args) -> Result<StressReport, Failure> {
     let library = super::open(&args.lib)?;
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.figure.protocol)?;
-    let folds = Plan::limited(folds, args.queries);
+    let folds = StressPlan::limited(folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
         .collect();
     let disturbances = chosen(&args.only, &held)?;
-    let plan = Plan {
+    let plan = StressPlan {
         scene: &scene,
         entries: &entries,
         folds: &folds,
@@ -88,7 +90,7 @@ fn measured(args: &Args) -> Result<Report, Failure> {
         seed: args.seed,
         keep_flawed: args.keep_flawed,
     };
-    let mut report = Report {
+    let mut report = StressReport {
         data: library.name.clone(),
         synthetic: library.synthetic,
         protocol: protocol.name().into(),
@@ -146,7 +148,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 }
 
 /// Writes the pictures and their numbers, and gives the files.
-fn keep(args: &Args, report: &Report) -> Result<Vec<PathBuf>, Failure> {
+fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     let out = &args.figure.out;
     let mut written = vec![out.clone(), out.with_extension("md"), args.figure.beside()];
     write(out, &figure(report, Measure::Accuracy)?)?;

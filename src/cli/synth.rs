@@ -43,7 +43,7 @@ pub struct Args {
 }
 
 #[derive(serde::Serialize)]
-struct Report {
+struct SynthReport {
     out: String,
     synthetic: bool,
     surfaces: usize,
@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> Done {
         Ok::<_, crate::library::LibraryError>(())
     })?;
     drop(steps);
-    let report = Report {
+    let report = SynthReport {
         out: super::shown(&args.out),
         synthetic: true,
         surfaces: args.surfaces,

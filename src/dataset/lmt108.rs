@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::collections::btree_map::{BTreeMap, Entry};
 use std::path::{Path, PathBuf};
 
-use name::Part;
+use name::NamePart;
 
 use crate::library::files::{self, Listed};
 use crate::library::loader::{Headers, SourceFiles, channels as counted};
@@ -53,7 +53,7 @@ pub(super) fn open(
     listed: &[Listed],
     defaults: &Scene,
 ) -> Result<Opened, LibraryError> {
-    let mut found = Found::default();
+    let mut found = FoundFiles::default();
     for item in listed.iter().filter(|item| is_scans(item)) {
         found.walk(item, &mut Vec::new())?;
     }
@@ -111,12 +111,12 @@ pub(super) fn open(
 type Channels = BTreeMap<usize, PathBuf>;
 
 #[derive(Default)]
-struct Found {
+struct FoundFiles {
     trials: BTreeMap<TrialKey, BTreeMap<&'static str, Channels>>,
     passed: BTreeMap<String, Seen>,
 }
 
-impl Found {
+impl FoundFiles {
     /// Takes in all files below `folder`; `above` names its folders from the root, in lower case.
     fn walk(&mut self, folder: &Listed, above: &mut Vec<String>) -> Result<(), LibraryError> {
         above.push(folder.name.to_ascii_lowercase());
@@ -155,7 +155,7 @@ impl Found {
             let why = format!("not used, expected a .{} file for this", expected[0]);
             return self.pass_over(&item, &why);
         }
-        let Part { key, source, channel, contradicts } = part;
+        let NamePart { key, source, channel, contradicts } = part;
         if contradicts {
             self.pass_over(
                 &item,

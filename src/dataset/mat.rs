@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use file::{MatTrial, Stored};
+use file::{MatSource, MatTrial};
 use name::Listing;
 
 use super::lmt108;
@@ -43,15 +43,15 @@ const SERIAL_RATE_HZ: f64 = 10_000.0;
 const DATA: &str = "DataLMT108";
 
 /// A half of the database: its folder, its list, the variable in the list.
-struct Split {
+struct SplitFolder {
     folder: &'static str,
     list: &'static str,
     is_expert: bool,
 }
 
-const SPLITS: [Split; 2] = [
-    Split { folder: "Library", list: "surfaceList_LMT108train.mat", is_expert: true },
-    Split { folder: "TestingSet", list: "surfaceList_LMT108test.mat", is_expert: false },
+const SPLITS: [SplitFolder; 2] = [
+    SplitFolder { folder: "Library", list: "surfaceList_LMT108train.mat", is_expert: true },
+    SplitFolder { folder: "TestingSet", list: "surfaceList_LMT108test.mat", is_expert: false },
 ];
 
 /// Whether a folder with these things in it is the root of the processed form, or its `DataLMT108`.
@@ -83,7 +83,7 @@ pub(super) fn open(
         inside.extend(files::list(&folder.path)?);
     }
     let everywhere: Vec<&Listed> = listed.iter().chain(&inside).collect();
-    let mut opening = Opening {
+    let mut opening = MatOpening {
         scene: defaults,
         trials: BTreeMap::new(),
         passed: BTreeMap::new(),
@@ -96,7 +96,7 @@ pub(super) fn open(
     opening.library(root)
 }
 
-struct Opening<'a> {
+struct MatOpening<'a> {
     scene: &'a Scene,
     trials: BTreeMap<TrialKey, MatTrial>,
     passed: BTreeMap<String, Seen>,
@@ -105,8 +105,8 @@ struct Opening<'a> {
     bad: Vec<LibraryError>,
 }
 
-impl Opening<'_> {
-    fn split(&mut self, split: &Split, everywhere: &[&Listed]) -> Result<(), LibraryError> {
+impl MatOpening<'_> {
+    fn split(&mut self, split: &SplitFolder, everywhere: &[&Listed]) -> Result<(), LibraryError> {
         let mut found: Vec<Listed> = Vec::new();
         for folder in everywhere.iter().filter(|item| is_folder(item, split.folder)) {
             found.extend(files::list(&folder.path)?);
@@ -224,7 +224,7 @@ impl Opening<'_> {
 ///
 /// # Errors
 /// If the scene describes the source as something that the database does not have.
-fn stored(spec: &SourceSpec, variable: String, item: &Listed) -> Result<Stored, LibraryError> {
+fn stored(spec: &SourceSpec, variable: String, item: &Listed) -> Result<MatSource, LibraryError> {
     let channels = match spec.id.as_str() {
         "ac" => 3,
         "fr" => 2,
@@ -240,10 +240,10 @@ fn stored(spec: &SourceSpec, variable: String, item: &Listed) -> Result<Stored, 
         return Err(LibraryError::file(&item.path, problem));
     }
     if is_image {
-        return Ok(Stored::Image { variable });
+        return Ok(MatSource::Image { variable });
     }
     let is_sound = matches!(spec.id.as_str(), "mi1" | "mi2");
     let rate_hz = if is_sound { SOUND_RATE_HZ } else { SERIAL_RATE_HZ };
     spec.check_rate(rate_hz).map_err(|problem| LibraryError::file(&item.path, problem))?;
-    Ok(Stored::Series { variable, channels, rate_hz })
+    Ok(MatSource::Series { variable, channels, rate_hz })
 }

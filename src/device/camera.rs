@@ -32,7 +32,7 @@ pub(crate) use upright::upright;
 pub(crate) use v4l::{V4l, cameras};
 pub(crate) use viewfinder::CameraView;
 
-use self::flash::{Cycle, Light};
+use self::flash::{Cycle, FrameLight};
 use self::reader::{ControlRequest, News};
 use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
@@ -62,14 +62,14 @@ pub struct Camera {
 }
 
 /// Why a reader is followed no more.
-enum End {
+enum CameraEnd {
     Stop,
     Failed(OpenError),
     Lost(String),
 }
 
 /// What lasts from one reader to the next.
-struct Watch<'a> {
+struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
     control: &'a Control,
@@ -147,7 +147,7 @@ impl Device for Camera {
     fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
         control.state(DeviceState::Opening, "");
         let cycle = Cycle::new(self.settle);
-        let mut watch = Watch {
+        let mut watch = CameraWatch {
             camera: self,
             sinks,
             control,
@@ -169,11 +169,11 @@ impl Device for Camera {
             let until = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(until).is_ok() {}
             match end {
-                End::Stop => break,
-                End::Failed(error) => {
+                CameraEnd::Stop => break,
+                CameraEnd::Failed(error) => {
                     retry.failed(error, watch.seen, control)?;
                 }
-                End::Lost(why) => {
+                CameraEnd::Lost(why) => {
                     retry.opened();
                     control.state(DeviceState::Lost, why);
                     control.sleep_until(Instant::now() + RETRY);
@@ -184,15 +184,15 @@ impl Device for Camera {
     }
 }
 
-impl Watch<'_> {
+impl CameraWatch<'_> {
     /// Makes pictures of what the reader sends, until it ends.
-    fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> End {
+    fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
         let mut last = Instant::now();
         while !self.control.stopped() {
             match news.recv_timeout(LOOK) {
                 Ok(News::Opened) => last = Instant::now(),
-                Ok(News::Failed(error)) => return End::Failed(error),
-                Ok(News::Ended(why)) => return End::Lost(why),
+                Ok(News::Failed(error)) => return CameraEnd::Failed(error),
+                Ok(News::Ended(why)) => return CameraEnd::Lost(why),
                 Ok(News::Obeyed(Ok(()))) => {}
                 Ok(News::Obeyed(Err(why))) => self.no_light(&why),
                 Ok(News::Frame(frame, at)) => {
@@ -204,7 +204,7 @@ impl Watch<'_> {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    return End::Lost("the thread that reads it has ended".into());
+                    return CameraEnd::Lost("the thread that reads it has ended".into());
                 }
             }
             if last.elapsed() > STALLED {
@@ -213,7 +213,7 @@ impl Watch<'_> {
                 self.control.state(DeviceState::Stalled, why);
             }
         }
-        End::Stop
+        CameraEnd::Stop
     }
 
     /// Deals with one frame; whether it was good, or good for nothing but not to blame.
@@ -223,9 +223,9 @@ impl Watch<'_> {
         let verdict = self.cycle.judge(at, || has_flash && shutter.take());
         let due = self.pushed.is_none_or(|pushed| at >= pushed + self.camera.every);
         let sink = match verdict.light {
-            Light::Plain if due => Some(0),
-            Light::Flash => Some(1),
-            Light::Plain | Light::Between => None,
+            FrameLight::Plain if due => Some(0),
+            FrameLight::Flash => Some(1),
+            FrameLight::Plain | FrameLight::Between => None,
         };
         let mut good = true;
         if let Some(index) = sink {

@@ -25,7 +25,7 @@ pub use alsa::Alsa;
 #[cfg(feature = "microphone")]
 pub(crate) use alsa::microphones;
 pub(crate) use callback_sink::CallbackSink;
-pub(crate) use level::{Level, LevelWatch};
+pub(crate) use level::{LevelWatch, SoundLevel};
 pub(crate) use mono::Pick;
 
 use lost_sound::Listening;
@@ -84,7 +84,7 @@ pub struct Microphone {
 }
 
 /// Why a stream that ran does so no more.
-enum End {
+enum StreamEnd {
     Stop,
     Lost(String),
     /// For good.
@@ -92,7 +92,7 @@ enum End {
 }
 
 /// A stream that is open, as the device's thread sees it.
-struct Stream {
+struct OpenStream {
     tap: SeriesTap,
     woken: Receiver<()>,
     errors: Receiver<StreamError>,
@@ -144,16 +144,16 @@ impl Device for Microphone {
                 },
             };
             retry.opened();
-            let end = Stream { tap, woken, errors }.follow(&mut listening, begin, control);
+            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, control);
             drop(open);
             if broken.get() > 0 {
                 let count = broken.get();
                 control.warn(format!("{}: {count} samples were no numbers; silence", self.name));
             }
             match end {
-                End::Stop => break,
-                End::Unfit(why) => return Err(DeviceError::Failed(why)),
-                End::Lost(why) => {
+                StreamEnd::Stop => break,
+                StreamEnd::Unfit(why) => return Err(DeviceError::Failed(why)),
+                StreamEnd::Lost(why) => {
                     control.state(DeviceState::Lost, why);
                     control.sleep_until(Instant::now() + Duration::from_millis(250));
                 }
@@ -163,9 +163,14 @@ impl Device for Microphone {
     }
 }
 
-impl Stream {
+impl OpenStream {
     /// Carries its sound to the session until it ends. Moments are in seconds since `begin`.
-    fn follow(&mut self, listening: &mut Listening, begin: Instant, control: &Control) -> End {
+    fn follow(
+        &mut self,
+        listening: &mut Listening,
+        begin: Instant,
+        control: &Control,
+    ) -> StreamEnd {
         let now_s = || begin.elapsed().as_secs_f64();
         listening.opened(now_s());
         while !control.stopped() {
@@ -186,10 +191,10 @@ impl Stream {
                 control.warn(said_of(level));
             }
             if let Some(why) = gone {
-                return End::Lost(why);
+                return StreamEnd::Lost(why);
             }
             if listening.unpaced(now_s()) {
-                return End::Unfit(
+                return StreamEnd::Unfit(
                     "the microphone delivers much faster than in real time, as a device without \
                      hardware does; choose another one from `surfaced devices`"
                         .into(),
@@ -197,25 +202,25 @@ impl Stream {
             }
             let silent_s = listening.silent_s(now_s());
             if silent_s > GIVE_UP_S {
-                return End::Lost("no sound arrives; reopening it".into());
+                return StreamEnd::Lost("no sound arrives; reopening it".into());
             }
             if silent_s > STALLED_S {
                 let why = "open, but no sound arrives; check that nothing has suspended it";
                 control.state(DeviceState::Stalled, why);
             }
         }
-        End::Stop
+        StreamEnd::Stop
     }
 }
 
-fn said_of(level: Level) -> &'static str {
+fn said_of(level: SoundLevel) -> &'static str {
     match level {
-        Level::Normal => "the microphone's level is normal again",
-        Level::Silent => {
+        SoundLevel::Normal => "the microphone's level is normal again",
+        SoundLevel::Silent => {
             "the microphone is silent, without even a noise; check that it is plugged in, switched \
              on and not muted"
         }
-        Level::Clipped => "the microphone is clipped; lower its gain, or press less",
+        SoundLevel::Clipped => "the microphone is clipped; lower its gain, or press less",
     }
 }
 

@@ -143,10 +143,10 @@ impl Device for Replay {
     }
 }
 
-type Loaded = Result<Trial, String>;
+type LoadedTrial = Result<Trial, String>;
 
 /// Reads one entry ahead. The thread ends by itself once its receiver is gone.
-fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<Loaded>, DeviceError> {
+fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError> {
     let (sender, receiver) = crossbeam_channel::bounded(0);
     let work = move || {
         for entry in entries {
@@ -172,7 +172,7 @@ fn panicked(entry: &Entry) -> LibraryError {
 }
 
 /// The next trial, once it is read.
-fn next(loaded: &Receiver<Loaded>, control: &Control) -> Result<Loaded, DeviceError> {
+fn next(loaded: &Receiver<LoadedTrial>, control: &Control) -> Result<LoadedTrial, DeviceError> {
     use crossbeam_channel::RecvTimeoutError::{Disconnected, Timeout};
     loop {
         match loaded.recv_timeout(Duration::from_millis(20)) {

@@ -22,7 +22,7 @@ pub(crate) use intake::{Value, Wanted};
 pub(crate) use light::Light;
 pub(crate) use port::Port;
 
-use self::connection::{Connection, End, LinkErrors};
+use self::connection::{Connection, ConnectionEnd, LinkErrors};
 use super::open::{RETRY, Retry};
 use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
@@ -131,8 +131,8 @@ impl Device for Stylus {
                     let end = connection.run();
                     connection.errors.report(control);
                     match end {
-                        End::Stop => return Ok(()),
-                        End::Lost(why) => {
+                        ConnectionEnd::Stop => return Ok(()),
+                        ConnectionEnd::Lost(why) => {
                             was_there = true;
                             control.state(DeviceState::Lost, why);
                         }

@@ -46,7 +46,9 @@ mod report;
 pub mod simulate;
 mod trials;
 
-pub use algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule, Search, t_star};
+pub use algorithm1::{
+    Algorithm1Settings, CurvePoint, Estimate, Rule, Search, SearchOutcome, t_star,
+};
 pub(crate) use figure::{AccuracyCurve, figure};
 pub(crate) use need::{SAMPLES, ScanNeed, worth};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};

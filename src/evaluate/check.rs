@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use self::inspect::{Inspected, duplicates, inspect, resting};
-use super::evaluation::{Evaluation, Progress};
+use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::Fold;
 use super::outcome::{Confusion, Outcome, Prediction};
 use super::wilson_interval;
@@ -109,7 +109,7 @@ pub fn check(
     scene: &Scene,
     method: &dyn Method,
     cache: Option<&Path>,
-    progress: Progress<'_>,
+    progress: ProgressFn<'_>,
 ) -> CheckReport {
     let mut mend: Vec<String> = opened.bad.iter().map(ToString::to_string).collect();
     let entries: Vec<Entry> = opened.library.entries.into_iter().map(|e| e.within(scene)).collect();
@@ -182,7 +182,7 @@ fn measure(
     scene: &Scene,
     method: &dyn Method,
     cache: Option<&Path>,
-    progress: Progress<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<(Vec<Prediction>, Outcome), String> {
     let surfaces: BTreeSet<&str> = entries.iter().map(|e| e.key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {

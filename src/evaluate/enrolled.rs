@@ -87,7 +87,7 @@ impl EnrolmentOutcome {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::{Evaluation, Protocol, Trials, folds};
+    use crate::evaluate::{EvaluatedTrials, Evaluation, Protocol, folds};
     use crate::recognise::features::{FeatureVector, SourceFeatures};
     use crate::recognise::{MethodName, MethodSpec};
     use crate::scene::{Scene, SourceId};
@@ -135,7 +135,7 @@ mod tests {
         let folds = enrol(&before, &keys, 1).unwrap();
         let scene = Scene::lmt108();
         let evaluation = Evaluation {
-            trials: Trials::Features(&trials),
+            trials: EvaluatedTrials::Features(&trials),
             ..Evaluation::new(&scene, &[], &folds)
         };
         let method = MethodSpec::from(MethodName::Knn).build(&scene);

@@ -22,18 +22,18 @@ use crate::scene::Scene;
 use crate::trial::{Trial, TrialKey};
 
 /// Called after each step: what is being done, how much is done, how much there is to do.
-pub type Progress<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
+pub type ProgressFn<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
 
 /// What is evaluated.
 #[derive(Clone, Copy)]
-pub enum Trials<'a> {
+pub enum EvaluatedTrials<'a> {
     /// Recordings.
     Recordings(&'a [Entry]),
     /// Feature tables: no more is known than features. Query changes do not apply to them.
     Features(&'a [FeatureVector]),
 }
 
-impl<'a> Trials<'a> {
+impl<'a> EvaluatedTrials<'a> {
     /// Which trial stands at an index.
     pub fn key(self, index: usize) -> &'a TrialKey {
         match self {
@@ -49,7 +49,7 @@ pub struct Evaluation<'a> {
     /// The sources that are compared.
     pub scene: &'a Scene,
     /// The trials that the folds refer to.
-    pub trials: Trials<'a>,
+    pub trials: EvaluatedTrials<'a>,
     /// Queries and libraries.
     pub folds: &'a [Fold],
     /// How much of each query's drag is used, in seconds; `None` for all of it.
@@ -59,7 +59,7 @@ pub struct Evaluation<'a> {
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
     /// Where progress goes.
-    pub progress: Progress<'a>,
+    pub progress: ProgressFn<'a>,
 }
 
 impl<'a> Evaluation<'a> {
@@ -67,7 +67,7 @@ impl<'a> Evaluation<'a> {
     pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
         Self {
             scene,
-            trials: Trials::Recordings(entries),
+            trials: EvaluatedTrials::Recordings(entries),
             folds,
             query_seconds: None,
             keep_dead_sources: false,
@@ -82,11 +82,11 @@ impl<'a> Evaluation<'a> {
     /// If a trial cannot be read or does not fit the scene.
     pub fn prepare<'m>(self, method: &'m dyn Method) -> Result<Run<'a, 'm>, RecogniseError> {
         let library = match self.trials {
-            Trials::Recordings(entries) => {
+            EvaluatedTrials::Recordings(entries) => {
                 let step = |done, of| (self.progress)("preparing the library", done, of);
                 prepare_library(method, entries, &in_libraries(self.folds), self.cache, &step)?
             }
-            Trials::Features(trials) => {
+            EvaluatedTrials::Features(trials) => {
                 let prepare = |trial: &FeatureVector| Prepared::Features(Arc::new(trial.clone()));
                 PreparedLibrary {
                     shape: Arc::new(LibraryShape::default()),
@@ -123,7 +123,7 @@ pub struct Query {
 }
 
 /// For people: sources that were left out of queries and why, each with these queries.
-pub type LeftOut = BTreeMap<String, BTreeSet<TrialKey>>;
+pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
 
 /// The result of naming all queries.
 #[derive(Clone, Debug)]
@@ -133,7 +133,7 @@ pub struct Measured {
     /// Query by query.
     pub predictions: Vec<Prediction>,
     /// The sources that were left out.
-    pub left_out: LeftOut,
+    pub left_out: LeftOutSources,
 }
 
 impl<'a> Run<'a, '_> {
@@ -177,8 +177,10 @@ impl<'a> Run<'a, '_> {
     /// If it cannot be read, or only its features are known.
     pub(crate) fn recording(&self, index: usize) -> Result<Trial, RecogniseError> {
         match self.on.trials {
-            Trials::Recordings(entries) => Ok(entries[index].load()?),
-            Trials::Features(_) => Err(RecogniseError::NeedsRecordings(self.method.name())),
+            EvaluatedTrials::Recordings(entries) => Ok(entries[index].load()?),
+            EvaluatedTrials::Features(_) => {
+                Err(RecogniseError::NeedsRecordings(self.method.name()))
+            }
         }
     }
 
@@ -193,8 +195,10 @@ impl<'a> Run<'a, '_> {
         seconds: Option<f64>,
     ) -> Result<Query, RecogniseError> {
         match self.on.trials {
-            Trials::Recordings(entries) => self.query_of(model, entries[index].load()?, seconds),
-            Trials::Features(trials) => Ok(Query {
+            EvaluatedTrials::Recordings(entries) => {
+                self.query_of(model, entries[index].load()?, seconds)
+            }
+            EvaluatedTrials::Features(trials) => Ok(Query {
                 prepared: Prepared::Features(Arc::new(trials[index].clone())),
                 left_out: Vec::new(),
                 started: Instant::now(),
@@ -266,7 +270,7 @@ impl<'a> Run<'a, '_> {
         lengths: &[Option<f64>],
     ) -> Result<Vec<Measured>, EvaluateError> {
         let total = lengths.len() * folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
-        let mut all = vec![(Vec::new(), LeftOut::new()); lengths.len()];
+        let mut all = vec![(Vec::new(), LeftOutSources::new()); lengths.len()];
         let mut done = 0;
         for (at, fold) in folds.iter().enumerate() {
             let model = self.fit(&fold.library)?;

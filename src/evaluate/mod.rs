@@ -29,7 +29,9 @@ pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
 pub use error::EvaluateError;
 pub(crate) use evaluation::first_seconds;
-pub use evaluation::{Evaluation, LeftOut, Measured, Progress, Query, Run, Trials};
+pub use evaluation::{
+    EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
+};
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};

@@ -45,7 +45,7 @@ pub struct SettledOutcome {
 }
 
 /// One query: where the rule stopped, and what it said.
-struct Stopped {
+struct StoppedQuery {
     truth: String,
     whole: String,
     settled: Option<(String, f64)>,
@@ -76,7 +76,7 @@ impl SettledOutcome {
                 let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
                 busy_s += processor_s() - start_s;
                 let whole = model.rank(&run.query_of(&*model, trial, None)?.prepared)?;
-                all.push(Stopped {
+                all.push(StoppedQuery {
                     truth,
                     whole: whole.surface().into(),
                     settled: settled.and_then(|guess| guess.settled),
@@ -89,12 +89,12 @@ impl SettledOutcome {
     }
 }
 
-fn sum_up(all: &[Stopped], rules: Vec<Settling>, busy_s: f64, loss: f64) -> SettledOutcome {
-    let by_rule = |s: &Stopped| match &s.settled {
+fn sum_up(all: &[StoppedQuery], rules: Vec<Settling>, busy_s: f64, loss: f64) -> SettledOutcome {
+    let by_rule = |s: &StoppedQuery| match &s.settled {
         Some((label, _)) => *label == s.truth,
         None => s.whole == s.truth,
     };
-    let count = |of: &dyn Fn(&Stopped) -> bool| all.iter().filter(|s| of(s)).count();
+    let count = |of: &dyn Fn(&StoppedQuery) -> bool| all.iter().filter(|s| of(s)).count();
     let queries = all.len();
     let right = count(&by_rule);
     let mut times: Vec<f64> =

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use serde_json::{Map, Value};
 
 use super::file::Disk;
-use super::log::{Head, Line, Span};
+use super::log::{Head, LogLine, Span};
 use super::{Correction, HistoryError};
 
 /// The part of the space that answers may take; the rest is for signals.
@@ -13,7 +13,7 @@ const FOR_ANSWERS: u64 = 8;
 
 /// One answer of the past.
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct HistoryEntry {
     pub head: Head,
     pub text: Text,
     pub correction: Option<Correction>,
@@ -31,9 +31,9 @@ pub(super) enum Text {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Inner {
+pub(super) struct HistoryState {
     /// The oldest first.
-    pub entries: VecDeque<Entry>,
+    pub entries: VecDeque<HistoryEntry>,
     pub disk: Option<Disk>,
     /// Bytes of all signals.
     pub signals: u64,
@@ -42,34 +42,34 @@ pub(super) struct Inner {
 }
 
 /// What a line changes of an entry.
-type Change = Box<dyn FnOnce(&mut Entry)>;
+type Change = Box<dyn FnOnce(&mut HistoryEntry)>;
 
-impl Inner {
+impl HistoryState {
     pub fn write(&mut self, line: &str) -> Result<Option<Span>, HistoryError> {
         self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
     }
 
     /// Takes a change in, once it is written.
-    pub fn change(&mut self, line: Line) -> Result<(), HistoryError> {
+    pub fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
         let span = self.write(&line.to_json())?;
         self.take(line, span.unwrap_or_default());
         Ok(())
     }
 
     /// Takes in what a line says.
-    pub fn take(&mut self, line: Line, span: Span) {
+    pub fn take(&mut self, line: LogLine, span: Span) {
         let (id, change): (String, Change) = match line {
-            Line::Answer(head) => {
+            LogLine::Answer(head) => {
                 let text = Text::InLog(span);
                 let (correction, trial, signals) = (None, None, None);
-                self.entries.push_back(Entry { head, text, correction, trial, signals });
+                self.entries.push_back(HistoryEntry { head, text, correction, trial, signals });
                 return;
             }
-            Line::Signals { id, bytes } => (id, Box::new(move |entry| entry.signals = bytes)),
-            Line::Correction { id, correction } => {
+            LogLine::Signals { id, bytes } => (id, Box::new(move |entry| entry.signals = bytes)),
+            LogLine::Correction { id, correction } => {
                 (id, Box::new(move |entry| entry.correction = correction))
             }
-            Line::Trial { id, trial } => (id, Box::new(move |entry| entry.trial = trial)),
+            LogLine::Trial { id, trial } => (id, Box::new(move |entry| entry.trial = trial)),
         };
         // Most changes are to one of the newest.
         if let Some(entry) = self.entries.iter_mut().rev().find(|entry| entry.head.id == id) {
@@ -82,20 +82,20 @@ impl Inner {
     /// Where the scan of a name stands, or the newest one of a number.
     pub fn position(&self, name: &str) -> Option<usize> {
         let number: Option<u32> = name.parse().ok();
-        let is = |entry: &Entry| match number {
+        let is = |entry: &HistoryEntry| match number {
             Some(number) => entry.head.scan == number,
             None => entry.head.id == name,
         };
         self.entries.iter().rposition(is)
     }
 
-    pub fn find(&self, id: &str) -> Result<&Entry, HistoryError> {
+    pub fn find(&self, id: &str) -> Result<&HistoryEntry, HistoryError> {
         let at = self.position(id).ok_or_else(|| HistoryError::NoScan(id.into()))?;
         Ok(&self.entries[at])
     }
 
     /// An answer, with what people said of it.
-    pub fn json(&self, entry: &Entry) -> Result<Value, HistoryError> {
+    pub fn json(&self, entry: &HistoryEntry) -> Result<Value, HistoryError> {
         let mut answer: Map<String, Value> = match (&entry.text, &self.disk) {
             (Text::Here(text), _) => serde_json::from_str(text).unwrap_or_default(),
             (Text::InLog(span), Some(disk)) => disk.log.answer(*span)?,
@@ -126,7 +126,7 @@ impl Inner {
             };
             disk.remove(&entry.head.id)?;
             let id = entry.head.id.clone();
-            disk.log.append(&Line::Signals { id, bytes: None }.to_json())?;
+            disk.log.append(&LogLine::Signals { id, bytes: None }.to_json())?;
             self.signals -= entry.signals.take().unwrap_or(0);
         }
         if disk.log.bytes() > for_answers {
@@ -138,7 +138,7 @@ impl Inner {
     /// Writes the log anew with the newest answers that fit.
     fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
-        let length = |entry: &Entry| match &entry.text {
+        let length = |entry: &HistoryEntry| match &entry.text {
             Text::InLog(span) => u64::from(span.length),
             Text::Here(text) => text.len() as u64,
         };
@@ -166,14 +166,14 @@ impl Inner {
             let span = fresh.append(&answer)?;
             let id = || entry.head.id.clone();
             if entry.signals.is_some() {
-                fresh.append(&Line::Signals { id: id(), bytes: entry.signals }.to_json())?;
+                fresh.append(&LogLine::Signals { id: id(), bytes: entry.signals }.to_json())?;
             }
             if let Some(correction) = entry.correction.clone() {
                 let correction = Some(correction);
-                fresh.append(&Line::Correction { id: id(), correction }.to_json())?;
+                fresh.append(&LogLine::Correction { id: id(), correction }.to_json())?;
             }
             if let Some(trial) = entry.trial.clone() {
-                fresh.append(&Line::Trial { id: id(), trial: Some(trial) }.to_json())?;
+                fresh.append(&LogLine::Trial { id: id(), trial: Some(trial) }.to_json())?;
             }
             entry.text = Text::InLog(span);
         }

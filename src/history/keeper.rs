@@ -9,7 +9,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 
-use super::view::{View, jpeg};
+use super::view::{TrialView, jpeg};
 use super::{History, HistoryError, SCANS};
 use crate::library::About;
 use crate::record::{TrialOptions, utc, write_trial};
@@ -37,7 +37,7 @@ type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
 #[derive(Serialize)]
 struct Notes<'a> {
     why: Option<&'a Why>,
-    scan: View,
+    scan: TrialView,
     nearest: Option<NearestView>,
 }
 
@@ -46,13 +46,13 @@ struct Notes<'a> {
 struct NearestView {
     trial: TrialKey,
     #[serde(flatten)]
-    view: View,
+    view: TrialView,
 }
 
 /// A scan, and the folder of its signals.
 type Written = (Arc<AnsweredScan>, PathBuf);
 
-struct Writer {
+struct HistoryWriter {
     history: Arc<History>,
     scene: Scene,
     devices: BTreeMap<String, String>,
@@ -89,7 +89,7 @@ impl Keeper {
             without_notes: without_notes.clone(),
             _working: working,
         };
-        let writer = Writer {
+        let writer = HistoryWriter {
             history: history.clone(),
             scene,
             devices,
@@ -149,7 +149,7 @@ fn say_problem(history: &History, done: Result<(), HistoryError>) {
     }
 }
 
-impl Writer {
+impl HistoryWriter {
     fn run(&self, scans: &Receiver<Arc<AnsweredScan>>) {
         for scan in scans {
             let written = self.history.answered(&scan.answer).and_then(|()| self.write(&scan));
@@ -218,10 +218,10 @@ impl Annotator {
             write_pictures(nearest, folder)?;
         }
         let nearest = nearest.map(|nearest| NearestView {
-            view: View::of(&nearest, &self.scene),
+            view: TrialView::of(&nearest, &self.scene),
             trial: nearest.key,
         });
-        let scan = View::of(&scan.trial, &self.scene);
+        let scan = TrialView::of(&scan.trial, &self.scene);
         let notes = Notes { why: why.as_ref(), scan, nearest };
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string(&notes).unwrap_or_default();

@@ -41,14 +41,14 @@ impl Head {
 /// What one line says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Line {
+pub(super) enum LogLine {
     Answer(Head),
     Signals { id: String, bytes: Option<u64> },
     Correction { id: String, correction: Option<Correction> },
     Trial { id: String, trial: Option<String> },
 }
 
-impl Line {
+impl LogLine {
     pub fn to_json(&self) -> String {
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         serde_json::to_string(self).unwrap_or_default()
@@ -90,7 +90,7 @@ impl Log {
     }
 
     /// All lines; what a crash cut short, or is none of ours, is passed over.
-    pub fn read(&mut self) -> Result<Vec<(Line, Span)>, HistoryError> {
+    pub fn read(&mut self) -> Result<Vec<(LogLine, Span)>, HistoryError> {
         let mut lines = Vec::new();
         let file = File::open(&self.path).map_err(HistoryError::io(&self.path))?;
         let (mut reader, mut text, mut offset) = (BufReader::new(file), Vec::new(), 0);
@@ -145,10 +145,10 @@ impl Log {
     /// The answer in a line.
     pub fn answer(&self, span: Span) -> Result<Map<String, Value>, HistoryError> {
         #[derive(Deserialize)]
-        struct Whole {
+        struct LogAnswer {
             answer: Map<String, Value>,
         }
-        let whole: Option<Whole> = serde_json::from_str(&self.line(span)?).ok();
+        let whole: Option<LogAnswer> = serde_json::from_str(&self.line(span)?).ok();
         Ok(whole.map(|whole| whole.answer).unwrap_or_default())
     }
 

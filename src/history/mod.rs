@@ -34,9 +34,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 
-use self::entries::{Entry, Inner, Text};
+use self::entries::{HistoryEntry, HistoryState, Text};
 use self::file::{Disk, SCANS};
-use self::log::{Head, Line};
+use self::log::{Head, LogLine};
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
@@ -55,7 +55,7 @@ pub(crate) fn nearest_picture(source: &SourceId) -> String {
 /// All answers and scans that are kept.
 #[derive(Debug)]
 pub struct History {
-    inner: Mutex<Inner>,
+    inner: Mutex<HistoryState>,
 }
 
 /// How much is kept.
@@ -92,7 +92,7 @@ impl History {
     /// If the folder cannot be read or written, or another program uses it.
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let mut disk = Disk::open(folder, most_bytes)?;
-        let mut inner = Inner::default();
+        let mut inner = HistoryState::default();
         for (line, span) in disk.log.read()? {
             inner.take(line, span);
         }
@@ -115,7 +115,7 @@ impl History {
     /// If the folder cannot be read.
     pub fn read(folder: &Path) -> Result<Self, HistoryError> {
         let mut disk = Disk::read_only(folder)?;
-        let mut inner = Inner::default();
+        let mut inner = HistoryState::default();
         for (line, span) in disk.log.read()? {
             inner.take(line, span);
         }
@@ -123,7 +123,7 @@ impl History {
         Ok(Self { inner: Mutex::new(inner) })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner> {
+    fn lock(&self) -> MutexGuard<'_, HistoryState> {
         // Each change leaves it whole.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -149,7 +149,13 @@ impl History {
             Ok(Some(span)) => Text::InLog(*span),
             Ok(None) | Err(_) => Text::Here(text.into()),
         };
-        inner.entries.push_back(Entry { head, text, correction: None, trial: None, signals: None });
+        inner.entries.push_back(HistoryEntry {
+            head,
+            text,
+            correction: None,
+            trial: None,
+            signals: None,
+        });
         if inner.disk.is_none() && inner.entries.len() > IN_MEMORY {
             inner.entries.pop_front();
         }
@@ -167,7 +173,7 @@ impl History {
         let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
             return Ok(());
         };
-        inner.change(Line::Signals { id: id.into(), bytes: Some(bytes) })?;
+        inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;
         inner.make_room()
     }
 
@@ -182,7 +188,7 @@ impl History {
             let label = correction.as_ref().and_then(Correction::surface);
             disk.label(id, label.unwrap_or(SCANS))?;
         }
-        inner.change(Line::Correction { id: id.into(), correction })
+        inner.change(LogLine::Correction { id: id.into(), correction })
     }
 
     /// Notes which trial of the library a scan became.
@@ -192,7 +198,7 @@ impl History {
     pub(crate) fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         inner.find(id)?;
-        inner.change(Line::Trial { id: id.into(), trial })
+        inner.change(LogLine::Trial { id: id.into(), trial })
     }
 
     /// The newest answers first, at most `most`, those before the scan of a name or number alone.
@@ -243,7 +249,7 @@ impl History {
     pub fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
         let inner = &*self.lock();
         let at = inner.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
-        let Entry { head: Head { id, .. }, signals, .. } = &inner.entries[at];
+        let HistoryEntry { head: Head { id, .. }, signals, .. } = &inner.entries[at];
         let folder = inner.disk.as_ref().filter(|_| signals.is_some()).map(|disk| disk.folder(id));
         folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
     }

@@ -18,7 +18,7 @@ const AUDIBLE_HZ: f64 = 8000.0;
 
 /// What is drawn of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct View {
+pub struct TrialView {
     /// The sources that are series, by name.
     pub series: Vec<SeriesView>,
     /// Those that are pictures.
@@ -46,7 +46,7 @@ pub struct SeriesView {
     pub spectrum: Option<Bands>,
 }
 
-impl View {
+impl TrialView {
     /// What is drawn of a trial.
     pub fn of(trial: &Trial, scene: &Scene) -> Self {
         let mut view = Self { series: Vec::new(), pictures: Vec::new() };
@@ -118,7 +118,7 @@ mod tests {
         let series = Series::new(10_000.0, 1, samples).unwrap();
         let signals = [(id, Signal::Series(series))].into();
         let trial = Trial { key: TrialKey::new("", "", 1), signals };
-        let view = View::of(&trial, &Scene::lmt108());
+        let view = TrialView::of(&trial, &Scene::lmt108());
         let ir = &view.series[0];
         assert_eq!((ir.min[0].len(), ir.max[0].len(), ir.duration_s), (BINS, BINS, 10.0));
         let peaks: Vec<_> = (0..BINS).filter(|&i| ir.max[0][i] == 9.0).collect();

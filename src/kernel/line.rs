@@ -25,12 +25,12 @@ const LANES: usize = 8;
 pub struct LineSum {
     centre: f64,
     scale: f64,
-    groups: Vec<Group>,
+    groups: Vec<PointGroup>,
 }
 
 /// Points close enough together to share one row of cells.
 #[derive(Clone, Debug)]
-struct Group {
+struct PointGroup {
     start: f64,
     cells: Vec<[f64; TERMS]>,
 }
@@ -43,7 +43,7 @@ impl LineSum {
         let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);
         let points: Vec<f64> = points.map(place).collect();
         debug_assert!(points.is_sorted());
-        let groups = points.chunk_by(|a, b| b - a < 2.0 * REACH).map(Group::new).collect();
+        let groups = points.chunk_by(|a, b| b - a < 2.0 * REACH).map(PointGroup::new).collect();
         Self { centre, scale, groups }
     }
 
@@ -72,7 +72,7 @@ impl LineSum {
     }
 }
 
-impl Group {
+impl PointGroup {
     /// `points` are ascending, at least one.
     fn new(points: &[f64]) -> Self {
         let (first, last) = (points[0], points[points.len() - 1]);

@@ -15,7 +15,7 @@ const USUAL: &str = "mi2";
 
 /// What one file is.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Place {
+pub(super) struct FilePlace {
     pub source: SourceId,
     pub number: u32,
     /// Whether its name says nothing of its source.
@@ -29,13 +29,13 @@ pub(super) fn places(
     scene: &Scene,
     only: Option<&SourceId>,
     taken: &[u32],
-) -> Vec<Place> {
+) -> Vec<FilePlace> {
     let usual = || scene.get(USUAL).map(|spec| spec.id.clone());
     let Some(usual) = only.cloned().or_else(usual) else { return Vec::new() };
     let named: Vec<Option<SourceId>> = names.iter().map(|name| source_of(name, scene)).collect();
     let source = |i: usize| named[i].clone().unwrap_or_else(|| usual.clone());
     let numbers = numbers(names, &source, taken);
-    let place = |(i, number)| Place { source: source(i), number, guessed: named[i].is_none() };
+    let place = |(i, number)| FilePlace { source: source(i), number, guessed: named[i].is_none() };
     numbers.into_iter().enumerate().map(place).collect()
 }
 

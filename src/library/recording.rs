@@ -45,7 +45,7 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
 /// If the folder cannot be read, `library.toml` is wrong, or nothing can be used.
 pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let folders = files::list(path)?;
-    let mut opening = Opening::new(path, defaults.clone())?;
+    let mut opening = RecordingOpening::new(path, defaults.clone())?;
     for surface in &folders {
         if surface.is_dir && !surface.is_hidden() {
             opening.surface(surface);
@@ -66,7 +66,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
     let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
         return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
     };
-    let mut opening = Opening::new(folder, defaults.clone())?;
+    let mut opening = RecordingOpening::new(folder, defaults.clone())?;
     opening.name.clone_from(&item.name);
     opening.loose(UNLABELLED, &[&item]);
     opening.library()
@@ -81,7 +81,7 @@ pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, Lib
     let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
         return Err(LibraryError::file(&folder, "not the folder of a trial"));
     };
-    let mut opening = Opening::new(surface.parent().unwrap_or(surface), defaults.clone())?;
+    let mut opening = RecordingOpening::new(surface.parent().unwrap_or(surface), defaults.clone())?;
     let label = surface.file_name().unwrap_or_default().to_string_lossy();
     opening.trial(&label, &item);
     opening.library()?.whole()
@@ -111,7 +111,7 @@ fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError
     LibraryError::NothingFound { path: path.to_path_buf(), problem }
 }
 
-struct Opening<'a> {
+struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
@@ -126,7 +126,7 @@ struct Opening<'a> {
     bad: Vec<LibraryError>,
 }
 
-impl<'a> Opening<'a> {
+impl<'a> RecordingOpening<'a> {
     fn new(root: &'a Path, scene: Scene) -> Result<Self, LibraryError> {
         let mut opening = Self {
             root,
@@ -157,7 +157,7 @@ impl<'a> Opening<'a> {
         for (path, what) in self.headers.remarks() {
             self.pass_over(&path, what);
         }
-        let Opening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
+        let RecordingOpening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
         let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
         if trials.is_empty() {
             let nothing = || nothing_found(root, &scene, &remarks);

@@ -41,8 +41,8 @@ pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
         .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
 }
 
-fn decode(file: &mut impl Read, data: Data) -> io::Result<Vec<f32>> {
-    let Data { format, container, length, .. } = data;
+fn decode(file: &mut impl Read, data: WavData) -> io::Result<Vec<f32>> {
+    let WavData { format, container, length, .. } = data;
     let bytes = usize::from(container);
     let scale = 1.0 / 2f64.powi(i32::from(container) * 8 - 1);
     let mut samples = Vec::with_capacity(length as usize / bytes);
@@ -78,7 +78,7 @@ const EXTENSIBLE: u16 = 0xFFFE;
 
 /// How the samples of a file lie in it.
 #[derive(Clone, Copy, Debug)]
-struct Data {
+struct WavData {
     /// [`PCM`] or [`FLOAT`].
     format: u16,
     channels: u16,
@@ -90,7 +90,7 @@ struct Data {
     length: u64,
 }
 
-impl Data {
+impl WavData {
     fn header(self) -> Header {
         let channels = usize::from(self.channels);
         let frame = channels.max(1) as u64 * u64::from(self.container);
@@ -103,16 +103,18 @@ impl Data {
 }
 
 /// Opens a file at its first sample.
-fn open(path: &Path) -> Result<(BufReader<File>, Data), LibraryError> {
+fn open(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
     if size == 0 {
         return Err(LibraryError::file(path, EMPTY_FILE));
     }
     let mut file = BufReader::new(file);
     let data = walk(&mut file).map_err(|problem| match problem {
-        Problem::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => truncated(path, None),
-        Problem::Io(error) => LibraryError::io(path, error),
-        Problem::Format(problem) => LibraryError::file(
+        WavProblem::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+            truncated(path, None)
+        }
+        WavProblem::Io(error) => LibraryError::io(path, error),
+        WavProblem::Format(problem) => LibraryError::file(
             path,
             format!(
                 "not a WAV file that can be read ({problem}); expected 16-bit, 24-bit or f32 PCM"
@@ -129,7 +131,7 @@ fn open(path: &Path) -> Result<(BufReader<File>, Data), LibraryError> {
 }
 
 /// Refuses what holds no samples, or more than any trial; `rest` are the bytes that follow.
-fn check(data: Data, rest: u64) -> Result<(), String> {
+fn check(data: WavData, rest: u64) -> Result<(), String> {
     let samples = data.length / u64::from(data.container);
     if samples == 0 {
         return Err(match rest {
@@ -144,23 +146,23 @@ fn check(data: Data, rest: u64) -> Result<(), String> {
     too_long(data.header()).map_or(Ok(()), Err)
 }
 
-enum Problem {
+enum WavProblem {
     Io(io::Error),
     Format(String),
 }
 
-impl From<io::Error> for Problem {
+impl From<io::Error> for WavProblem {
     fn from(error: io::Error) -> Self {
         Self::Io(error)
     }
 }
 
-fn no(problem: &str) -> Problem {
-    Problem::Format(problem.into())
+fn no(problem: &str) -> WavProblem {
+    WavProblem::Format(problem.into())
 }
 
 /// From chunk to chunk, up to the first sample.
-fn walk(file: &mut BufReader<File>) -> Result<Data, Problem> {
+fn walk(file: &mut BufReader<File>) -> Result<WavData, WavProblem> {
     let riff: [u8; 12] = take(file)?;
     if &riff[..4] != b"RIFF" || &riff[8..] != b"WAVE" {
         return Err(no("it does not begin as one does"));
@@ -171,11 +173,11 @@ fn walk(file: &mut BufReader<File>) -> Result<Data, Problem> {
         let length = u32::from_le_bytes([a, b, c, d]);
         match &id {
             b"data" => {
-                let data: Data = format.ok_or_else(|| no("its format follows its samples"))?;
+                let data: WavData = format.ok_or_else(|| no("its format follows its samples"))?;
                 if u64::from(length) % u64::from(data.container * data.channels) != 0 {
                     return Err(no("its samples do not fill whole frames"));
                 }
-                return Ok(Data { length: u64::from(length), ..data });
+                return Ok(WavData { length: u64::from(length), ..data });
             }
             b"fmt " if length >= 16 => {
                 let mut body = [0; 40];
@@ -200,7 +202,7 @@ fn skip(file: &mut BufReader<File>, bytes: u64) -> io::Result<()> {
 }
 
 /// What a `fmt ` chunk of 16 bytes or more says.
-fn parse(body: &[u8]) -> Result<Data, Problem> {
+fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
     let word = |at: usize| u16::from_le_bytes([body[at], body[at + 1]]);
     let (mut format, channels, frame, bits) = (word(0), word(2), word(12), word(14));
     let extensible = format == EXTENSIBLE;
@@ -217,20 +219,20 @@ fn parse(body: &[u8]) -> Result<Data, Problem> {
     let fits = match format {
         PCM => (1..=4).contains(&container) && (1..=container * 8).contains(&bits),
         FLOAT => (container, bits) == (4, 32),
-        _ => return Err(Problem::Format(format!("format {format} is not PCM"))),
+        _ => return Err(WavProblem::Format(format!("format {format} is not PCM"))),
     };
     if !fits {
-        return Err(Problem::Format(format!("{bits} bits in {container} bytes")));
+        return Err(WavProblem::Format(format!("{bits} bits in {container} bytes")));
     }
     // Some programs put them into the lower bits then, some into the upper.
     if !extensible && bits != container * 8 {
-        return Err(Problem::Format(format!(
+        return Err(WavProblem::Format(format!(
             "{bits} bits in {container} bytes, and nothing says where in them; convert it, for \
              example with `sox IN.wav -b 24 OUT.wav`"
         )));
     }
     let rate_hz = u32::from_le_bytes([body[4], body[5], body[6], body[7]]);
-    Ok(Data { format, channels, rate_hz, container, length: 0 })
+    Ok(WavData { format, channels, rate_hz, container, length: 0 })
 }
 
 fn truncated(path: &Path, sizes: Option<(u64, u64)>) -> LibraryError {

@@ -12,48 +12,48 @@
 use std::collections::VecDeque;
 
 /// Seconds of the daemon's time base.
-pub type Second = f64;
+pub type ClockSecond = f64;
 
 /// In each bin of this length, the point with the least delay is kept.
-const BIN_S: Second = 0.5;
+const BIN_S: ClockSecond = 0.5;
 /// Bins that are kept: a minute.
 const BINS: usize = 120;
 /// A span of less says nothing of the drift: at 1 ms of noise, 10 s leave 100 ppm.
-const LEAST_SPAN_S: Second = 10.0;
+const LEAST_SPAN_S: ClockSecond = 10.0;
 /// No clock is worse; the stylus without its crystal is good to 1 %.
 const WORST_DRIFT: f64 = 0.02;
 /// This many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
 const STEP_BINS: usize = 3;
-const STEP_S: Second = 0.01;
+const STEP_S: ClockSecond = 0.01;
 
 /// The line from a stream's index to the time base.
 #[derive(Clone, Debug)]
 pub struct Clock {
     /// Nominal time from frame to frame.
-    period_s: Second,
+    period_s: ClockSecond,
     /// Finished bins, oldest first, as points (nominal time, delay).
-    bins: VecDeque<Point>,
+    bins: VecDeque<ClockPoint>,
     /// The bin in progress: when it began, and its point so far.
-    current: Option<(Second, Point)>,
+    current: Option<(ClockSecond, ClockPoint)>,
     line: Option<Line>,
 }
 
 /// `x` is the nominal time of an index, `y` how much later than that it arrived, both in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Point {
-    x: Second,
-    y: Second,
+struct ClockPoint {
+    x: ClockSecond,
+    y: ClockSecond,
 }
 
 /// Delay at `x`: `at.y + slope · (x − at.x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
-    at: Point,
+    at: ClockPoint,
     slope: f64,
 }
 
 impl Line {
-    fn y(&self, x: Second) -> Second {
+    fn y(&self, x: ClockSecond) -> ClockSecond {
         self.at.y + self.slope * (x - self.at.x)
     }
 }
@@ -67,9 +67,9 @@ impl Clock {
 
     /// Notes that all frames before `index` had arrived at `arrival_s`. Neither may go back;
     /// observations that do, or that are not finite, are passed over.
-    pub fn observe(&mut self, index: u64, arrival_s: Second) {
+    pub fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
         let x = index as f64 * self.period_s;
-        let point = Point { x, y: arrival_s - x };
+        let point = ClockPoint { x, y: arrival_s - x };
         let newest = self.current.map(|(_, point)| point).or(self.bins.back().copied());
         if !point.y.is_finite() || newest.is_some_and(|newest| x < newest.x) {
             return;
@@ -98,13 +98,13 @@ impl Clock {
 
     /// When the frame `index` was sampled, up to the stream's constant delay; none before the
     /// first arrival.
-    pub fn time_s(&self, index: u64) -> Option<Second> {
+    pub fn time_s(&self, index: u64) -> Option<ClockSecond> {
         let x = index as f64 * self.period_s;
         self.line.map(|line| x + line.y(x))
     }
 
     /// Index of the first frame sampled at `time_s` or later; 0 for times before the stream.
-    pub fn index_at(&self, time_s: Second) -> Option<u64> {
+    pub fn index_at(&self, time_s: ClockSecond) -> Option<u64> {
         let Line { at, slope } = self.line?;
         // time = x + at.y + slope · (x − at.x)
         let x = (time_s - at.y + slope * at.x) / (1.0 + slope);
@@ -118,16 +118,16 @@ impl Clock {
         self.line.map_or(0.0, |line| line.slope)
     }
 
-    fn points(&self) -> impl Iterator<Item = Point> + '_ {
+    fn points(&self) -> impl Iterator<Item = ClockPoint> + '_ {
         self.bins.iter().copied().chain(self.current.map(|(_, point)| point))
     }
 
     fn fit(&mut self) {
-        let points: Vec<Point> = self.points().collect();
+        let points: Vec<ClockPoint> = self.points().collect();
         let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
         let span = last.x - first.x;
         let lowest = |slope: f64| {
-            let over = |p: &&Point| p.y - slope * (p.x - first.x);
+            let over = |p: &&ClockPoint| p.y - slope * (p.x - first.x);
             let at = points.iter().min_by(|a, b| over(a).total_cmp(&over(b)));
             at.map(|at| Line { at: *at, slope })
         };
@@ -152,8 +152,9 @@ impl Clock {
         if self.bins[old - 1].x - first.x < LEAST_SPAN_S {
             return;
         }
-        let off = |point: &Point| point.y - line.y(point.x);
-        let all = |far: fn(Second) -> bool| self.bins.range(old..).all(|point| far(off(point)));
+        let off = |point: &ClockPoint| point.y - line.y(point.x);
+        let all =
+            |far: fn(ClockSecond) -> bool| self.bins.range(old..).all(|point| far(off(point)));
         // The line is below all points, so what is early shows as old points that are late.
         let late = all(|off| off > STEP_S);
         let early = self.bins.range(..old).all(|point| off(point) > STEP_S);
@@ -164,8 +165,8 @@ impl Clock {
 }
 
 /// The edge of the lower convex hull of `points` (in order of x) that lies over or at `middle`.
-fn edge_under(points: &[Point], middle: Second) -> Option<Line> {
-    let mut hull: Vec<Point> = Vec::with_capacity(points.len());
+fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
+    let mut hull: Vec<ClockPoint> = Vec::with_capacity(points.len());
     for &p in points {
         if let Some(last) = hull.last_mut().filter(|last| last.x >= p.x) {
             last.y = last.y.min(p.y);
@@ -198,14 +199,14 @@ mod tests {
 
     /// How samples come: in bursts, each late by a share that is exponential and now and then has
     /// a Pareto tail (index 1.5, so that its variance is infinite).
-    struct Line {
+    struct SampleArrivals {
         rate_hz: f64,
         drift: f64,
         burst_s: f64,
         jitter_s: f64,
     }
 
-    impl Line {
+    impl SampleArrivals {
         fn true_time(&self, index: u64) -> f64 {
             3.0 + index as f64 / self.rate_hz * (1.0 + self.drift)
         }
@@ -242,7 +243,8 @@ mod tests {
                 for (rate_hz, burst_s, jitter_s) in
                     [(10_000.0, 0.003, 0.000_5), (10_000.0, 0.016, 0.004), (44_100.0, 0.01, 0.002)]
                 {
-                    let line = Line { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
+                    let line =
+                        SampleArrivals { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
                     let (_, error_s) = line.run(40.0, 6.0, seed);
                     worst = worst.max(error_s);
                 }
@@ -254,21 +256,24 @@ mod tests {
 
     #[test]
     fn the_drift_is_found() {
-        let line = Line { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
+        let line =
+            SampleArrivals { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
         let (clock, _) = line.run(60.0, 100.0, 7);
         assert!((clock.drift() - 100e-6).abs() < 10e-6, "{}", clock.drift());
     }
 
     #[test]
     fn a_stylus_without_its_crystal_is_followed() {
-        let line = Line { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
+        let line =
+            SampleArrivals { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
         let (_, error_s) = line.run(60.0, 16.0, 3);
         assert!(error_s <= 1e-3, "{error_s}");
     }
 
     #[test]
     fn an_index_and_its_time_belong_to_each_other() {
-        let line = Line { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
+        let line =
+            SampleArrivals { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
         let (clock, _) = line.run(30.0, 100.0, 1);
         for index in [0, 1, 44_099, 1_000_000] {
             assert_eq!(clock.index_at(clock.time_s(index).unwrap()), Some(index));

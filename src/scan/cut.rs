@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::Scan;
 use super::history::{SeriesHistory, narrow};
-use super::mark::{Cut, Marked};
+use super::mark::{Marked, SourceSpan};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
@@ -14,7 +14,7 @@ use crate::trial::{Series, Signal, Trial, TrialKey};
 const BRIDGED_S: f64 = 1e-3;
 
 /// What was cut for one source.
-struct Piece {
+struct CutPiece {
     signal: Option<Signal>,
     lost: u64,
     spoiled: Option<String>,
@@ -54,16 +54,16 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     })
 }
 
-fn cut_source(source: &SourceId, cut: &Cut, stream: &Stream) -> Piece {
+fn cut_source(source: &SourceId, cut: &SourceSpan, stream: &Stream) -> CutPiece {
     let end = cut.end.unwrap_or(cut.start);
     match stream.buffer() {
         StreamBuffer::Series { history, .. } => cut_series(source, cut, end, history),
         StreamBuffer::Images { history, .. } => match history.get(cut.start) {
             Some(image) => {
                 let image = Arc::unwrap_or_clone(image.clone());
-                Piece { signal: Some(Signal::Image(image)), lost: 0, spoiled: None }
+                CutPiece { signal: Some(Signal::Image(image)), lost: 0, spoiled: None }
             }
-            None => Piece {
+            None => CutPiece {
                 signal: None,
                 lost: 1,
                 spoiled: Some(format!("{source}: the picture was lost")),
@@ -72,7 +72,7 @@ fn cut_source(source: &SourceId, cut: &Cut, stream: &Stream) -> Piece {
     }
 }
 
-fn cut_series(source: &SourceId, cut: &Cut, end: u64, history: &SeriesHistory) -> Piece {
+fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHistory) -> CutPiece {
     let span = cut.start..end;
     let ms = |frames: u64| frames as f64 / cut.rate_hz * 1e3;
     let (first, samples) = history.frames(span.clone());
@@ -85,7 +85,7 @@ fn cut_series(source: &SourceId, cut: &Cut, end: u64, history: &SeriesHistory) -
     let mut spoiled = None;
     if lost == end - cut.start {
         let spoiled = format!("{source}: none of its {:.1} ms arrived", ms(lost));
-        return Piece { signal: None, lost, spoiled: Some(spoiled) };
+        return CutPiece { signal: None, lost, spoiled: Some(spoiled) };
     }
     let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
     if gone > 0 {
@@ -108,10 +108,10 @@ fn cut_series(source: &SourceId, cut: &Cut, end: u64, history: &SeriesHistory) -
         }
     }
     match Series::new(cut.rate_hz, cut.channels, own) {
-        Ok(series) => Piece { signal: Some(Signal::Series(series)), lost, spoiled },
+        Ok(series) => CutPiece { signal: Some(Signal::Series(series)), lost, spoiled },
         Err(error) => {
             let spoiled = Some(format!("{source} is left out: {error}"));
-            Piece { signal: None, lost, spoiled }
+            CutPiece { signal: None, lost, spoiled }
         }
     }
 }

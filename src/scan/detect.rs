@@ -8,7 +8,7 @@
 mod noise_floor;
 
 pub use noise_floor::SensorKind;
-pub(crate) use noise_floor::{HOP_S, Level};
+pub(crate) use noise_floor::{HOP_S, StreamLevel};
 
 /// What is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +63,7 @@ pub(crate) enum DetectorEvent {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum State {
+enum DetectorState {
     Quiet { tap: Option<(u64, u64)> },
     Contact { tap: Option<(u64, u64)>, start: u64, quiet_at: Option<u64> },
     Drag { start: u64, quiet_at: Option<u64> },
@@ -73,14 +73,14 @@ enum State {
 #[derive(Clone, Debug)]
 pub(crate) struct Detector {
     config: DetectorConfig,
-    state: State,
+    state: DetectorState,
     hop: u64,
 }
 
 impl Detector {
     /// Nothing detected yet.
     pub fn new(config: DetectorConfig) -> Self {
-        Self { config, state: State::Quiet { tap: None }, hop: 0 }
+        Self { config, state: DetectorState::Quiet { tap: None }, hop: 0 }
     }
 
     /// Its settings.
@@ -90,7 +90,7 @@ impl Detector {
 
     /// Whether there is contact, during which noise floors are held.
     pub fn in_contact(&self) -> bool {
-        !matches!(self.state, State::Quiet { .. })
+        !matches!(self.state, DetectorState::Quiet { .. })
     }
 
     /// Takes the next hop: the highest level among the streams.
@@ -102,39 +102,39 @@ impl Detector {
         // A level that is not a number is not quiet, and begins nothing either.
         let is_quiet = level < config.quiet;
         match &mut self.state {
-            State::Quiet { tap } => {
+            DetectorState::Quiet { tap } => {
                 if tap.is_some_and(|(_, end)| lasted(end, config.longest_pause_s)) {
                     *tap = None;
                 }
                 if level >= config.onset {
-                    self.state = State::Contact { tap: *tap, start: at, quiet_at: None };
+                    self.state = DetectorState::Contact { tap: *tap, start: at, quiet_at: None };
                 }
                 None
             }
-            State::Contact { tap, start, quiet_at } => {
+            DetectorState::Contact { tap, start, quiet_at } => {
                 *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
                 match *quiet_at {
                     Some(end) if lasted(end, config.tap_hold_s) => {
-                        self.state = State::Quiet { tap: Some((*start, end)) };
+                        self.state = DetectorState::Quiet { tap: Some((*start, end)) };
                         None
                     }
                     None if lasted(*start, config.longest_tap_s) => {
                         let event = DetectorEvent::Drag { tap: *tap, start: *start };
-                        self.state = State::Drag { start: *start, quiet_at: None };
+                        self.state = DetectorState::Drag { start: *start, quiet_at: None };
                         Some(event)
                     }
                     _ => None,
                 }
             }
-            State::Drag { start, quiet_at } => {
+            DetectorState::Drag { start, quiet_at } => {
                 *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
                 match *quiet_at {
                     Some(end) if lasted(end, config.drag_hold_s) => {
-                        self.state = State::Quiet { tap: None };
+                        self.state = DetectorState::Quiet { tap: None };
                         Some(DetectorEvent::End { end })
                     }
                     _ if lasted(*start, config.longest_drag_s) => {
-                        self.state = State::Quiet { tap: None };
+                        self.state = DetectorState::Quiet { tap: None };
                         Some(DetectorEvent::NoiseTimeout)
                     }
                     _ => None,
@@ -145,9 +145,9 @@ impl Detector {
 
     /// The streams have ended or stalled: a drag in progress ends here.
     pub fn finish(&mut self) -> Option<DetectorEvent> {
-        let state = std::mem::replace(&mut self.state, State::Quiet { tap: None });
+        let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
-            State::Drag { quiet_at, .. } => {
+            DetectorState::Drag { quiet_at, .. } => {
                 Some(DetectorEvent::End { end: quiet_at.unwrap_or(self.hop) })
             }
             _ => None,

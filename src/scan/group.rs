@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, Level, SensorKind};
+use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, StreamLevel};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
@@ -12,7 +12,7 @@ const KEPT_HOPS: usize = 2_000;
 /// The streams of one device that show contact.
 pub(super) struct Group {
     /// Indexes of the streams, and their levels.
-    pub channels: Vec<(usize, Level)>,
+    pub channels: Vec<(usize, StreamLevel)>,
     pub rate_hz: f64,
     pub detector: Detector,
     /// Index of the first frame of hop 0, and of the next frame.
@@ -37,7 +37,7 @@ impl Group {
             channels.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
         let rate_hz = streams[found.first()?.0].rate_hz();
         let level = |&(at, feel): &(usize, SensorKind)| {
-            (at, Level::new(feel, streams[at].channels(), rate_hz))
+            (at, StreamLevel::new(feel, streams[at].channels(), rate_hz))
         };
         Some(Self {
             channels: found.iter().map(level).collect(),

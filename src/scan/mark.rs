@@ -14,7 +14,7 @@ pub(super) struct Marked {
     pub begin: Begin,
     /// The device that began it.
     pub device: usize,
-    pub cuts: BTreeMap<SourceId, Cut>,
+    pub cuts: BTreeMap<SourceId, SourceSpan>,
     /// When its last sample was taken, and when its end became known.
     pub ended: Option<(Instant, Instant)>,
     /// How many steps of progress were sent.
@@ -27,7 +27,7 @@ pub(super) struct Marked {
 
 /// The span of one source in its stream.
 #[derive(Debug)]
-pub(super) struct Cut {
+pub(super) struct SourceSpan {
     /// Index of its stream.
     pub stream: usize,
     pub start: u64,
@@ -39,7 +39,7 @@ pub(super) struct Cut {
     pub sent: u64,
 }
 
-impl Cut {
+impl SourceSpan {
     /// Index after the last frame that is the source's and has come out of its ring.
     pub fn available(&self, streams: &[Stream]) -> u64 {
         let end = self.end.unwrap_or(u64::MAX);
@@ -112,7 +112,7 @@ impl Marked {
         if channels == 0 || channels > widest {
             return Err(format!("{source} would have {channels} of {widest} channels"));
         }
-        let cut = Cut { stream: index, start, end: None, phase, rate_hz, channels, sent: 0 };
+        let cut = SourceSpan { stream: index, start, end: None, phase, rate_hz, channels, sent: 0 };
         self.cuts.insert(source, cut);
         Ok(())
     }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::history::narrow;
-use super::mark::{Cut, Marked};
+use super::mark::{Marked, SourceSpan};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
@@ -102,7 +102,7 @@ impl PartialScan {
     }
 }
 
-impl Cut {
+impl SourceSpan {
     /// Index after the frames of the first `seconds`, a begun frame included.
     fn until(&self, seconds: f64) -> u64 {
         self.start + (seconds * self.rate_hz).ceil() as u64
@@ -130,7 +130,7 @@ pub(super) fn next(
         return None;
     }
     if exact {
-        let there = |cut: &Cut| {
+        let there = |cut: &SourceSpan| {
             let seconds = step as f64 * every_s;
             let far = cut.phase == Phase::Drag && cut.available(streams) >= cut.until(seconds);
             far || cut.delivered(streams)

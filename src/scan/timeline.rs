@@ -2,14 +2,14 @@
 
 use std::time::{Duration, Instant};
 
-use super::clock::{Clock, Second};
+use super::clock::{Clock, ClockSecond};
 use super::stream::Stream;
 
 /// A stream that has delivered nothing for this long takes no part in detection.
-const SILENT_S: Second = 0.5;
+const SILENT_S: ClockSecond = 0.5;
 /// A drag whose streams have delivered nothing for this long is over: longer than any machine
 /// suspends a driver.
-const GONE_S: Second = 3.0;
+const GONE_S: ClockSecond = 3.0;
 
 /// The clocks of all streams, in the streams' order.
 pub(super) struct Timeline {
@@ -22,7 +22,7 @@ struct Arrivals {
     clock: Clock,
     /// Index after its last frame, and when that arrived.
     end: u64,
-    at_s: Second,
+    at_s: ClockSecond,
 }
 
 impl Timeline {
@@ -36,7 +36,7 @@ impl Timeline {
     }
 
     /// Notes what has arrived; gives the time.
-    pub fn observe(&mut self, streams: &[Stream]) -> Second {
+    pub fn observe(&mut self, streams: &[Stream]) -> ClockSecond {
         let now_s = self.now_s();
         for (stream, known) in streams.iter().zip(&mut self.streams) {
             if stream.end() > known.end {
@@ -47,36 +47,36 @@ impl Timeline {
         now_s
     }
 
-    pub fn now_s(&self) -> Second {
+    pub fn now_s(&self) -> ClockSecond {
         self.begin.elapsed().as_secs_f64()
     }
 
-    pub fn instant(&self, at_s: Second) -> Instant {
+    pub fn instant(&self, at_s: ClockSecond) -> Instant {
         self.begin + Duration::from_secs_f64(at_s)
     }
 
     /// Whether a stream's data arrive.
-    pub fn alive(&self, stream: usize, now_s: Second) -> bool {
+    pub fn alive(&self, stream: usize, now_s: ClockSecond) -> bool {
         now_s - self.streams[stream].at_s <= SILENT_S
     }
 
     /// Whether a stream's data have been missing long enough to end its drag.
-    pub fn gone(&self, stream: usize, now_s: Second) -> bool {
+    pub fn gone(&self, stream: usize, now_s: ClockSecond) -> bool {
         now_s - self.streams[stream].at_s > GONE_S
     }
 
     /// When a frame was sampled; none before the stream's first arrival.
-    pub fn time_s(&self, stream: usize, frame: u64) -> Option<Second> {
+    pub fn time_s(&self, stream: usize, frame: u64) -> Option<ClockSecond> {
         self.streams[stream].clock.time_s(frame)
     }
 
     /// Index of the frame that was sampled at a time; none before the stream's first arrival.
-    pub fn index_at(&self, stream: usize, time_s: Second) -> Option<u64> {
+    pub fn index_at(&self, stream: usize, time_s: ClockSecond) -> Option<u64> {
         self.streams[stream].clock.index_at(time_s)
     }
 
     /// Index of the frame that is sampled now; of a silent stream, of the next one.
-    pub fn index_now(&self, stream: usize, now_s: Second) -> u64 {
+    pub fn index_now(&self, stream: usize, now_s: ClockSecond) -> u64 {
         let by_clock = self.index_at(stream, now_s).filter(|_| self.alive(stream, now_s));
         by_clock.unwrap_or(self.streams[stream].end)
     }

@@ -71,7 +71,7 @@ struct Places {
 }
 
 /// A place that is taken, until it is dropped.
-struct Place {
+struct ConnectionPlace {
     of: Arc<Places>,
     address: IpAddr,
 }
@@ -85,7 +85,7 @@ impl Places {
 
     /// One place more, if the address may have one. Proxies speak for many, so only the limit for
     /// all holds for them.
-    fn take(places: &Arc<Self>, address: IpAddr) -> Option<Place> {
+    fn take(places: &Arc<Self>, address: IpAddr) -> Option<ConnectionPlace> {
         let taken = &mut *places.taken();
         let proxy = places.proxies.contains(&address.to_canonical());
         let most = if proxy { places.all } else { places.an_address };
@@ -95,7 +95,7 @@ impl Places {
             return None;
         }
         taken.insert(address, of_address + 1);
-        Some(Place { of: places.clone(), address })
+        Some(ConnectionPlace { of: places.clone(), address })
     }
 
     fn taken(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
@@ -104,7 +104,7 @@ impl Places {
     }
 }
 
-impl Drop for Place {
+impl Drop for ConnectionPlace {
     fn drop(&mut self) {
         if let Entry::Occupied(mut taken) = self.of.taken().entry(self.address) {
             *taken.get_mut() -= 1;
@@ -151,9 +151,9 @@ mod tests {
         let settings = Settings { limits, proxies, ..Settings::default() };
         let places = Arc::new(Places::new(&settings));
         let take = |address: &str| Places::take(&places, address.parse().unwrap());
-        let mut first: Vec<Place> = (0..2).filter_map(|_| take("10.0.0.1")).collect();
+        let mut first: Vec<ConnectionPlace> = (0..2).filter_map(|_| take("10.0.0.1")).collect();
         assert!(first.len() == 2 && take("10.0.0.1").is_none());
-        let _behind_proxy: Vec<Place> = (0..3).filter_map(|_| take("10.0.0.9")).collect();
+        let _behind_proxy: Vec<ConnectionPlace> = (0..3).filter_map(|_| take("10.0.0.9")).collect();
         assert!(take("10.0.0.2").is_none(), "all five are taken");
         first.pop();
         assert!(take("10.0.0.2").is_some() && places.taken().len() == 2);

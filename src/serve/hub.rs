@@ -38,7 +38,7 @@ const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 /// What the handlers of requests share.
 #[derive(Debug)]
 pub struct Hub {
-    inner: Mutex<Inner>,
+    inner: Mutex<HubState>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
@@ -52,7 +52,7 @@ pub struct Hub {
 
 /// What is behind the lock.
 #[derive(Debug)]
-pub struct Inner {
+pub struct HubState {
     pub state: State,
     pub metrics: Metrics,
     subscribers: Subscribers,
@@ -73,7 +73,7 @@ struct PhaseEvent {
     phase: Option<Phase>,
 }
 
-impl Inner {
+impl HubState {
     /// All that is known now.
     pub fn whole(&self) -> Whole<'_> {
         Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
@@ -198,7 +198,7 @@ pub enum Undelivered {
 impl Hub {
     /// Nothing is known yet; `missed` counts the notices that found no room.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
-        let inner = Inner {
+        let inner = HubState {
             state: State::new(),
             metrics: Metrics::default(),
             subscribers: Subscribers::default(),
@@ -224,7 +224,7 @@ impl Hub {
     }
 
     /// What is behind the lock.
-    pub fn lock(&self) -> MutexGuard<'_, Inner> {
+    pub fn lock(&self) -> MutexGuard<'_, HubState> {
         // A panic while it was held left plain figures, usable by themselves.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }

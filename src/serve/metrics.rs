@@ -79,7 +79,7 @@ impl Metrics {
 
     /// All figures.
     pub fn text(&self, around: &Around<'_>) -> String {
-        let mut page = Page::default();
+        let mut page = MetricsPage::default();
         let state = around.state;
         page.head("surfaced_info", "gauge", "The version of the program.");
         page.line("surfaced_info", &[("version", state.version)], 1);
@@ -128,9 +128,9 @@ impl Metrics {
 }
 
 #[derive(Default)]
-struct Page(String);
+struct MetricsPage(String);
 
-impl Page {
+impl MetricsPage {
     // Writing to a string cannot fail.
     fn head(&mut self, name: &str, kind: &str, help: &str) {
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");

@@ -66,7 +66,7 @@ impl From<LibraryError> for Problem {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Page {
+struct PageRequest {
     /// How many at most.
     limit: Option<usize>,
     /// Only scans before this one, by its name or its number.
@@ -80,7 +80,7 @@ struct Scans {
 
 async fn scans(
     State(hub): Shared,
-    page: Result<Query<Page>, QueryRejection>,
+    page: Result<Query<PageRequest>, QueryRejection>,
 ) -> Result<Json<Scans>, Problem> {
     let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
     let most = page.limit.unwrap_or(USUAL).min(MOST);
@@ -125,14 +125,14 @@ async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
     all(hub, "application/jsonl", write).await
 }
 
-type Named = Result<Path<String>, PathRejection>;
+type ScanPath = Result<Path<String>, PathRejection>;
 
-fn name(id: Named) -> Result<String, Problem> {
+fn name(id: ScanPath) -> Result<String, Problem> {
     let bad = |_| Problem::Bad("a scan is named by its `id`, or its number".into());
     id.map(|Path(id)| id).map_err(bad)
 }
 
-async fn scan(State(hub): Shared, id: Named) -> Result<Json<Value>, Problem> {
+async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<Value>, Problem> {
     let id = name(id)?;
     Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
 }
@@ -145,7 +145,7 @@ fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
     })
 }
 
-async fn why(State(hub): Shared, id: Named) -> Result<Response, Problem> {
+async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
     let id = name(id)?;
     let text = aside(move || whole(&hub.history.folder(&id)?.join(NOTES))).await?;
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
@@ -175,7 +175,7 @@ async fn file(
 }
 
 /// What a camera sees now: the latest picture of a stream as it is compared, or the whole of it.
-async fn live_picture(State(hub): Shared, file: Named) -> Result<Response, Problem> {
+async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
     let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
     let whole = stem.strip_prefix("whole-");
@@ -234,7 +234,7 @@ impl Was {
 
 async fn correct(
     State(hub): Shared,
-    id: Named,
+    id: ScanPath,
     said: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Value>, Problem> {
     let id = name(id)?;
@@ -258,17 +258,17 @@ fn full_name(scan: &Value) -> String {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Keep {
+struct KeepRequest {
     user: Option<String>,
 }
 
 async fn keep(
     State(hub): Shared,
-    id: Named,
+    id: ScanPath,
     said: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Value>, Problem> {
     let id = name(id)?;
-    let Keep { user } = body(said, "{\"user\": \"anna\"}")?;
+    let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label::check("user", user.as_deref().unwrap_or(EXPERT)).map_err(Problem::Bad)?;
     let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.history.clone();

@@ -37,17 +37,17 @@ pub fn router() -> Router<Arc<Hub>> {
 }
 
 #[derive(Serialize)]
-struct Trials {
+struct ShelfTrials {
     trials: Vec<ListedTrial>,
     removed: Vec<ListedTrial>,
     /// The step that can be undone.
     undo: Option<Step>,
 }
 
-async fn trials(State(hub): Shared) -> Result<Json<Trials>, Problem> {
+async fn trials(State(hub): Shared) -> Result<Json<ShelfTrials>, Problem> {
     let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
-        Ok(Trials {
+        Ok(ShelfTrials {
             trials: edit::list(&shelf.folder, &shelf.scene)?,
             removed: edit::list_removed(&shelf.folder, &shelf.scene)?,
             undo: edit::last_step(&shelf.folder)?,

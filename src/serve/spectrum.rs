@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use super::trace::{RECENT, Stream, Tracer};
+use super::trace::{RECENT, TracedStream, Tracer};
 use crate::history::{Bands, bands};
 use crate::scene::SourceId;
 
@@ -26,8 +26,8 @@ pub struct StreamBands {
 
 /// The spectra of the newest frames, of every stream that has enough of them.
 pub fn spectra(tracer: &Tracer) -> SpectrumEvent {
-    let of = |(source, stream): (&SourceId, &Stream)| {
-        let Stream { rate_hz, channels, recent, .. } = stream;
+    let of = |(source, stream): (&SourceId, &TracedStream)| {
+        let TracedStream { rate_hz, channels, recent, .. } = stream;
         let full = recent.len() >= RECENT * channels;
         let samples: Vec<f32> = recent.iter().copied().collect();
         let bands = full.then(|| bands(&samples, *channels, *rate_hz, RECENT))??;

@@ -26,7 +26,7 @@ pub fn unix_ms() -> u64 {
 pub struct Advice {
     /// For programs.
     #[serde(rename = "do")]
-    pub what: What,
+    pub what: AdviceKind,
     /// How much longer to drag, in seconds, where that is known.
     pub more_s: Option<f64>,
     /// For people: the same in a few words.
@@ -36,7 +36,7 @@ pub struct Advice {
 /// The kinds of advice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum What {
+pub enum AdviceKind {
     /// No data arrive.
     Wait,
     /// The library cannot name anything yet.
@@ -110,7 +110,7 @@ pub struct WarningView {
 
 /// What has come of the session so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Counts {
+pub struct SessionCounts {
     /// Scans that were named, or found to be unknown.
     pub scans: u64,
     /// Those that are none of the library's surfaces.
@@ -159,7 +159,7 @@ pub struct State {
     /// What the next scan is to become, if it is to be kept.
     pub enrolling: Option<Enrolling>,
     /// What has come of it so far.
-    pub counts: Counts,
+    pub counts: SessionCounts,
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,
     /// Whether the station has ended.
@@ -172,7 +172,7 @@ pub struct State {
 impl State {
     /// Nothing is known yet.
     pub fn new() -> Self {
-        let advice = Advice { what: What::Wait, more_s: None, text: "wait".into() };
+        let advice = Advice { what: AdviceKind::Wait, more_s: None, text: "wait".into() };
         let mut state = Self {
             api: 1,
             version: env!("CARGO_PKG_VERSION"),
@@ -186,7 +186,7 @@ impl State {
             library: None,
             reading: false,
             enrolling: None,
-            counts: Counts::default(),
+            counts: SessionCounts::default(),
             warnings: VecDeque::new(),
             finished: false,
             reconnects: BTreeMap::new(),
@@ -272,31 +272,31 @@ impl State {
     fn advise(&self) -> Advice {
         let say = |what, text: &str| Advice { what, more_s: None, text: text.into() };
         if self.finished {
-            return say(What::Ended, "the station has ended");
+            return say(AdviceKind::Ended, "the station has ended");
         }
         match self.phase {
             Some(Phase::Drag) => return self.advise_drag(),
-            Some(_) => return say(What::Drag, "drag"),
+            Some(_) => return say(AdviceKind::Drag, "drag"),
             None => {}
         }
         if self.reading && self.library.is_none() {
-            return say(What::Wait, "reading the library");
+            return say(AdviceKind::Wait, "reading the library");
         }
         if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
-            return say(What::Wait, "wait for the stylus");
+            return say(AdviceKind::Wait, "wait for the stylus");
         }
         let cannot = self.library.as_ref().is_some_and(|library| library.problem.is_some());
         if cannot && self.enrolling.is_none() {
-            return say(What::Enroll, "enrol a surface");
+            return say(AdviceKind::Enroll, "enrol a surface");
         }
-        say(What::Tap, "tap")
+        say(AdviceKind::Tap, "tap")
     }
 
     fn advise_drag(&self) -> Advice {
-        let drag = |more_s, text| Advice { what: What::Drag, more_s, text };
+        let drag = |more_s, text| Advice { what: AdviceKind::Drag, more_s, text };
         let Some(guess) = &self.guess else { return drag(None, "drag".into()) };
         if guess.enough {
-            return Advice { what: What::Lift, more_s: None, text: "lift".into() };
+            return Advice { what: AdviceKind::Lift, more_s: None, text: "lift".into() };
         }
         match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
             Some(more_s) => {

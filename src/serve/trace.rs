@@ -45,12 +45,12 @@ pub struct Bins {
 /// Follows the streams.
 #[derive(Debug, Default)]
 pub struct Tracer {
-    streams: BTreeMap<SourceId, Stream>,
+    streams: BTreeMap<SourceId, TracedStream>,
 }
 
 /// One stream: its bin that is not full yet, and its newest frames.
 #[derive(Debug)]
-pub struct Stream {
+pub struct TracedStream {
     /// Frames a second.
     pub rate_hz: f64,
     /// Samples a frame.
@@ -107,7 +107,7 @@ impl ChannelLimits {
 
 const NONE_YET: (f32, f32) = (f32::INFINITY, f32::NEG_INFINITY);
 
-impl Stream {
+impl TracedStream {
     fn new(fresh: &Fresh) -> Self {
         Self {
             rate_hz: fresh.rate_hz,
@@ -193,10 +193,12 @@ impl Tracer {
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
-            let stream =
-                self.streams.entry(fresh.source.clone()).or_insert_with(|| Stream::new(fresh));
+            let stream = self
+                .streams
+                .entry(fresh.source.clone())
+                .or_insert_with(|| TracedStream::new(fresh));
             if !stream.continues(fresh) {
-                *stream = Stream::new(fresh);
+                *stream = TracedStream::new(fresh);
             }
             let bins = stream.add(fresh);
             if bins.len() > 0 {
@@ -208,7 +210,7 @@ impl Tracer {
     }
 
     /// The streams, by name.
-    pub fn streams(&self) -> impl Iterator<Item = (&SourceId, &Stream)> {
+    pub fn streams(&self) -> impl Iterator<Item = (&SourceId, &TracedStream)> {
         self.streams.iter()
     }
 }

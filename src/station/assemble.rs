@@ -49,7 +49,7 @@ pub fn assemble(config: &StationConfig) -> Assembled {
     }
     if let Some(camera) = &config.camera {
         match video(camera, light) {
-            Ok(Video { device, flasher, viewfinder }) => {
+            Ok(StationCamera { device, flasher, viewfinder }) => {
                 all.add(device);
                 (all.flasher, all.viewfinder) = (flasher, Some(viewfinder));
             }
@@ -105,14 +105,14 @@ fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
 }
 
 /// A camera, and what works it.
-struct Video {
+struct StationCamera {
     device: Box<dyn Device>,
     flasher: Option<Flasher>,
     viewfinder: Viewfinder,
 }
 
 #[cfg(feature = "camera")]
-fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError> {
+fn video(config: &CameraConfig, light: Option<Light>) -> Result<StationCamera, OpenError> {
     use std::sync::Arc;
 
     use crate::device::camera::{Camera, Flash, V4l};
@@ -132,10 +132,10 @@ fn video(config: &CameraConfig, light: Option<Light>) -> Result<Video, OpenError
             flasher = Some(Flasher(camera.shutter()));
         }
     }
-    Ok(Video { device: Box::new(camera), flasher, viewfinder })
+    Ok(StationCamera { device: Box::new(camera), flasher, viewfinder })
 }
 
 #[cfg(not(feature = "camera"))]
-fn video(_: &CameraConfig, _: Option<Light>) -> Result<Video, OpenError> {
+fn video(_: &CameraConfig, _: Option<Light>) -> Result<StationCamera, OpenError> {
     Err(not_built("camera"))
 }

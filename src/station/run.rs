@@ -13,7 +13,7 @@ use self::naming::InHand;
 use super::event::{Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent};
 use super::orders::{Enrolment, Keep, Orders};
 use super::recogniser::{Load, Recogniser};
-use super::store::{RecordingThread, Stored};
+use super::store::{RecordingThread, StoredScan};
 use super::worker::{Job, Worker};
 use crate::scan::{Event, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
@@ -34,7 +34,7 @@ enum Naming {
     None(String),
 }
 
-type Loaded = Result<Arc<Recogniser>, String>;
+type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 
 /// What works for a station, once it is started.
 pub(super) struct Parts {
@@ -51,7 +51,7 @@ pub(super) struct Parts {
 }
 
 /// A station at work.
-pub(super) struct Run<'a> {
+pub(super) struct StationRun<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
@@ -59,7 +59,7 @@ pub(super) struct Run<'a> {
     waits: bool,
     load: Option<Load>,
     naming: Naming,
-    loading: Option<Receiver<Loaded>>,
+    loading: Option<Receiver<LoadedRecogniser>>,
     /// The library is to be read once more: it may have changed since the reading began.
     load_again: bool,
     /// Work that the worker has not taken yet.
@@ -74,7 +74,7 @@ pub(super) struct Run<'a> {
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
-impl<'a> Run<'a> {
+impl<'a> StationRun<'a> {
     /// A station that knows no library yet.
     pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
         let Parts { session, worker, recording, by_t_star, waits, load, keep } = parts;
@@ -188,7 +188,7 @@ impl<'a> Run<'a> {
 
     /// Takes note of what became of a scan that was to be kept; it is reported once it is known
     /// what surface the scan is most like.
-    fn stored(&mut self, stored: Stored) {
+    fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
         }

@@ -7,7 +7,7 @@ use crossbeam_channel::{Receiver, Sender};
 use super::event::{Command, Listener, StationEvent};
 use super::orders::Keep;
 use super::recogniser::{Load, Recogniser};
-use super::run::{Parts, Run};
+use super::run::{Parts, StationRun};
 use super::store::{RecordingThread, ScanStore};
 use super::worker::Worker;
 use crate::device::Device;
@@ -108,7 +108,7 @@ impl<'a> Station<'a> {
         let session = Session::start(self.devices, self.options)?;
         let (load, keep) = (self.load, self.keep);
         let parts = Parts { session, worker, recording, by_t_star, waits, load, keep };
-        let mut run = Run::new(parts, self.listeners);
+        let mut run = StationRun::new(parts, self.listeners);
         run.announce();
         match self.recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),

@@ -49,7 +49,7 @@ impl ScanStore {
 }
 
 /// What became of a scan, and the enrolment that it belongs to.
-pub(super) struct Stored {
+pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
     /// Of one that was kept: the scan, and what may say what surface it is most like.
@@ -62,7 +62,7 @@ type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 /// The thread, and its two ends.
 pub(super) struct RecordingThread {
     scans: Sender<ToStore>,
-    pub stored: Receiver<Stored>,
+    pub stored: Receiver<StoredScan>,
     /// Dropped at the end, when there is no time left for reading the library.
     working: Sender<Infallible>,
     /// Scans that may still become trials.
@@ -80,7 +80,7 @@ impl RecordingThread {
         let (send, stored) = unbounded();
         let (working, ending) = bounded(0);
         let (waiting, next) = (VecDeque::new(), Numbers::new());
-        let mut writer = Writer { store, waiting, next, current: false, send, ending };
+        let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
         let run = move || writer.run(&to_store);
         std::thread::Builder::new().name("record".into()).spawn(run)?;
         Ok(Self { scans, stored, working, under_way: BTreeMap::new() })
@@ -100,11 +100,11 @@ impl RecordingThread {
 
     /// Gives what is still to come, after a last attempt to write what waits. What a disk does not
     /// take `until` then is lost.
-    pub fn finish(self, until: Option<Instant>) -> Vec<Stored> {
+    pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
         let deadline = until.map_or_else(never, at);
-        let mut last: Vec<Stored> = Vec::new();
+        let mut last: Vec<StoredScan> = Vec::new();
         loop {
             select! {
                 recv(stored) -> stored => match stored {
@@ -118,7 +118,7 @@ impl RecordingThread {
         let lost = under_way.into_iter().map(|(scan, enrolment)| {
             let why = "the disk had not taken it when the station was ended";
             let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, vec![why.into()]);
-            Stored { enrolment, enrolled, kept: None }
+            StoredScan { enrolment, enrolled, kept: None }
         });
         last.extend(lost);
         last
@@ -135,26 +135,26 @@ fn settle(under_way: &mut BTreeMap<u32, Enrolment>, enrolled: &Enrolled) {
 type Numbers = BTreeMap<(String, String), u32>;
 
 /// A scan that is not written yet.
-struct Waiting {
+struct WaitingScan {
     scan: Box<Scan>,
     enrolment: Enrolment,
     by: Option<Arc<Recogniser>>,
     remarks: Vec<String>,
 }
 
-struct Writer {
+struct StoreWriter {
     store: ScanStore,
-    waiting: VecDeque<Waiting>,
+    waiting: VecDeque<WaitingScan>,
     /// The next numbers when the library was last read.
     next: Numbers,
     /// Whether that was for the scan at hand.
     current: bool,
-    send: Sender<Stored>,
+    send: Sender<StoredScan>,
     /// Closed when there is no time left for reading the library.
     ending: Receiver<Infallible>,
 }
 
-impl Writer {
+impl StoreWriter {
     /// Stores scans until there will be no more.
     fn run(&mut self, scans: &Receiver<ToStore>) {
         loop {
@@ -184,7 +184,7 @@ impl Writer {
     fn accept(&mut self, (scan, enrolment, by): ToStore) {
         let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
         let refused = enrolment.good_only && !remarks.is_empty();
-        let mut new = Waiting { scan, enrolment, by, remarks };
+        let mut new = WaitingScan { scan, enrolment, by, remarks };
         if refused {
             return self.report(&new, EnrolledOutcome::Refused);
         }
@@ -217,8 +217,8 @@ impl Writer {
     }
 
     /// Writes a scan; gives its number and its folder.
-    fn write(&mut self, waiting: &Waiting) -> Result<(u32, PathBuf), LibraryError> {
-        let Waiting { scan, enrolment, .. } = waiting;
+    fn write(&mut self, waiting: &WaitingScan) -> Result<(u32, PathBuf), LibraryError> {
+        let WaitingScan { scan, enrolment, .. } = waiting;
         let of = (enrolment.surface.clone(), enrolment.user.clone());
         let known = self.next.get(&of).copied().unwrap_or(1);
         let number = match self.current {
@@ -244,19 +244,19 @@ impl Writer {
         Ok(stored)
     }
 
-    fn report(&self, of: &Waiting, outcome: EnrolledOutcome) {
-        let Waiting { scan, enrolment, remarks, .. } = of;
+    fn report(&self, of: &WaitingScan, outcome: EnrolledOutcome) {
+        let WaitingScan { scan, enrolment, remarks, .. } = of;
         let enrolled = enrolled(scan.number, enrolment, outcome, remarks.clone());
         // Fails only if the station has panicked, or waits no longer.
-        let _ = self.send.send(Stored { enrolment: enrolment.clone(), enrolled, kept: None });
+        let _ = self.send.send(StoredScan { enrolment: enrolment.clone(), enrolled, kept: None });
     }
 
-    fn kept(&self, of: Waiting, (trial, folder): (u32, PathBuf)) {
-        let Waiting { scan, enrolment, by, remarks } = of;
+    fn kept(&self, of: WaitingScan, (trial, folder): (u32, PathBuf)) {
+        let WaitingScan { scan, enrolment, by, remarks } = of;
         let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, remarks);
         let enrolled = Enrolled { trial: Some(trial), folder: Some(folder), ..enrolled };
         // As in `report`.
-        let _ = self.send.send(Stored { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
+        let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
     }
 
     /// Learns the numbers that are taken, if the library can be read now and there is time for it.

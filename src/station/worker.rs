@@ -10,7 +10,7 @@ use super::certainty::{Case, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Ranked, Recogniser, Verdict};
-use super::store::Stored;
+use super::store::StoredScan;
 use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
@@ -22,7 +22,7 @@ pub(super) enum Job {
     /// What is new in the scan in progress.
     Progress(Progress),
     /// A scan that was kept: what surface it is most like.
-    Kept(Box<Stored>),
+    Kept(Box<StoredScan>),
 }
 
 /// What is to be recognised, and by what.
@@ -32,7 +32,7 @@ pub(super) enum Work {
     /// What is new in the scan in progress, what it is for, and what names it, if anything can.
     Progress(Progress, Purpose, Option<Arc<Recogniser>>),
     /// As [`Job::Kept`].
-    Kept(Box<Stored>),
+    Kept(Box<StoredScan>),
 }
 
 impl Work {
@@ -163,7 +163,7 @@ fn named(
 }
 
 /// The surface that the library would name a scan that was kept.
-fn nearest(stored: &Stored) -> Option<String> {
+fn nearest(stored: &StoredScan) -> Option<String> {
     let (scan, by) = stored.kept.as_ref()?;
     let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
     (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
@@ -215,16 +215,16 @@ mod tests {
 
         fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
             self.reach("follow");
-            Some(Box::new(Follower { by: *self, settling: Settling::choose(&[], 0.01) }))
+            Some(Box::new(PanicFollower { by: *self, settling: Settling::choose(&[], 0.01) }))
         }
     }
 
-    struct Follower {
+    struct PanicFollower {
         by: PanicsIn,
         settling: Settling,
     }
 
-    impl Follow for Follower {
+    impl Follow for PanicFollower {
         fn begin(&mut self) {}
 
         fn add(&mut self, _: FreshFrames<'_>) -> Result<(), RecogniseError> {

@@ -8,7 +8,7 @@ use crate::trial::TrialKey;
 
 /// The JSON document: the outcome, and what it was measured on.
 #[derive(serde::Serialize)]
-pub struct Report {
+pub struct EvalReport {
     #[serde(flatten)]
     pub outcome: Outcome,
     #[serde(serialize_with = "name")]
@@ -25,7 +25,7 @@ pub struct Report {
     /// With `--enrolled`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enrolled: Option<EnrolmentOutcome>,
-    pub predictions: Vec<Answer>,
+    pub predictions: Vec<EvalAnswer>,
     /// For people: what was left out, and why, a line each.
     pub warnings: Vec<String>,
 }
@@ -38,7 +38,7 @@ fn name<S: serde::Serializer>(protocol: &Protocol, to: S) -> Result<S::Ok, S::Er
 
 /// One query and its answer.
 #[derive(serde::Serialize)]
-pub struct Answer {
+pub struct EvalAnswer {
     truth: String,
     user: String,
     trial: u32,
@@ -46,14 +46,14 @@ pub struct Answer {
     margin: f64,
 }
 
-impl From<Prediction> for Answer {
+impl From<Prediction> for EvalAnswer {
     fn from(p: Prediction) -> Self {
         let TrialKey { surface: truth, user, number: trial } = p.key;
         Self { truth, user, trial, answer: p.surface, margin: p.margin }
     }
 }
 
-impl Report {
+impl EvalReport {
     /// For people.
     pub fn print(&self) {
         let o = &self.outcome;

@@ -7,7 +7,7 @@ use crate::trial::{EXPERT, TrialKey};
 
 /// One channel of one source of one trial.
 #[derive(Debug, PartialEq)]
-pub(super) struct Part {
+pub(super) struct NamePart {
     pub key: TrialKey,
     pub source: &'static str,
     /// Counted from 0; always 0 where a file holds the whole source.
@@ -43,7 +43,7 @@ enum Split {
 ///
 /// # Errors
 /// With the reason, if it is no part of a trial that the program knows.
-pub(super) fn parse(folders: &[String], stem: &str) -> Result<Part, &'static str> {
+pub(super) fn parse(folders: &[String], stem: &str) -> Result<NamePart, &'static str> {
     let in_folder = |name: &str| folders.iter().any(|folder| folder == name);
     let said = split_in_folders(folders);
     let (rest, split_in_name, number) = cut_number(stem)?;
@@ -95,7 +95,12 @@ pub(super) fn parse(folders: &[String], stem: &str) -> Result<Part, &'static str
         Split::Training => EXPERT.to_string(),
         Split::Testing => format!("user{trial}"),
     };
-    Ok(Part { key: TrialKey::new(surface.join("_"), user, trial), source, channel, contradicts })
+    Ok(NamePart {
+        key: TrialKey::new(surface.join("_"), user, trial),
+        source,
+        channel,
+        contradicts,
+    })
 }
 
 fn is(part: &str, words: &[&str]) -> bool {

@@ -5,21 +5,21 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::level5::{self, Array, Class, ElementKind, MatError, Order, Values, Variable};
+use super::level5::{self, Array, ArrayValues, ByteOrder, Class, ElementKind, MatError, Variable};
 use crate::library::{LibraryError, LoadTrial, Outline, Outlines, files};
 use crate::scene::SourceId;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// How a source lies in a file.
 #[derive(Debug)]
-pub(super) enum Stored {
+pub(super) enum MatSource {
     /// [frames × channels].
     Series { variable: String, channels: usize, rate_hz: f64 },
     /// [rows × columns × 3], uint8.
     Image { variable: String },
 }
 
-impl Stored {
+impl MatSource {
     fn variable(&self) -> &str {
         match self {
             Self::Series { variable, .. } | Self::Image { variable } => variable,
@@ -32,7 +32,7 @@ impl Stored {
 pub(super) struct MatTrial {
     pub key: TrialKey,
     pub path: PathBuf,
-    pub sources: BTreeMap<SourceId, Stored>,
+    pub sources: BTreeMap<SourceId, MatSource>,
 }
 
 impl LoadTrial for MatTrial {
@@ -63,7 +63,7 @@ impl LoadTrial for MatTrial {
         let mut outlines = Outlines::new();
         while let Some(Element { variable, .. }) = walk.next()? {
             for (id, stored) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
-                if let Stored::Series { variable: name, channels, rate_hz } = stored
+                if let MatSource::Series { variable: name, channels, rate_hz } = stored
                     && *name == variable.name
                     && let Some((frames, _)) = frames_of(&variable.dims, *channels)
                 {
@@ -137,7 +137,7 @@ struct Walk<'a> {
     file: File,
     size: u64,
     at: u64,
-    order: Order,
+    order: ByteOrder,
 }
 
 impl<'a> Walk<'a> {
@@ -194,7 +194,7 @@ fn damaged(path: &Path, error: &MatError) -> LibraryError {
     LibraryError::file(path, error.to_string())
 }
 
-fn signal(path: &Path, stored: &Stored, array: Array) -> Result<Signal, LibraryError> {
+fn signal(path: &Path, stored: &MatSource, array: Array) -> Result<Signal, LibraryError> {
     let Array { variable: Variable { name, class, dims }, values } = array;
     let shape = dims.iter().map(usize::to_string).collect::<Vec<_>>().join("×");
     let wrong = |expected: &str| {
@@ -210,7 +210,7 @@ fn signal(path: &Path, stored: &Stored, array: Array) -> Result<Signal, LibraryE
     };
     let in_file = |error| LibraryError::file(path, format!("variable `{name}`: {error}"));
     match (stored, values) {
-        (Stored::Series { channels, rate_hz, .. }, Values::Numbers(values)) => {
+        (MatSource::Series { channels, rate_hz, .. }, ArrayValues::Numbers(values)) => {
             let (frames, turned) = frames_of(&dims, *channels)
                 .ok_or_else(|| wrong(&format!("numbers, N×{channels}")))?;
             let at = |frame: usize, channel: usize| {
@@ -223,7 +223,7 @@ fn signal(path: &Path, stored: &Stored, array: Array) -> Result<Signal, LibraryE
             let series = Series::new(*rate_hz, *channels, samples.collect()).map_err(in_file)?;
             Ok(Signal::Series(series))
         }
-        (Stored::Image { .. }, Values::Numbers(values)) => {
+        (MatSource::Image { .. }, ArrayValues::Numbers(values)) => {
             let ([rows, columns, 3], Class::Numbers { byte: true }) = (&dims[..], class) else {
                 return Err(wrong("uint8, 480×320×3"));
             };
@@ -235,7 +235,7 @@ fn signal(path: &Path, stored: &Stored, array: Array) -> Result<Signal, LibraryE
             });
             Image::new(columns, rows, rgb.collect()).map(Signal::Image).map_err(in_file)
         }
-        (Stored::Series { channels, .. }, _) => Err(wrong(&format!("numbers, N×{channels}"))),
-        (Stored::Image { .. }, _) => Err(wrong("uint8, 480×320×3")),
+        (MatSource::Series { channels, .. }, _) => Err(wrong(&format!("numbers, N×{channels}"))),
+        (MatSource::Image { .. }, _) => Err(wrong("uint8, 480×320×3")),
     }
 }

@@ -13,7 +13,7 @@ use std::io::Read;
 use flate2::read::ZlibDecoder;
 
 use self::data::{letters, numbers, rows};
-pub use self::format::{Array, Class, MatError, Order, Values, Variable};
+pub use self::format::{Array, ArrayValues, ByteOrder, Class, MatError, Variable};
 use self::format::{MAX_BYTES, MAX_CELLS, MAX_DEPTH, MAX_DIMS, MAX_NAME, MAX_NUMBERS};
 
 /// Length of the header in bytes.
@@ -27,7 +27,7 @@ pub const PREFIX: usize = 1024;
 ///
 /// # Errors
 /// If it is not that of a level 5 file.
-pub fn header(bytes: &[u8]) -> Result<Order, MatError> {
+pub fn header(bytes: &[u8]) -> Result<ByteOrder, MatError> {
     if bytes.starts_with(b"\x89HDF") || bytes.starts_with(b"MATLAB 7.3") {
         return Err(MatError::Version73);
     }
@@ -36,8 +36,8 @@ pub fn header(bytes: &[u8]) -> Result<Order, MatError> {
         return Err(if is_text { MatError::CutShort } else { MatError::NotMatlab });
     };
     let order = match &head[126..] {
-        b"IM" => Order::Little,
-        b"MI" => Order::Big,
+        b"IM" => ByteOrder::Little,
+        b"MI" => ByteOrder::Big,
         _ => return Err(MatError::NotMatlab),
     };
     match order.u16([head[124], head[125]]) {
@@ -51,7 +51,7 @@ pub fn header(bytes: &[u8]) -> Result<Order, MatError> {
 ///
 /// # Errors
 /// If it opens nothing that may stand there.
-pub fn tag(order: Order, bytes: [u8; TAG]) -> Result<(ElementKind, usize), MatError> {
+pub fn tag(order: ByteOrder, bytes: [u8; TAG]) -> Result<(ElementKind, usize), MatError> {
     let [a, b, c, d, e, f, g, h] = bytes;
     let length = order.u32([e, f, g, h]) as usize;
     if length > MAX_BYTES {
@@ -78,7 +78,7 @@ pub enum ElementKind {
 ///
 /// # Errors
 /// If these are not the first bytes of an array.
-pub fn peek(order: Order, kind: ElementKind, prefix: &[u8]) -> Result<Variable, MatError> {
+pub fn peek(order: ByteOrder, kind: ElementKind, prefix: &[u8]) -> Result<Variable, MatError> {
     let opened;
     let body = match kind {
         ElementKind::Plain => prefix,
@@ -95,7 +95,7 @@ pub fn peek(order: Order, kind: ElementKind, prefix: &[u8]) -> Result<Variable, 
 ///
 /// # Errors
 /// If the bytes are not an array.
-pub fn array(order: Order, kind: ElementKind, body: &[u8]) -> Result<Array, MatError> {
+pub fn array(order: ByteOrder, kind: ElementKind, body: &[u8]) -> Result<Array, MatError> {
     match kind {
         ElementKind::Plain => matrix(order, body, 0, &mut MAX_CELLS.clone()),
         ElementKind::Compressed => {
@@ -125,7 +125,7 @@ fn inflate(bytes: &[u8], most: usize) -> Result<Vec<u8>, MatError> {
 }
 
 /// Length and first bytes of the array within a compressed element.
-fn inner(order: Order, opened: &[u8]) -> Result<(usize, &[u8]), MatError> {
+fn inner(order: ByteOrder, opened: &[u8]) -> Result<(usize, &[u8]), MatError> {
     let (head, body) = opened.split_first_chunk::<TAG>().ok_or(MatError::CutShort)?;
     match tag(order, *head)? {
         (ElementKind::Plain, length) => Ok((length, body)),
@@ -135,7 +135,7 @@ fn inner(order: Order, opened: &[u8]) -> Result<(usize, &[u8]), MatError> {
 
 /// Bytes that are read from the front.
 struct Cursor<'a> {
-    order: Order,
+    order: ByteOrder,
     rest: &'a [u8],
 }
 
@@ -203,7 +203,7 @@ fn class(number: u32) -> Class {
 
 /// The array of an element; `cells_left` is how many more may be read.
 fn matrix(
-    order: Order,
+    order: ByteOrder,
     body: &[u8],
     depth: usize,
     cells_left: &mut usize,
@@ -215,7 +215,7 @@ fn matrix(
     if body.is_empty() {
         // An empty cell may be nothing but a tag.
         let variable = Variable { name: String::new(), class: Class::Cell, dims: vec![0, 0] };
-        return Ok(Array { variable, values: Values::Cells(Vec::new()) });
+        return Ok(Array { variable, values: ArrayValues::Cells(Vec::new()) });
     }
     let (mut variable, complex) = cursor.variable()?;
     let count = variable.dims.iter().try_fold(1usize, |count, &d| count.checked_mul(d));
@@ -223,17 +223,17 @@ fn matrix(
     let values = match variable.class {
         Class::Numbers { .. } if complex => {
             variable.class = Class::Other("complex");
-            Values::Unread
+            ArrayValues::Unread
         }
         // Lists hold names; numbers in them are of no use, and eight times their size on disk.
-        Class::Numbers { .. } if depth > 0 => Values::Unread,
+        Class::Numbers { .. } if depth > 0 => ArrayValues::Unread,
         Class::Numbers { .. } => {
             let (kind, data) = cursor.element()?;
             let values = numbers(order, kind, data)?;
             if values.len() != count {
                 return Err(MatError::Damaged("dimensions and data disagree"));
             }
-            Values::Numbers(values)
+            ArrayValues::Numbers(values)
         }
         Class::Char => {
             let (kind, data) = cursor.element()?;
@@ -241,7 +241,7 @@ fn matrix(
             if letters.len() != count {
                 return Err(MatError::Damaged("dimensions and text disagree"));
             }
-            Values::Text(rows(&letters, variable.dims.first().copied().unwrap_or(0)))
+            ArrayValues::Text(rows(&letters, variable.dims.first().copied().unwrap_or(0)))
         }
         Class::Cell => {
             *cells_left = cells_left.checked_sub(count).ok_or(MatError::TooLarge)?;
@@ -252,9 +252,9 @@ fn matrix(
                     _ => return Err(MatError::Damaged("a cell is no array")),
                 }
             }
-            Values::Cells(cells)
+            ArrayValues::Cells(cells)
         }
-        Class::Other(_) => Values::Unread,
+        Class::Other(_) => ArrayValues::Unread,
     };
     Ok(Array { variable, values })
 }

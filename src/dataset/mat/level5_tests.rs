@@ -18,11 +18,11 @@ fn read(bytes: &[u8]) -> Result<Vec<Array>, MatError> {
 }
 
 /// Files as SciPy and MATLAB would write them, in a given byte order.
-struct Writer(Order);
+struct Writer(ByteOrder);
 
 impl Writer {
     fn number(&self, x: u32) -> [u8; 4] {
-        if self.0 == Order::Big { x.to_be_bytes() } else { x.to_le_bytes() }
+        if self.0 == ByteOrder::Big { x.to_be_bytes() } else { x.to_le_bytes() }
     }
 
     fn element(&self, kind: u32, data: &[u8]) -> Vec<u8> {
@@ -56,7 +56,8 @@ impl Writer {
     }
 
     fn doubles(&self, dims: &[u32], name: &str, values: &[f64]) -> Vec<u8> {
-        let bytes = |x: &f64| if self.0 == Order::Big { x.to_be_bytes() } else { x.to_le_bytes() };
+        let bytes =
+            |x: &f64| if self.0 == ByteOrder::Big { x.to_be_bytes() } else { x.to_le_bytes() };
         let data: Vec<u8> = values.iter().flat_map(bytes).collect();
         self.array(6, dims, name, &self.element(9, &data))
     }
@@ -71,14 +72,14 @@ impl Writer {
     fn file(&self, elements: &[Vec<u8>]) -> Vec<u8> {
         let mut out = b"MATLAB 5.0 MAT-file, written by a test".to_vec();
         out.resize(124, b' ');
-        let marks: [u8; 4] = if self.0 == Order::Big { *b"\x01\0MI" } else { *b"\0\x01IM" };
+        let marks: [u8; 4] = if self.0 == ByteOrder::Big { *b"\x01\0MI" } else { *b"\0\x01IM" };
         out.extend(marks);
         out.extend(elements.concat());
         out
     }
 }
 
-fn sample(order: Order) -> Vec<u8> {
+fn sample(order: ByteOrder) -> Vec<u8> {
     let w = Writer(order);
     let text = w.array(4, &[2, 3], "", &w.element(UTF8, b"axb  y"));
     let empty = w.element(MATRIX, &[]);
@@ -90,26 +91,26 @@ fn sample(order: Order) -> Vec<u8> {
 
 #[test]
 fn numbers_text_and_cells_are_read_in_either_byte_order() {
-    for order in [Order::Little, Order::Big] {
+    for order in [ByteOrder::Little, ByteOrder::Big] {
         let arrays = read(&sample(order)).unwrap();
         assert_eq!(arrays[0].variable.name, "force");
         assert_eq!(arrays[0].variable.dims, [2, 2]);
-        assert_eq!(arrays[0].values, Values::Numbers(vec![1.0, 2.0, -3.5, 4.0]));
+        assert_eq!(arrays[0].values, ArrayValues::Numbers(vec![1.0, 2.0, -3.5, 4.0]));
         assert_eq!(arrays[1].texts(), ["ab", "x y"]);
         assert_eq!(arrays[2].variable.class, Class::Numbers { byte: true });
-        assert_eq!(arrays[2].values, Values::Numbers(vec![1.0, 2.0, 255.0]));
+        assert_eq!(arrays[2].values, ArrayValues::Numbers(vec![1.0, 2.0, 255.0]));
         assert_eq!(arrays[3].variable.class, Class::Other("a structure"));
     }
 }
 
 #[test]
 fn the_first_bytes_of_an_element_give_its_name_and_shape() {
-    let w = Writer(Order::Little);
+    let w = Writer(ByteOrder::Little);
     let values: Vec<f64> = (0..2000).map(|i| f64::from(i).sin()).collect();
     let plain = w.doubles(&[1000, 2], "forceDrag_time", &values);
     for element in [plain.clone(), w.compressed(&plain)] {
-        let (kind, _) = tag(Order::Little, *element.first_chunk().unwrap()).unwrap();
-        let variable = peek(Order::Little, kind, &element[TAG..TAG + PREFIX]).unwrap();
+        let (kind, _) = tag(ByteOrder::Little, *element.first_chunk().unwrap()).unwrap();
+        let variable = peek(ByteOrder::Little, kind, &element[TAG..TAG + PREFIX]).unwrap();
         assert_eq!(
             (variable.name.as_str(), &variable.dims[..]),
             ("forceDrag_time", &[1000, 2][..])
@@ -119,20 +120,20 @@ fn the_first_bytes_of_an_element_give_its_name_and_shape() {
 
 #[test]
 fn what_is_no_level_5_file_is_refused_with_the_remedy() {
-    let mut file = sample(Order::Little);
+    let mut file = sample(ByteOrder::Little);
     file[124..126].copy_from_slice(&[0, 2]);
     for bytes in [&file[..], b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file"] {
         assert!(read(bytes).unwrap_err().to_string().contains("'-v7')"));
     }
     assert_eq!(read(b""), Err(MatError::NotMatlab));
     assert_eq!(read(&[7; 300]), Err(MatError::NotMatlab));
-    let whole = sample(Order::Little);
+    let whole = sample(ByteOrder::Little);
     assert_eq!(read(&whole[..whole.len() - 9]), Err(MatError::CutShort));
 }
 
 #[test]
 fn a_claim_of_more_than_the_limit_is_refused_before_memory_is_taken() {
-    let w = Writer(Order::Little);
+    let w = Writer(ByteOrder::Little);
     let huge = w.array(1, &[1 << 20, 1 << 20], "huge", &[]);
     assert_eq!(read(&w.file(&[huge])), Err(MatError::TooLarge));
     let mut file = w.file(&[]);
@@ -142,7 +143,7 @@ fn a_claim_of_more_than_the_limit_is_refused_before_memory_is_taken() {
 
 #[test]
 fn a_few_bytes_that_stand_for_millions_of_cells_are_refused_before_memory_is_taken() {
-    let w = Writer(Order::Little);
+    let w = Writer(ByteOrder::Little);
     let count = MAX_CELLS as u32 + 1;
     let empty = w.element(MATRIX, &[]);
     let list = w.array(1, &[count, 1], "list", &empty.repeat(count as usize));
@@ -164,7 +165,7 @@ proptest! {
         cut in any::<prop::sample::Index>(),
         whole in any::<bool>(),
     ) {
-        let order = if big { Order::Big } else { Order::Little };
+        let order = if big { ByteOrder::Big } else { ByteOrder::Little };
         let mut bytes = sample(order);
         for (at, value) in changes {
             let at = at.index(bytes.len());
@@ -182,8 +183,8 @@ proptest! {
 
     #[test]
     fn any_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
-        let _ = peek(Order::Little, ElementKind::Plain, &bytes);
-        let _ = array(Order::Big, ElementKind::Plain, &bytes);
-        let _ = array(Order::Little, ElementKind::Compressed, &bytes);
+        let _ = peek(ByteOrder::Little, ElementKind::Plain, &bytes);
+        let _ = array(ByteOrder::Big, ElementKind::Plain, &bytes);
+        let _ = array(ByteOrder::Little, ElementKind::Compressed, &bytes);
     }
 }

@@ -38,7 +38,7 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
     let grain = (255.0 * value * draws.value("grain", d.grain).exp()) as f32;
     let reflection = flash.then(|| Reflection::draw(draws, d, rng));
 
-    let texture = Texture::draw(draws, d, rng);
+    let texture = WaveTexture::draw(draws, d, rng);
     let mut rgb = Vec::with_capacity(Image::ROWS * Image::COLS * 3);
     let mut line = [0f32; Image::COLS];
     let mut bytes = [0u8; 2 * Image::COLS];
@@ -91,14 +91,14 @@ impl Reflection {
 }
 
 /// A sum of plane waves, of standard deviation 1/√2.
-struct Texture {
+struct WaveTexture {
     /// cos and sin of the phase at each column, the first times the wave's strength
     cols: [Vec<(f32, f32)>; WAVES],
     /// phase that a row adds
     per_row: [f64; WAVES],
 }
 
-impl Texture {
+impl WaveTexture {
     fn draw(draws: &Draws<'_>, d: &Difficulty, rng: &mut impl Rng) -> Self {
         let wavelength = draws.value("wavelength", d.wavelength).exp().max(2.0);
         // The picture shows any place, turned by any angle; the waves' arrangement is the surface's.

@@ -54,7 +54,7 @@ impl Shutter {
 
 /// In which light a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Light {
+pub(super) enum FrameLight {
     /// Without flash.
     Plain,
     /// With flash.
@@ -66,7 +66,7 @@ pub(super) enum Light {
 /// What to do about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlashVerdict {
-    pub light: Light,
+    pub light: FrameLight,
     /// Switch the light now.
     pub switch: Option<bool>,
 }
@@ -75,11 +75,11 @@ pub(super) struct FlashVerdict {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cycle {
     settle: Duration,
-    phase: Phase,
+    phase: FlashPhase,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Phase {
+enum FlashPhase {
     Off,
     Rising(Instant),
     Falling(Instant),
@@ -89,40 +89,40 @@ impl Cycle {
     /// A light that needs `settle` until frames show a change: its own time, that of the camera's
     /// exposure control, and the frames under way in between.
     pub fn new(settle: Duration) -> Self {
-        Self { settle, phase: Phase::Off }
+        Self { settle, phase: FlashPhase::Off }
     }
 
     /// Judges a frame that arrived at `now`; `wanted` says whether a picture with flash is wanted.
     pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> FlashVerdict {
         let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
         match self.phase {
-            Phase::Rising(since) if settled(since) => {
-                self.phase = Phase::Falling(now);
-                FlashVerdict { light: Light::Flash, switch: Some(false) }
+            FlashPhase::Rising(since) if settled(since) => {
+                self.phase = FlashPhase::Falling(now);
+                FlashVerdict { light: FrameLight::Flash, switch: Some(false) }
             }
-            Phase::Falling(since) if settled(since) => {
-                self.phase = Phase::Off;
-                FlashVerdict { light: Light::Plain, switch: None }
+            FlashPhase::Falling(since) if settled(since) => {
+                self.phase = FlashPhase::Off;
+                FlashVerdict { light: FrameLight::Plain, switch: None }
             }
-            Phase::Rising(_) | Phase::Falling(_) => {
-                FlashVerdict { light: Light::Between, switch: None }
+            FlashPhase::Rising(_) | FlashPhase::Falling(_) => {
+                FlashVerdict { light: FrameLight::Between, switch: None }
             }
-            Phase::Off if wanted() => {
-                self.phase = Phase::Rising(now);
-                FlashVerdict { light: Light::Plain, switch: Some(true) }
+            FlashPhase::Off if wanted() => {
+                self.phase = FlashPhase::Rising(now);
+                FlashVerdict { light: FrameLight::Plain, switch: Some(true) }
             }
-            Phase::Off => FlashVerdict { light: Light::Plain, switch: None },
+            FlashPhase::Off => FlashVerdict { light: FrameLight::Plain, switch: None },
         }
     }
 
     /// The light could not be switched on: no frame shows it.
     pub fn cancel(&mut self) {
-        self.phase = Phase::Off;
+        self.phase = FlashPhase::Off;
     }
 
     /// Whether the light is on, as far as is known.
     pub fn lit(&self) -> bool {
-        matches!(self.phase, Phase::Rising(_))
+        matches!(self.phase, FlashPhase::Rising(_))
     }
 }
 
@@ -140,9 +140,9 @@ mod tests {
             let verdict = cycle.judge(now, || i == 2);
             seen.push((verdict.light, verdict.switch));
         }
-        let plain = (Light::Plain, None);
-        let between = (Light::Between, None);
-        let (on, flash) = ((Light::Plain, Some(true)), (Light::Flash, Some(false)));
+        let plain = (FrameLight::Plain, None);
+        let between = (FrameLight::Between, None);
+        let (on, flash) = ((FrameLight::Plain, Some(true)), (FrameLight::Flash, Some(false)));
         let expected = [plain, plain, on, between, between, flash, between, between, plain];
         assert_eq!(seen[..9], expected);
         assert!(seen[9..].iter().all(|frame| *frame == plain));

@@ -10,26 +10,26 @@ use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::{ImageTap, Waker, images};
 
 /// What a camera does next.
-enum Act {
+enum CameraAct {
     Frame(Frame),
     Hang,
     End,
 }
 
-type Script = dyn Fn(usize, usize) -> Act + Send + Sync;
+type CameraScript = dyn Fn(usize, usize) -> CameraAct + Send + Sync;
 
 /// A camera that follows a script: for the opening and the frame, both counted from 0.
-struct Scripted {
-    script: Arc<Script>,
+struct ScriptedCamera {
+    script: Arc<CameraScript>,
     openings: AtomicUsize,
     /// Values that its control was set to; shared with the frames.
     light: Arc<Mutex<Vec<i64>>>,
     first: Option<OpenError>,
 }
 
-struct Playing(Arc<Script>, usize, usize, Arc<Mutex<Vec<i64>>>);
+struct Playing(Arc<CameraScript>, usize, usize, Arc<Mutex<Vec<i64>>>);
 
-impl Video for Scripted {
+impl Video for ScriptedCamera {
     fn device(&self) -> String {
         "eye".into()
     }
@@ -48,15 +48,15 @@ impl Frames for Playing {
         std::thread::sleep(Duration::from_millis(5));
         self.2 += 1;
         match (self.0)(self.1, self.2 - 1) {
-            Act::Frame(mut frame) => {
+            CameraAct::Frame(mut frame) => {
                 // A lit camera sees red.
                 if self.3.lock().unwrap().last() == Some(&1) {
                     frame.bytes.iter_mut().step_by(3).for_each(|byte| *byte = 255);
                 }
                 Ok(frame)
             }
-            Act::End => Err("No such device (os error 19)".into()),
-            Act::Hang => loop {
+            CameraAct::End => Err("No such device (os error 19)".into()),
+            CameraAct::Hang => loop {
                 std::thread::park();
             },
         }
@@ -76,24 +76,24 @@ fn short() -> Frame {
     Frame { bytes: vec![0; 9], ..grey() }
 }
 
-fn scripted(script: impl Fn(usize, usize) -> Act + Send + Sync + 'static) -> Scripted {
+fn scripted(script: impl Fn(usize, usize) -> CameraAct + Send + Sync + 'static) -> ScriptedCamera {
     let openings = AtomicUsize::new(0);
-    Scripted { script: Arc::new(script), openings, light: Arc::default(), first: None }
+    ScriptedCamera { script: Arc::new(script), openings, light: Arc::default(), first: None }
 }
 
-fn camera(video: Scripted) -> Camera {
+fn camera(video: ScriptedCamera) -> Camera {
     Camera::new(SourceId::new("ca1").unwrap(), Arc::new(video)).every(Duration::ZERO)
 }
 
 /// A camera that runs on a thread of its own.
-struct Running {
+struct RunningCamera {
     taps: Vec<ImageTap>,
     reports: crossbeam_channel::Receiver<DeviceReport>,
     stop: Stop,
     thread: std::thread::JoinHandle<Result<(), DeviceError>>,
 }
 
-fn start(mut camera: Camera) -> Running {
+fn start(mut camera: Camera) -> RunningCamera {
     let (mut sinks, mut taps) = (Vec::new(), Vec::new());
     for _ in camera.streams() {
         let (sink, tap) = images(1000, Waker::new().0);
@@ -104,10 +104,10 @@ fn start(mut camera: Camera) -> Running {
     let stop = Stop::default();
     let control = Control::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || camera.run(&mut sinks, &control));
-    Running { taps, reports, stop, thread }
+    RunningCamera { taps, reports, stop, thread }
 }
 
-impl Running {
+impl RunningCamera {
     /// The next state that is reported, and why; warnings on the way are passed over.
     fn state(&self) -> (DeviceState, String) {
         loop {
@@ -146,7 +146,7 @@ use DeviceState::{Absent, Lost, Opening, Stalled, Streaming};
 
 #[test]
 fn frames_become_pictures() {
-    let running = start(camera(scripted(|_, _| Act::Frame(grey()))));
+    let running = start(camera(scripted(|_, _| CameraAct::Frame(grey()))));
     running.states(&[Opening, Streaming]);
     std::thread::sleep(Duration::from_millis(200));
     let (mut taps, took) = running.end();
@@ -161,8 +161,8 @@ fn frames_become_pictures() {
 #[test]
 fn a_wedged_camera_is_stalled_and_does_not_hold_up_the_end() {
     let running = start(camera(scripted(|_, frame| match frame {
-        0..5 => Act::Frame(grey()),
-        _ => Act::Hang,
+        0..5 => CameraAct::Frame(grey()),
+        _ => CameraAct::Hang,
     })));
     running.states(&[Opening, Streaming, Stalled]);
     assert!(running.end().1 < Duration::from_secs(1));
@@ -171,8 +171,8 @@ fn a_wedged_camera_is_stalled_and_does_not_hold_up_the_end() {
 #[test]
 fn a_camera_that_is_unplugged_is_lost_and_opened_again() {
     let running = start(camera(scripted(|opening, frame| match (opening, frame) {
-        (0, 3) => Act::End,
-        _ => Act::Frame(grey()),
+        (0, 3) => CameraAct::End,
+        _ => CameraAct::Frame(grey()),
     })));
     running.states(&[Opening, Streaming]);
     let (state, why) = running.state();
@@ -183,7 +183,7 @@ fn a_camera_that_is_unplugged_is_lost_and_opened_again() {
 
 #[test]
 fn a_camera_that_is_not_there_yet_is_absent_and_tried_again() {
-    let mut video = scripted(|_, _| Act::Frame(grey()));
+    let mut video = scripted(|_, _| CameraAct::Frame(grey()));
     video.first = Some(OpenError::Absent("camera eye".into()));
     let running = start(camera(video));
     running.states(&[Opening]);
@@ -195,7 +195,7 @@ fn a_camera_that_is_not_there_yet_is_absent_and_tried_again() {
 
 #[test]
 fn a_camera_that_will_never_do_ends_with_the_reason() {
-    let mut video = scripted(|_, _| Act::End);
+    let mut video = scripted(|_, _| CameraAct::End);
     video.first = Some(OpenError::Unfit("camera eye has no format".into()));
     let running = start(camera(video));
     let ended = running.thread.join().unwrap();
@@ -206,7 +206,7 @@ fn a_camera_that_will_never_do_ends_with_the_reason() {
 fn a_reader_that_panics_is_a_lost_camera() {
     let running = start(camera(scripted(|opening, _| match opening {
         0 => panic!("a driver's bug"),
-        _ => Act::Frame(grey()),
+        _ => CameraAct::Frame(grey()),
     })));
     running.states(&[Opening, Lost, Streaming]);
     running.end();
@@ -215,8 +215,8 @@ fn a_reader_that_panics_is_a_lost_camera() {
 #[test]
 fn damaged_frames_are_summed_up_and_only_damaged_ones_are_a_stall() {
     let running = start(camera(scripted(|_, frame| match frame % 2 {
-        0 => Act::Frame(short()),
-        _ => Act::Frame(grey()),
+        0 => CameraAct::Frame(short()),
+        _ => CameraAct::Frame(grey()),
     })));
     let said = running.warning();
     assert!(said.contains("1 frames were damaged") && said.contains("expected 460800"), "{said}");
@@ -225,14 +225,14 @@ fn damaged_frames_are_summed_up_and_only_damaged_ones_are_a_stall() {
     assert!(running.reports.is_empty());
     running.end();
 
-    let running = start(camera(scripted(|_, _| Act::Frame(short()))));
+    let running = start(camera(scripted(|_, _| CameraAct::Frame(short()))));
     running.states(&[Opening, Stalled]);
     running.end();
 }
 
 #[test]
 fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
-    let video = scripted(|_, _| Act::Frame(grey()));
+    let video = scripted(|_, _| CameraAct::Frame(grey()));
     let light = video.light.clone();
     let control = Flash::Control(FlashControl { id: 7, on: 1, off: 0 });
     let ca2 = SourceId::new("ca2").unwrap();
@@ -261,8 +261,8 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
 
 #[test]
 fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
-    struct Broken;
-    impl FlashLine for Broken {
+    struct BrokenLight;
+    impl FlashLine for BrokenLight {
         fn switch(&mut self, _: bool) -> Result<(), String> {
             Err("the stylus does not answer".into())
         }
@@ -270,9 +270,9 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
     let ca2 = || SourceId::new("ca2").unwrap();
     let wrong = Flash::Control(FlashControl { id: 8, on: 1, off: 0 });
     for (flash, part) in
-        [(Flash::Line(Box::new(Broken)), "does not answer"), (wrong, "no such control")]
+        [(Flash::Line(Box::new(BrokenLight)), "does not answer"), (wrong, "no such control")]
     {
-        let video = scripted(|_, _| Act::Frame(grey()));
+        let video = scripted(|_, _| CameraAct::Frame(grey()));
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
         camera.shutter().flash();
         let finder = camera.viewfinder();

@@ -114,8 +114,8 @@ fn cut(
 ) -> Vec<u8> {
     // In the picture as it lies, where the part is on its side if the turn swaps its sides.
     let (cols, rows) = if turn.swaps() { (height, width) } else { (width, height) };
-    let across = Weights::new(left, across, cols, picture.width);
-    let down = Weights::new(top, down, rows, picture.height);
+    let across = PixelShares::new(left, across, cols, picture.width);
+    let down = PixelShares::new(top, down, rows, picture.height);
     let lying = scale(picture, &across, &down);
     let at = |row: usize, col: usize| match turn {
         Turn::None => (row, col),
@@ -143,9 +143,9 @@ fn centre(width: f64, height: f64, aspect: f64) -> ((f64, f64), (f64, f64)) {
 
 /// For each pixel along one side: the first one that it covers, and the share of it and of each
 /// that follows. The shares of a pixel add up to 1.
-struct Weights(Vec<(usize, Vec<f32>)>);
+struct PixelShares(Vec<(usize, Vec<f32>)>);
 
-impl Weights {
+impl PixelShares {
     /// `pixels` out of a stretch of `extent` from `begin` on, of a side that has `of`.
     fn new(begin: f64, extent: f64, pixels: usize, of: usize) -> Self {
         let step = extent / pixels as f64;
@@ -167,7 +167,7 @@ impl Weights {
     }
 }
 
-fn scale(picture: &Rgb, across: &Weights, down: &Weights) -> Vec<u8> {
+fn scale(picture: &Rgb, across: &PixelShares, down: &PixelShares) -> Vec<u8> {
     let cols = across.0.len();
     let stride = picture.width * 3;
     let mut out = Vec::with_capacity(cols * down.0.len() * 3);

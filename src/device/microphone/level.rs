@@ -2,7 +2,7 @@
 
 /// How a microphone sounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
+pub enum SoundLevel {
     /// As it should.
     Normal,
     /// Nothing at all: not even the noise that every microphone has.
@@ -29,7 +29,7 @@ pub struct LevelWatch {
     high: f32,
     run: usize,
     clipped: bool,
-    level: Level,
+    level: SoundLevel,
 }
 
 impl LevelWatch {
@@ -42,18 +42,18 @@ impl LevelWatch {
             high: f32::NEG_INFINITY,
             run: 0,
             clipped: false,
-            level: Level::Normal,
+            level: SoundLevel::Normal,
         }
     }
 
     /// How it sounds, as of the last window.
     #[cfg(test)]
-    fn level(&self) -> Level {
+    fn level(&self) -> SoundLevel {
         self.level
     }
 
     /// Takes samples; the new level if it changed.
-    pub fn take(&mut self, samples: &[f32]) -> Option<Level> {
+    pub fn take(&mut self, samples: &[f32]) -> Option<SoundLevel> {
         let before = self.level;
         for &x in samples {
             self.low = self.low.min(x);
@@ -70,9 +70,9 @@ impl LevelWatch {
 
     fn judge(&mut self) {
         self.level = match () {
-            () if self.clipped => Level::Clipped,
-            () if self.high - self.low <= LAST_BIT => Level::Silent,
-            () => Level::Normal,
+            () if self.clipped => SoundLevel::Clipped,
+            () if self.high - self.low <= LAST_BIT => SoundLevel::Silent,
+            () => SoundLevel::Normal,
         };
         (self.seen, self.clipped) = (0, false);
         (self.low, self.high) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -92,7 +92,7 @@ mod tests {
     }
 
     /// The changes within some seconds of sound, each with its time, in blocks of 10 ms.
-    fn changes(watch: &mut LevelWatch, samples: &[f32]) -> Vec<(f64, Level)> {
+    fn changes(watch: &mut LevelWatch, samples: &[f32]) -> Vec<(f64, SoundLevel)> {
         let blocks = samples.chunks(RATE / 100).enumerate();
         blocks.filter_map(|(i, block)| Some(((i + 1) as f64 * 0.01, watch.take(block)?))).collect()
     }
@@ -104,9 +104,9 @@ mod tests {
         // A constant offset is no sound.
         let changed = changes(&mut watch, &vec![0.25; 5 * RATE]);
         assert_eq!(changed.len(), 1);
-        assert!(changed[0].0 <= 1.0 && changed[0].1 == Level::Silent, "{changed:?}");
+        assert!(changed[0].0 <= 1.0 && changed[0].1 == SoundLevel::Silent, "{changed:?}");
         let changed = changes(&mut watch, &noise(3.0));
-        assert_eq!((changed.len(), watch.level()), (1, Level::Normal));
+        assert_eq!((changed.len(), watch.level()), (1, SoundLevel::Normal));
     }
 
     #[test]
@@ -116,7 +116,7 @@ mod tests {
             (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();
         let changed = changes(&mut watch, &loud);
         assert_eq!(changed.len(), 1);
-        assert!(changed[0].0 <= 1.0 && changed[0].1 == Level::Clipped, "{changed:?}");
+        assert!(changed[0].0 <= 1.0 && changed[0].1 == SoundLevel::Clipped, "{changed:?}");
     }
 
     #[test]
@@ -135,7 +135,7 @@ mod tests {
             samples.chunks(size).for_each(|block| {
                 watch.take(block);
             });
-            assert_eq!(watch.level(), Level::Normal);
+            assert_eq!(watch.level(), SoundLevel::Normal);
         }
     }
 }

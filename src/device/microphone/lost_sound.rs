@@ -1,7 +1,7 @@
 //! Carries sound on from the callback's ring, and counts what never came or came twice, by the clock.
 
 use super::pace::Pace;
-use super::{Level, LevelWatch, RATE_HZ};
+use super::{LevelWatch, RATE_HZ, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
 /// After a pause of this length in seconds, sound may be missing although nobody has said so: a
@@ -37,7 +37,7 @@ pub(super) struct Carried {
     /// Whether sound was carried.
     pub sound: bool,
     /// The level, if it has changed.
-    pub level: Option<Level>,
+    pub level: Option<SoundLevel>,
 }
 
 impl<'a> Listening<'a> {
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[derive(Clone, Copy, Debug)]
-    enum Act {
+    enum SinkAct {
         /// For this number of steps.
         Play(u64),
         /// Nothing for `steps` steps, and this share of their sound never comes. The rest comes at
@@ -206,16 +206,16 @@ mod tests {
             }
         }
 
-        fn act(&mut self, listening: &mut Listening, act: Act) {
+        fn act(&mut self, listening: &mut Listening, act: SinkAct) {
             match act {
-                Act::Play(steps) => (0..steps).for_each(|_| self.step(listening, true)),
-                Act::Stall { steps, passed_over, after, piecewise } => {
+                SinkAct::Play(steps) => (0..steps).for_each(|_| self.step(listening, true)),
+                SinkAct::Stall { steps, passed_over, after, piecewise } => {
                     (0..steps).for_each(|_| self.step(listening, false));
                     let never = (passed_over * (steps * STEP) as f64) as u64;
                     (0..after).for_each(|_| self.step(listening, true));
                     self.burst(listening, steps * STEP - never, piecewise);
                 }
-                Act::Reopen(steps) => {
+                SinkAct::Reopen(steps) => {
                     (0..steps).for_each(|_| self.step(listening, false));
                     (self.enter, self.tap) = series(1, RING, Waker::new().0);
                     listening.opened(self.now_s);
@@ -225,16 +225,16 @@ mod tests {
 
         /// Plays these acts with sound before, between and after them; by how much the account was
         /// ahead of the clock and behind it after each, at worst, in seconds.
-        fn play(&mut self, acts: &[Act]) -> (f64, f64) {
+        fn play(&mut self, acts: &[SinkAct]) -> (f64, f64) {
             let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
             let meter = tap.meter().clone();
             let listening = &mut Listening::new(&mut sink);
             listening.opened(0.0);
-            self.act(listening, Act::Play(50));
+            self.act(listening, SinkAct::Play(50));
             let mut worst_s = (0.0f64, 0.0f64);
             for &act in acts {
                 self.act(listening, act);
-                self.act(listening, Act::Play(25));
+                self.act(listening, SinkAct::Play(25));
                 let counts = meter.counts();
                 let off_s = self.now_s - counts.pushed as f64 / f64::from(RATE_HZ);
                 worst_s = (worst_s.0.max(-off_s), worst_s.1.max(off_s));
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[track_caller]
-    fn account_holds(acts: &[Act]) {
+    fn account_holds(acts: &[SinkAct]) {
         let (ahead_s, behind_s) = Hall::new().play(acts);
         assert!(ahead_s <= BOUND_S, "{ahead_s:.3} s too much of {acts:?}");
         assert!(behind_s <= BOUND_S, "{behind_s:.3} s uncounted of {acts:?}");
@@ -257,7 +257,7 @@ mod tests {
     fn time_that_was_counted_as_lost_is_not_counted_again_when_its_sound_comes_late() {
         for piecewise in [true, false] {
             // Longer than is waited for, so that the clock has counted it as lost; twice.
-            let stall = Act::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
+            let stall = SinkAct::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
             account_holds(&[stall, stall]);
             account_holds(&[stall; 20]);
         }
@@ -265,14 +265,14 @@ mod tests {
 
     #[test]
     fn what_the_callbacks_ring_lost_of_late_sound_is_counted_once() {
-        let stall = Act::Stall { steps: 75, passed_over: 0.0, after: 0, piecewise: false };
+        let stall = SinkAct::Stall { steps: 75, passed_over: 0.0, after: 0, piecewise: false };
         account_holds(&[stall, stall, stall]);
     }
 
     #[test]
     fn small_remains_do_not_add_up() {
         // 40 ms come late each time: too little to be sure that they are.
-        let stall = Act::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
+        let stall = SinkAct::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
         account_holds(&[stall; 50]);
     }
 
@@ -283,8 +283,8 @@ mod tests {
                 prop_oneof![
                     (15u64..150, prop_oneof![Just(0.0), Just(1.0), 0.0..1.0], 0u64..40, any::<bool>())
                         .prop_map(|(steps, passed_over, after, piecewise)|
-                            Act::Stall { steps, passed_over, after, piecewise }),
-                    (1u64..100).prop_map(Act::Reopen),
+                            SinkAct::Stall { steps, passed_over, after, piecewise }),
+                    (1u64..100).prop_map(SinkAct::Reopen),
                 ],
                 1..12,
             ),

@@ -9,7 +9,7 @@ use crate::ring::Stop;
 
 /// What a sound system does next.
 #[derive(Clone, Copy)]
-enum Act {
+enum MicrophoneAct {
     /// 10 ms of this value (and its negative, in turn), in real time.
     Play(f32),
     /// The same, but at once.
@@ -21,24 +21,24 @@ enum Act {
     Gone,
 }
 
-type Script = fn(usize, usize) -> Act;
+type MicrophoneScript = fn(usize, usize) -> MicrophoneAct;
 
 /// Follows a script: for the opening and the step, both counted from 0.
-struct Scripted {
-    script: Script,
+struct ScriptedMicrophone {
+    script: MicrophoneScript,
     openings: Arc<AtomicUsize>,
     first: Option<OpenError>,
 }
 
-struct Stream(Arc<AtomicBool>);
+struct ScriptedStream(Arc<AtomicBool>);
 
-impl Drop for Stream {
+impl Drop for ScriptedStream {
     fn drop(&mut self) {
         self.0.store(true, Ordering::SeqCst);
     }
 }
 
-impl Sound for Scripted {
+impl Sound for ScriptedMicrophone {
     fn device(&self) -> String {
         "ear".into()
     }
@@ -64,18 +64,18 @@ impl Sound for Scripted {
                 let act = script(opening, step);
                 match act {
                     _ if ended.load(Ordering::SeqCst) => return,
-                    Act::Gone => {
+                    MicrophoneAct::Gone => {
                         return drop(errors.try_send(StreamError::Gone("unplugged".into())));
                     }
-                    Act::Pause(ms) => wait(ms),
-                    Act::Overrun(ms) => {
+                    MicrophoneAct::Pause(ms) => wait(ms),
+                    MicrophoneAct::Overrun(ms) => {
                         wait(ms);
                         let _ = errors.try_send(StreamError::Overrun);
                     }
-                    Act::Rush | Act::Play(_) => {
-                        let value = if let Act::Play(value) = act { value } else { 0.1 };
+                    MicrophoneAct::Rush | MicrophoneAct::Play(_) => {
+                        let value = if let MicrophoneAct::Play(value) = act { value } else { 0.1 };
                         let block: Vec<_> = (0..441).flat_map(|_| [value, -value]).collect();
-                        if matches!(act, Act::Play(_)) {
+                        if matches!(act, MicrophoneAct::Play(_)) {
                             wait(10);
                         }
                         // Mono, as if each value were a frame; two blocks are 20 ms.
@@ -84,11 +84,11 @@ impl Sound for Scripted {
                 }
             }
         });
-        Ok(Box::new(Stream(end)))
+        Ok(Box::new(ScriptedStream(end)))
     }
 }
 
-struct Running {
+struct RunningMicrophone {
     tap: SeriesTap,
     reports: Receiver<DeviceReport>,
     stop: Stop,
@@ -97,9 +97,9 @@ struct Running {
     begin: Instant,
 }
 
-fn start(script: Script, first: Option<OpenError>) -> Running {
+fn start(script: MicrophoneScript, first: Option<OpenError>) -> RunningMicrophone {
     let openings = Arc::new(AtomicUsize::new(0));
-    let sound = Scripted { script, openings: openings.clone(), first };
+    let sound = ScriptedMicrophone { script, openings: openings.clone(), first };
     let mut microphone = Microphone::new(SourceId::new("sound").unwrap(), Box::new(sound));
     let (sink, tap) = series(1, 60 * 44_100, Waker::new().0);
     let mut sinks = [Sink::Series(sink)];
@@ -107,10 +107,10 @@ fn start(script: Script, first: Option<OpenError>) -> Running {
     let stop = Stop::default();
     let control = Control::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || microphone.run(&mut sinks, &control));
-    Running { tap, reports, stop, openings, thread, begin: Instant::now() }
+    RunningMicrophone { tap, reports, stop, openings, thread, begin: Instant::now() }
 }
 
-impl Running {
+impl RunningMicrophone {
     fn next(&self) -> String {
         match self.reports.recv_timeout(Duration::from_secs(10)).unwrap().kind {
             DeviceReportKind::State { state, .. } => state.to_string(),
@@ -144,7 +144,7 @@ fn wait(seconds: f64) {
 
 #[test]
 fn sound_streams_without_a_loss() {
-    let running = start(|_, _| Act::Play(0.1), None);
+    let running = start(|_, _| MicrophoneAct::Play(0.1), None);
     running.says(&["opening", "streaming"]);
     wait(1.0);
     let (frames, lost, seconds) = running.end();
@@ -154,10 +154,10 @@ fn sound_streams_without_a_loss() {
 
 #[test]
 fn a_lost_stream_is_opened_again_and_what_it_missed_is_counted() {
-    let script: Script = |opening, step| match (opening, step) {
-        (0, 50..) => Act::Gone,
-        (1, 0) => Act::Pause(400),
-        _ => Act::Play(0.1),
+    let script: MicrophoneScript = |opening, step| match (opening, step) {
+        (0, 50..) => MicrophoneAct::Gone,
+        (1, 0) => MicrophoneAct::Pause(400),
+        _ => MicrophoneAct::Play(0.1),
     };
     let running = start(script, None);
     running.says(&["opening", "streaming", "lost", "streaming"]);
@@ -169,9 +169,9 @@ fn a_lost_stream_is_opened_again_and_what_it_missed_is_counted() {
 
 #[test]
 fn an_overrun_is_counted_where_it_was() {
-    let script: Script = |_, step| match step {
-        50 => Act::Overrun(300),
-        _ => Act::Play(0.1),
+    let script: MicrophoneScript = |_, step| match step {
+        50 => MicrophoneAct::Overrun(300),
+        _ => MicrophoneAct::Play(0.1),
     };
     let running = start(script, None);
     running.says(&["opening", "streaming"]);
@@ -182,21 +182,21 @@ fn an_overrun_is_counted_where_it_was() {
 
 #[test]
 fn a_pause_that_nobody_reports_is_counted_unless_its_sound_was_only_late() {
-    let skipped: Script = |_, step| match step {
-        50 => Act::Pause(600),
-        _ => Act::Play(0.1),
+    let skipped: MicrophoneScript = |_, step| match step {
+        50 => MicrophoneAct::Pause(600),
+        _ => MicrophoneAct::Play(0.1),
     };
-    let late: Script = |_, step| match step {
-        50 => Act::Pause(600),
-        51..81 => Act::Rush,
-        81 => Act::Pause(0),
-        82..112 => Act::Rush,
-        _ => Act::Play(0.1),
+    let late: MicrophoneScript = |_, step| match step {
+        50 => MicrophoneAct::Pause(600),
+        51..81 => MicrophoneAct::Rush,
+        81 => MicrophoneAct::Pause(0),
+        82..112 => MicrophoneAct::Rush,
+        _ => MicrophoneAct::Play(0.1),
     };
-    let later_than_is_waited_for: Script = |_, step| match step {
-        50 => Act::Pause(600),
-        101..161 => Act::Rush,
-        _ => Act::Play(0.1),
+    let later_than_is_waited_for: MicrophoneScript = |_, step| match step {
+        50 => MicrophoneAct::Pause(600),
+        101..161 => MicrophoneAct::Rush,
+        _ => MicrophoneAct::Play(0.1),
     };
     for (script, expected_s) in [(skipped, 0.6), (late, 0.0), (later_than_is_waited_for, 0.6)] {
         let running = start(script, None);
@@ -211,11 +211,11 @@ fn a_pause_that_nobody_reports_is_counted_unless_its_sound_was_only_late() {
 
 #[test]
 fn silence_and_clipping_are_reported_once_a_change_and_within_a_second() {
-    let script: Script = |_, step| match step {
-        0..60 => Act::Play(0.1),
-        60..260 => Act::Play(0.0),
-        260..400 => Act::Play(0.1),
-        _ => Act::Play(1.0),
+    let script: MicrophoneScript = |_, step| match step {
+        0..60 => MicrophoneAct::Play(0.1),
+        60..260 => MicrophoneAct::Play(0.0),
+        260..400 => MicrophoneAct::Play(0.1),
+        _ => MicrophoneAct::Play(1.0),
     };
     let running = start(script, None);
     let second = |step: u64| Duration::from_millis(10 * step + 1000);
@@ -230,9 +230,9 @@ fn silence_and_clipping_are_reported_once_a_change_and_within_a_second() {
 
 #[test]
 fn a_stream_that_falls_silent_altogether_is_stalled_then_opened_anew() {
-    let script: Script = |opening, step| match (opening, step) {
-        (0, 30..) => Act::Pause(100),
-        _ => Act::Play(0.1),
+    let script: MicrophoneScript = |opening, step| match (opening, step) {
+        (0, 30..) => MicrophoneAct::Pause(100),
+        _ => MicrophoneAct::Play(0.1),
     };
     let running = start(script, None);
     running.says(&["opening", "streaming", "stalled", "lost", "streaming"]);
@@ -242,7 +242,7 @@ fn a_stream_that_falls_silent_altogether_is_stalled_then_opened_anew() {
 
 #[test]
 fn a_microphone_without_a_pace_is_refused() {
-    let running = start(|_, _| Act::Rush, None);
+    let running = start(|_, _| MicrophoneAct::Rush, None);
     let said = running.thread.join().unwrap().unwrap_err().to_string();
     assert!(said.contains("faster than in real time"), "{said}");
 }
@@ -250,7 +250,7 @@ fn a_microphone_without_a_pace_is_refused() {
 #[test]
 fn a_microphone_that_comes_later_is_absent_at_first() {
     let first = Some(OpenError::Absent("microphone ear".into()));
-    let running = start(|_, _| Act::Play(0.1), first);
+    let running = start(|_, _| MicrophoneAct::Play(0.1), first);
     running.says(&["opening", "absent", "streaming"]);
     running.end();
 }
@@ -258,6 +258,6 @@ fn a_microphone_that_comes_later_is_absent_at_first() {
 #[test]
 fn one_that_will_never_do_ends_with_the_reason() {
     let first = Some(OpenError::Unfit("it does not do 44100 Hz".into()));
-    let running = start(|_, _| Act::Gone, first);
+    let running = start(|_, _| MicrophoneAct::Gone, first);
     assert!(running.thread.join().unwrap().unwrap_err().to_string().contains("44100 Hz"));
 }

@@ -22,7 +22,7 @@ const REPORT_EVERY: Duration = Duration::from_secs(1);
 const BUFFER: usize = 64 * 1024;
 
 /// How a connection ends.
-pub(super) enum End {
+pub(super) enum ConnectionEnd {
     Stop,
     Lost(String),
 }
@@ -48,15 +48,18 @@ pub(super) struct Connection<'a> {
 }
 
 impl Connection<'_> {
-    pub fn run(&mut self) -> End {
+    pub fn run(&mut self) -> ConnectionEnd {
         let mut buffer = vec![0; BUFFER];
         loop {
             if self.control.stopped() {
                 self.stop_stylus(&mut buffer);
-                return End::Stop;
+                return ConnectionEnd::Stop;
             }
             if let Err(why) = self.read(&mut buffer) {
-                return End::Lost(format!("{}: {why}; waiting for it to come back", self.path));
+                return ConnectionEnd::Lost(format!(
+                    "{}: {why}; waiting for it to come back",
+                    self.path
+                ));
             }
             let now = Instant::now();
             let silent = now - self.samples_at;
@@ -71,7 +74,7 @@ impl Connection<'_> {
                 self.control.state(DeviceState::Stalled, self.why_silent());
             }
             if silent >= GIVE_UP {
-                return End::Lost(format!("{}; reopening the line", self.why_silent()));
+                return ConnectionEnd::Lost(format!("{}; reopening the line", self.why_silent()));
             }
             self.update_light(now);
             if now - self.errors.since >= REPORT_EVERY {

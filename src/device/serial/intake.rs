@@ -77,7 +77,7 @@ pub enum IntakeEvent<'a> {
 
 /// One stream's place in a sample of the stylus.
 #[derive(Clone, Debug, PartialEq)]
-struct Place {
+struct StreamPlace {
     /// For each channel of the stream: channel of the sample, and its factor.
     picks: Vec<(usize, f32)>,
 }
@@ -87,7 +87,7 @@ struct Place {
 struct Table {
     channels: usize,
     /// For each stream wanted; none where the stylus lacks a channel of it.
-    places: Vec<Option<Place>>,
+    places: Vec<Option<StreamPlace>>,
 }
 
 /// Counts of what was not used.
@@ -208,7 +208,7 @@ impl Intake {
         let place = |wanted: &Wanted| {
             let picks: Option<Vec<_>> =
                 wanted.channels.iter().map(|name| find(name, wanted.value)).collect();
-            picks.filter(|picks| !picks.is_empty()).map(|picks| Place { picks })
+            picks.filter(|picks| !picks.is_empty()).map(|picks| StreamPlace { picks })
         };
         let places: Vec<_> = self.wanted.iter().map(place).collect();
         if places.iter().all(Option::is_none) {
@@ -258,7 +258,7 @@ impl Intake {
         self.last_s = now_s;
         self.reopened = false;
         for (stream, place) in table.places.iter().enumerate() {
-            let Some(Place { picks }) = place else {
+            let Some(StreamPlace { picks }) = place else {
                 self.lag[stream] += missing + count;
                 continue;
             };

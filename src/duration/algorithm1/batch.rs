@@ -15,7 +15,7 @@ use rand::Rng;
 use rand::seq::SliceRandom;
 
 use super::distances::{distances, medians, network_for};
-use super::lanes::{LANES, Lane, exp_of_nonpositive, map2};
+use super::lanes::{F64Lanes, LANES, exp_of_nonpositive, map2};
 use crate::kernel::{CentredMoments, Pearson3, Threshold, permutation_moments, quantile_index};
 
 /// Eight tests of independence of the same size, with room for all that lies between.
@@ -29,24 +29,24 @@ pub struct Batch {
     quantiles: Pearson3,
     network: Vec<(u32, u32)>,
     /// Samples of the two sides, at trial · channels + channel.
-    samples: [Vec<Lane>; 2],
+    samples: [Vec<F64Lanes>; 2],
     /// Kernel matrices, n × n.
-    kernels: [Vec<Lane>; 2],
-    distances: Vec<Lane>,
-    sorted: Vec<Lane>,
-    row_means: Vec<Lane>,
+    kernels: [Vec<F64Lanes>; 2],
+    distances: Vec<F64Lanes>,
+    sorted: Vec<F64Lanes>,
+    row_means: Vec<F64Lanes>,
     order: Vec<usize>,
     /// Largest statistics under permutation, descending.
-    top: Vec<Lane>,
+    top: Vec<F64Lanes>,
 }
 
 /// What eight tests gave.
 #[derive(Clone, Copy, Debug)]
 pub struct Tests {
     /// HSIC_b.
-    pub hsic: Lane,
+    pub hsic: F64Lanes,
     /// Threshold.
-    pub kappa: Lane,
+    pub kappa: F64Lanes,
 }
 
 impl Batch {
@@ -133,7 +133,7 @@ fn prepare(batch: &mut Batch) {
 
 /// tr(KHLH) of the first side's centred kernels and the second side's.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx2", "x86_64+avx2"))]
-fn statistic(batch: &Batch) -> Lane {
+fn statistic(batch: &Batch) -> F64Lanes {
     let mut sum = [0.0; LANES];
     for (k, l) in batch.kernels[0].iter().zip(&batch.kernels[1]) {
         sum = map2(sum, map2(*k, *l, |a, b| a * b), |s, x| s + x);
@@ -169,7 +169,7 @@ fn permute_once(batch: &mut Batch) {
 
 /// n²·κ from the exact permutation moments.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx2", "x86_64+avx2"))]
-fn gamma_threshold(batch: &mut Batch) -> Lane {
+fn gamma_threshold(batch: &mut Batch) -> F64Lanes {
     let n = batch.n;
     centre(&mut batch.kernels[1], n, &mut batch.row_means);
     let first = moments_of(&batch.kernels[0], n);
@@ -181,7 +181,7 @@ fn gamma_threshold(batch: &mut Batch) -> Lane {
 }
 
 #[inline(always)]
-fn centre(kernel: &mut [Lane], n: usize, row_means: &mut [Lane]) {
+fn centre(kernel: &mut [F64Lanes], n: usize, row_means: &mut [F64Lanes]) {
     let scale = 1.0 / n as f64;
     let mut mean = [0.0; LANES];
     for (row, out) in kernel.chunks_exact(n).zip(row_means.iter_mut()) {
@@ -205,9 +205,9 @@ fn centre(kernel: &mut [Lane], n: usize, row_means: &mut [Lane]) {
 }
 
 #[inline(always)]
-fn moments_of(w: &[Lane], n: usize) -> [CentredMoments; LANES] {
+fn moments_of(w: &[F64Lanes], n: usize) -> [CentredMoments; LANES] {
     let mut sums = [[0.0; LANES]; 8];
-    let add = |sum: &mut Lane, term: Lane| *sum = map2(*sum, term, |s, x| s + x);
+    let add = |sum: &mut F64Lanes, term: F64Lanes| *sum = map2(*sum, term, |s, x| s + x);
     for i in 0..n {
         let row = &w[i * n..][..n];
         let diagonal = row[i];

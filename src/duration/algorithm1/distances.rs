@@ -1,6 +1,6 @@
 //! Squared distances of the trials' samples, and their medians, eight tests at a time.
 
-use super::lanes::{LANES, Lane, sort_lanes, sorting_network};
+use super::lanes::{F64Lanes, LANES, sort_lanes, sorting_network};
 
 /// Largest number of distances that a sorting network is built for; more are gone through lane by
 /// lane.
@@ -13,7 +13,7 @@ pub(super) fn network_for(pairs: usize) -> Vec<(u32, u32)> {
 
 /// Squared distances of all pairs of samples, each pair once.
 #[inline(always)]
-pub(super) fn distances(samples: &[Lane], n: usize, channels: usize, out: &mut [Lane]) {
+pub(super) fn distances(samples: &[F64Lanes], n: usize, channels: usize, out: &mut [F64Lanes]) {
     let mut pair = 0;
     for i in 0..n {
         for j in 0..i {
@@ -33,7 +33,11 @@ pub(super) fn distances(samples: &[Lane], n: usize, channels: usize, out: &mut [
 
 /// Median of the distances that are not zero, for each lane; infinite where none is left.
 #[inline(always)]
-pub(super) fn medians(distances: &[Lane], network: &[(u32, u32)], sorted: &mut [Lane]) -> Lane {
+pub(super) fn medians(
+    distances: &[F64Lanes],
+    network: &[(u32, u32)],
+    sorted: &mut [F64Lanes],
+) -> F64Lanes {
     let mut counts = [0usize; LANES];
     for (slot, d) in sorted.iter_mut().zip(distances) {
         for lane in 0..LANES {
@@ -57,7 +61,7 @@ pub(super) fn medians(distances: &[Lane], network: &[(u32, u32)], sorted: &mut [
 }
 
 /// Median of the `count` finite values of one lane.
-fn median_by_selection(values: &[Lane], lane: usize, count: usize) -> f64 {
+fn median_by_selection(values: &[F64Lanes], lane: usize, count: usize) -> f64 {
     if count == 0 {
         return f64::INFINITY;
     }

@@ -97,7 +97,7 @@ impl CurvePoint {
 /// What came of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(tag = "outcome", rename_all = "kebab-case")]
-pub enum Outcome {
+pub enum SearchOutcome {
     /// T* in samples.
     Found {
         /// the lag
@@ -123,7 +123,7 @@ pub enum Outcome {
 pub struct Estimate {
     /// What came of the search.
     #[serde(flatten)]
-    pub outcome: Outcome,
+    pub outcome: SearchOutcome,
     /// What CB+ was.
     pub rule: Rule,
     /// Q, the number of trials: say it wherever T* is said.
@@ -140,8 +140,8 @@ impl Estimate {
     /// T* in samples, if there is one within the range.
     pub fn t_star(&self) -> Option<usize> {
         match self.outcome {
-            Outcome::Found { lag } => Some(lag),
-            Outcome::NotInRange { .. } | Outcome::Returns { .. } => None,
+            SearchOutcome::Found { lag } => Some(lag),
+            SearchOutcome::NotInRange { .. } | SearchOutcome::Returns { .. } => None,
         }
     }
 

@@ -3,11 +3,11 @@
 /// Number of lanes: one AVX-512 register, two AVX2 registers.
 pub(super) const LANES: usize = 8;
 /// One number for each of eight tests.
-pub(super) type Lane = [f64; LANES];
+pub(super) type F64Lanes = [f64; LANES];
 
 /// `f` of each pair of lanes.
 #[inline(always)]
-pub(super) fn map2(a: Lane, b: Lane, f: impl Fn(f64, f64) -> f64) -> Lane {
+pub(super) fn map2(a: F64Lanes, b: F64Lanes, f: impl Fn(f64, f64) -> f64) -> F64Lanes {
     let mut out = [0.0; LANES];
     for lane in 0..LANES {
         out[lane] = f(a[lane], b[lane]);
@@ -31,7 +31,7 @@ const INVERSE_FACTORIALS: [f64; 14] = {
 /// Range reduction to |r| ≤ ln 2/2 by the usual two-part ln 2, then the Taylor polynomial of degree
 /// 13, whose remainder is below 1e-17 there.
 #[inline(always)]
-pub(super) fn exp_of_nonpositive(x: Lane) -> Lane {
+pub(super) fn exp_of_nonpositive(x: F64Lanes) -> F64Lanes {
     /// 1.5·2⁵²: adding it rounds to a whole number, which is then in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     const LN2_HIGH: f64 = 6.931_471_803_691_238e-1;
@@ -83,7 +83,7 @@ pub(super) fn sorting_network(count: usize) -> Vec<(u32, u32)> {
 
 /// Sorts each lane upwards by the network. No value may be NaN.
 #[inline(always)]
-pub(super) fn sort_lanes(values: &mut [Lane], network: &[(u32, u32)]) {
+pub(super) fn sort_lanes(values: &mut [F64Lanes], network: &[(u32, u32)]) {
     for &(low, high) in network {
         let (a, b) = (values[low as usize], values[high as usize]);
         // Not `if x < y`: of that the compiler makes masked stores, which are three times slower.
@@ -110,7 +110,7 @@ mod tests {
     fn the_network_sorts_any_number_of_values() {
         for count in [1, 2, 3, 7, 45, 64, 190] {
             let network = sorting_network(count);
-            let mut values: Vec<Lane> =
+            let mut values: Vec<F64Lanes> =
                 (0..count).map(|i| [((i * 7919 + 13) % 101) as f64; LANES]).collect();
             let mut want: Vec<f64> = values.iter().map(|v| v[0]).collect();
             want.sort_unstable_by(f64::total_cmp);

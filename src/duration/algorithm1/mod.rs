@@ -24,5 +24,5 @@ mod estimate;
 mod lanes;
 mod search;
 
-pub use estimate::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
+pub use estimate::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
 pub use search::{Search, t_star};

@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::batch::Batch;
-use super::estimate::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
+use super::estimate::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
 use crate::duration::trials::{DurationError, Trials};
 use crate::kernel::{Threshold, quantile_index};
 use crate::seed;
@@ -113,12 +113,12 @@ impl<'a> Search<'a> {
             false => self.coarse(rule),
         };
         let outcome = match first {
-            None => Outcome::NotInRange { largest_lag: self.largest_lag },
+            None => SearchOutcome::NotInRange { largest_lag: self.largest_lag },
             Some(lag) if self.settings.look_beyond => match self.dependent_beyond(lag) {
-                Some(again_at) => Outcome::Returns { first: lag, again_at },
-                None => Outcome::Found { lag },
+                Some(again_at) => SearchOutcome::Returns { first: lag, again_at },
+                None => SearchOutcome::Found { lag },
             },
-            Some(lag) => Outcome::Found { lag },
+            Some(lag) => SearchOutcome::Found { lag },
         };
         Estimate {
             outcome,

@@ -78,7 +78,7 @@ pub(super) fn panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     mark(&mut chart, longest, row, others.len(), first, last)
 }
 
-type Chart<'a, 'b> = ChartContext<
+type DependenceChart<'a, 'b> = ChartContext<
     'a,
     SVGBackend<'b>,
     Cartesian2d<
@@ -89,7 +89,7 @@ type Chart<'a, 'b> = ChartContext<
 
 /// The threshold, T* and its upper bound, and what the lines are.
 fn mark(
-    chart: &mut Chart<'_, '_>,
+    chart: &mut DependenceChart<'_, '_>,
     longest: &SourceDuration,
     row: &PooledRow,
     others: usize,

@@ -11,7 +11,7 @@ use crate::draw::{Area, Drawn, FigureError, svg};
 
 const PANEL: (u32, u32) = (640, 380);
 
-type Panel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
+type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
 /// An SVG, two panels in a row: by `pooled` one for each source with all its surfaces, by Algorithm
 /// 1 one for each surface and source, and one of accuracy against scan time where that is known.
@@ -22,7 +22,7 @@ pub fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
 ) -> Result<String, FigureError> {
-    let mut panels: Vec<Panel<'_>> = Vec::new();
+    let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
     for (i, row) in durations.iter().enumerate() {
         match &row.by_rule {
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-use super::dot::{COLUMNS, LANES, Lane, Length, ROWS, dots, total};
+use super::dot::{COLUMNS, F32Lanes, LANES, Length, ROWS, dots, total};
 use super::features::Features;
 use super::lags::Lag;
 
@@ -127,7 +127,7 @@ fn add_products(
     columns: &[Vec<f32>],
     (earlier, later): (usize, usize),
     frames: usize,
-    lanes: &mut [Lane],
+    lanes: &mut [F32Lanes],
     out: &mut [f64],
 ) {
     if frames == 0 {
@@ -158,7 +158,7 @@ fn rows<const B: usize>(
     first: usize,
     b: [&[f32]; B],
     frames: &Length,
-    lanes: &mut [Lane],
+    lanes: &mut [F32Lanes],
 ) {
     let count = columns.len();
     let (pairs, rest) = columns.as_chunks::<ROWS>();

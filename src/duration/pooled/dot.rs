@@ -2,7 +2,7 @@
 
 /// f32 in a register of AVX-512, in two of AVX2 and in four of NEON.
 pub(super) const LANES: usize = 16;
-pub(super) type Lane = [f32; LANES];
+pub(super) type F32Lanes = [f32; LANES];
 
 /// Rows of a tile of products that are made at once.
 pub(super) const ROWS: usize = 2;
@@ -31,7 +31,7 @@ pub(super) struct Length {
     /// Whole registers before the last one.
     last: usize,
     /// 1 for each value of the last register that counts, 0 for the others.
-    counts: Lane,
+    counts: F32Lanes,
 }
 
 impl Length {
@@ -57,7 +57,7 @@ pub(super) fn dots<const A: usize, const B: usize>(
     a: [&[f32]; A],
     b: [&[f32]; B],
     Length { last, counts }: &Length,
-) -> [[Lane; B]; A] {
+) -> [[F32Lanes; B]; A] {
     let last = *last;
     let a = a.map(|a| &a.as_chunks::<LANES>().0[..=last]);
     let b = b.map(|b| &b.as_chunks::<LANES>().0[..=last]);
@@ -74,10 +74,10 @@ pub(super) fn dots<const A: usize, const B: usize>(
 
 #[inline(always)]
 fn plus_products<const A: usize, const B: usize>(
-    mut sums: [[Lane; B]; A],
-    a: [Lane; A],
-    b: [Lane; B],
-) -> [[Lane; B]; A] {
+    mut sums: [[F32Lanes; B]; A],
+    a: [F32Lanes; A],
+    b: [F32Lanes; B],
+) -> [[F32Lanes; B]; A] {
     for i in 0..A {
         for j in 0..B {
             sums[i][j] = plus_product(sums[i][j], &a[i], &b[j]);
@@ -88,7 +88,7 @@ fn plus_products<const A: usize, const B: usize>(
 
 /// Not fused, so that every machine gives the same bits.
 #[inline(always)]
-fn plus_product(mut sum: Lane, a: &Lane, b: &Lane) -> Lane {
+fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
     for lane in 0..LANES {
         sum[lane] += a[lane] * b[lane];
     }
@@ -97,7 +97,7 @@ fn plus_product(mut sum: Lane, a: &Lane, b: &Lane) -> Lane {
 
 /// The sum of the lanes, by halves: each step is one addition of registers.
 #[inline(always)]
-pub(super) fn total(sum: &Lane) -> f32 {
+pub(super) fn total(sum: &F32Lanes) -> f32 {
     let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
     for lane in 0..8 {
         eight[lane] = sum[lane] + sum[lane + 8];

@@ -105,7 +105,7 @@ fn in_samples(found: Pooled, step: usize, rate_hz: f64) -> PooledEstimate {
         }
         other => other,
     };
-    let dependence = |p: super::Point| PooledDependence {
+    let dependence = |p: super::DependencePoint| PooledDependence {
         lag_samples: scale * p.lag,
         lag_s: scale * p.lag / rate_hz,
         dependence: p.dependence,

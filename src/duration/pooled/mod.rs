@@ -62,7 +62,7 @@ pub enum PooledAnswer {
 
 /// Dependence at one lag.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct DependencePoint {
     /// Lag in frames.
     pub lag: f64,
     /// Correlation of a Gaussian process that depends as much on its past.
@@ -87,7 +87,7 @@ pub struct Pooled {
     /// Share of the variance that differs between trials for good, at least 0; none for one trial.
     pub lasting: Option<f64>,
     /// Dependence over the lags, for the two channels that decide.
-    pub curve: Vec<Point>,
+    pub curve: Vec<DependencePoint>,
 }
 
 /// T* of trials, for a threshold on the correlation of a Gaussian process; none if nothing changes
@@ -103,7 +103,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
     let range = longest as f64 / BEYOND;
     let (at_once, raw) = covariances(&features, &lags.all);
 
-    let mut found = Found::new(&raw, &features, &lags, threshold);
+    let mut found = PairCurves::new(&raw, &features, &lags, threshold);
     let mut variance = vec![0.0; at_once.len()];
     let mut summed = None;
     for _ in 0..CORRECTIONS {
@@ -115,7 +115,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
         }
         variance = correction::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
         let corrected = correction::corrected(&raw, &variance);
-        found = Found::new(&corrected, &features, &lags, threshold);
+        found = PairCurves::new(&corrected, &features, &lags, threshold);
         found.corrected = Some(corrected);
     }
     if let Some(t_star) = found.estimate
@@ -142,7 +142,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
 }
 
 /// The curves of all ordered pairs of channels, and the worst crossing.
-struct Found {
+struct PairCurves {
     curves: Vec<Curve>,
     /// The curve that decides.
     worst: usize,
@@ -151,7 +151,7 @@ struct Found {
     corrected: Option<Covariances>,
 }
 
-impl Found {
+impl PairCurves {
     fn new(covariances: &Covariances, features: &Features, lags: &Lags, threshold: f64) -> Self {
         let centres: Vec<f64> = lags.bins.iter().map(|bin| bin.centre).collect();
         let mut curves = Vec::new();
@@ -195,14 +195,14 @@ impl Found {
         ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
     }
 
-    fn points(&self, threshold: f64) -> Vec<Point> {
+    fn points(&self, threshold: f64) -> Vec<DependencePoint> {
         let Some(curve) = self.curves.get(self.worst) else { return Vec::new() };
         let correlation = |root: f64| size::as_correlation(root.max(0.0).powi(2));
         (0..curve.lags.len())
             .map(|bin| {
                 let root = curve.fitted[bin].max(0.0).sqrt();
                 let half_width = curve.half_width(bin, threshold);
-                Point {
+                DependencePoint {
                     lag: curve.lags[bin],
                     dependence: size::as_correlation(curve.sizes[bin].value),
                     fitted: correlation(root),

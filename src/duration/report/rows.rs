@@ -1,6 +1,6 @@
 //! The answer's rows: T* of each surface and source, and the longest scan of a scene.
 
-use crate::duration::algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Outcome, Rule};
+use crate::duration::algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
 use crate::duration::need::{ScanNeed, Second, worth};
 use crate::duration::pooled::{PooledAnswer, PooledDependence, PooledEstimate};
 use crate::duration::trials::Trials;
@@ -163,12 +163,12 @@ impl SourceDuration {
 fn reason(estimate: &Estimate) -> Option<String> {
     let ms = |lag: usize| lag as f64 / estimate.rate_hz * 1e3;
     match estimate.outcome {
-        Outcome::Found { .. } => None,
-        Outcome::NotInRange { largest_lag } => Some(format!(
+        SearchOutcome::Found { .. } => None,
+        SearchOutcome::NotInRange { largest_lag } => Some(format!(
             "not within the range: dependent up to {:.1} ms ({largest_lag} samples)",
             ms(largest_lag)
         )),
-        Outcome::Returns { first, again_at } => Some(format!(
+        SearchOutcome::Returns { first, again_at } => Some(format!(
             "not within the range: below κ at {:.2} ms, but dependent again at {:.2} ms (periodic, \
              or the trials differ in level or loudness)",
             ms(first),

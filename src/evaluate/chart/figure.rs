@@ -2,7 +2,7 @@
 
 use super::legend::{colours, legend_rows, lettered};
 use super::panel::{latency_panel, time_panel};
-use super::point::{Chart, Point, front};
+use super::point::{Chart, ChartPoint, front};
 use crate::draw::{Area, Drawn, FigureError, put, svg};
 
 const WIDTH: u32 = 1400;
@@ -21,7 +21,7 @@ const MARGIN: i32 = 24;
 /// If there are no points.
 pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     let colours = colours(chart);
-    let whole: Vec<&Point> =
+    let whole: Vec<&ChartPoint> =
         chart.methods().filter(|point| point.query_seconds.is_none()).collect();
     if whole.is_empty() {
         return Err(FigureError("the chart has no point for whole drags".into()));
@@ -74,7 +74,7 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
 }
 
 /// A line about a point.
-fn line(chart: &Chart, point: &Point) -> String {
+fn line(chart: &Chart, point: &ChartPoint) -> String {
     let name = if point.control { point.setting.clone() } else { point.name() };
     let some = !point.control && chart.is_subset(point);
     let sources =
@@ -129,11 +129,11 @@ mod tests {
     #[test]
     fn a_chart_names_its_methods_controls_and_kind_of_data() {
         let mut points = vec![point("reference", 300.0, 0.7), point("embedding", 2.0, 1.0)];
-        points.push(Point { query_seconds: Some(0.5), ..point("embedding", 2.0, 0.95) });
-        points.push(Point { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
-        let control = Point { control: true, ..point("control", 2.0, 0.5) };
-        points.push(Point { setting: "loudness alone".into(), ..control });
-        points.push(Point { peer: true, ..point("MiniRocket", 9.0, 0.98) });
+        points.push(ChartPoint { query_seconds: Some(0.5), ..point("embedding", 2.0, 0.95) });
+        points.push(ChartPoint { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
+        let control = ChartPoint { control: true, ..point("control", 2.0, 0.5) };
+        points.push(ChartPoint { setting: "loudness alone".into(), ..control });
+        points.push(ChartPoint { peer: true, ..point("MiniRocket", 9.0, 0.98) });
         let chart = chart(points);
         let svg = figure(&chart).unwrap();
         for text in [

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use plotters::prelude::*;
 
-use super::point::{Chart, Point};
+use super::point::{Chart, ChartPoint};
 use crate::draw::{Area, COLOURS, Drawn, drawing, put};
 
 /// The colour of each method.
@@ -22,13 +22,13 @@ pub(super) fn colours(chart: &Chart) -> Colours<'_> {
 }
 
 /// The controls, each with the letter that its line bears.
-pub(super) fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &Point)> {
+pub(super) fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
     ('a'..='z').map(String::from).zip(chart.controls())
 }
 
 /// How a point looks.
 #[derive(Clone, Copy)]
-pub(super) struct Mark {
+pub(super) struct PointMark {
     pub colour: RGBColor,
     /// A program of others.
     pub square: bool,
@@ -36,7 +36,7 @@ pub(super) struct Mark {
     pub hollow: bool,
 }
 
-impl Mark {
+impl PointMark {
     pub fn draw(self, area: &Area<'_>, (x, y): (i32, i32)) -> Drawn {
         let style = if self.hollow { self.colour.stroke_width(2) } else { self.colour.filled() };
         if self.square {
@@ -48,12 +48,12 @@ impl Mark {
 }
 
 /// A name in the legend.
-pub(super) struct Key {
+pub(super) struct LegendKey {
     name: String,
-    mark: Mark,
+    mark: PointMark,
 }
 
-impl Key {
+impl LegendKey {
     /// About what the text takes.
     pub fn width(&self) -> i32 {
         self.name.chars().count() as i32 * 7 + 40
@@ -66,8 +66,12 @@ impl Key {
 }
 
 /// The legend, as many names in a row as fit into a width.
-pub(super) fn legend_rows(chart: &Chart, colours: &Colours<'_>, within: i32) -> Vec<Vec<Key>> {
-    let mut keys: Vec<Key> = Vec::new();
+pub(super) fn legend_rows(
+    chart: &Chart,
+    colours: &Colours<'_>,
+    within: i32,
+) -> Vec<Vec<LegendKey>> {
+    let mut keys: Vec<LegendKey> = Vec::new();
     for point in chart.methods() {
         let colour = colours[point.method.as_str()];
         let hollow = chart.is_subset(point);
@@ -77,10 +81,10 @@ pub(super) fn legend_rows(chart: &Chart, colours: &Colours<'_>, within: i32) -> 
             (false, false) => point.method.clone(),
         };
         if !keys.iter().any(|key| key.name == name) {
-            keys.push(Key { name, mark: Mark { colour, square: point.peer, hollow } });
+            keys.push(LegendKey { name, mark: PointMark { colour, square: point.peer, hollow } });
         }
     }
-    let mut rows: Vec<Vec<Key>> = Vec::new();
+    let mut rows: Vec<Vec<LegendKey>> = Vec::new();
     let mut used = 0;
     for key in keys {
         let width = key.width();

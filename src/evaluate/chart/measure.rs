@@ -1,8 +1,10 @@
 //! Measures the points of a chart.
 
-use super::point::Point;
-use super::settings::{Charted, What};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, LeftOut, Loudness, Measured, Protocol};
+use super::point::ChartPoint;
+use super::settings::{Charted, Comparer};
+use crate::evaluate::{
+    EvaluateError, Evaluation, Fold, LeftOutSources, Loudness, Measured, Protocol,
+};
 use crate::library::Entry;
 use crate::recognise::{Method, RecogniseError};
 use crate::scene::{Scene, SourceId};
@@ -27,11 +29,11 @@ pub fn measure(
     on: Charting<'_>,
     charted: &Charted,
     name: &str,
-) -> Result<(Vec<Point>, LeftOut), EvaluateError> {
+) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
     let scene = &charted.scene;
     let method: Box<dyn Method> = match &charted.what {
-        What::Method(method) | What::Control(method, _) => method.build(scene),
-        What::Loudness(_) => match Loudness::new(scene) {
+        Comparer::Method(method) | Comparer::Control(method, _) => method.build(scene),
+        Comparer::Loudness(_) => match Loudness::new(scene) {
             Some(loudness) => Box::new(loudness),
             None => return Ok(Default::default()),
         },
@@ -39,10 +41,10 @@ pub fn measure(
     let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
     let measured = run.measure_lengths(&charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        Point::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
+        ChartPoint::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
-    let mut left_out = LeftOut::new();
+    let mut left_out = LeftOutSources::new();
     for (remark, trials) in measured.into_iter().flat_map(|measured| measured.left_out) {
         left_out.entry(remark).or_default().extend(trials);
     }

@@ -18,5 +18,5 @@ pub use measure::{Charting, drag_s, measure};
 pub use point::Chart;
 #[cfg(test)]
 pub use settings::settings;
-pub use settings::{What, brief, charted};
+pub use settings::{Comparer, brief, charted};
 pub use side_by_side::side_by_side;

@@ -6,8 +6,8 @@ use plotters::coord::ranged1d::Ranged;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-use super::legend::{Colours, Mark, lettered};
-use super::point::{Chart, Point, front};
+use super::legend::{Colours, PointMark, lettered};
+use super::point::{Chart, ChartPoint, front};
 use crate::draw::{Area, Drawn, drawing, put};
 
 const GREY: RGBColor = RGBColor(120, 120, 120);
@@ -15,7 +15,7 @@ const GREY: RGBColor = RGBColor(120, 120, 120);
 pub(super) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// The accuracies that an axis shows, controls included.
-fn axis(chart: &Chart, points: &[&Point]) -> std::ops::Range<f64> {
+fn axis(chart: &Chart, points: &[&ChartPoint]) -> std::ops::Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
     (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
@@ -25,10 +25,10 @@ fn axis(chart: &Chart, points: &[&Point]) -> std::ops::Range<f64> {
 pub(super) fn latency_panel(
     area: &Area<'_>,
     chart: &Chart,
-    whole: &[&Point],
+    whole: &[&ChartPoint],
     colours: &Colours<'_>,
 ) -> Drawn {
-    let ms = |p: &Point| p.query_ms_p50.max(1e-3);
+    let ms = |p: &ChartPoint| p.query_ms_p50.max(1e-3);
     let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
     let mut panel = builder(area)
@@ -118,7 +118,7 @@ pub(super) fn controls<X: Ranged<ValueType = f64>>(
 pub(super) fn bar<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
-    point: &Point,
+    point: &ChartPoint,
     x: f64,
     colour: RGBColor,
 ) -> Drawn {
@@ -138,9 +138,9 @@ fn marks<X: Ranged<ValueType = f64>>(
     panel: &mut Panel<'_, '_, X>,
     chart: &Chart,
     ends: (f64, f64),
-    points: &[&Point],
+    points: &[&ChartPoint],
     colours: &Colours<'_>,
-    x: impl Fn(&Point) -> f64,
+    x: impl Fn(&ChartPoint) -> f64,
 ) -> Drawn {
     controls(area, panel, chart, ends)?;
     let front = front(points, &x);
@@ -149,7 +149,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     for point in points {
         let colour = colours[point.method.as_str()];
         bar(area, panel, point, x(point), colour)?;
-        let key = Mark { colour, square: point.peer, hollow: chart.is_subset(point) };
+        let key = PointMark { colour, square: point.peer, hollow: chart.is_subset(point) };
         key.draw(area, place(area, panel, x(point), point.accuracy))?;
     }
     let mut before = (i32::MIN / 2, 0);

@@ -6,7 +6,7 @@ use crate::scene::SourceId;
 
 /// One setting of one method, measured.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Point {
+pub struct ChartPoint {
     /// The method.
     pub method: String,
     /// The options that give this point again.
@@ -38,7 +38,7 @@ pub struct Point {
     pub control: bool,
 }
 
-impl Point {
+impl ChartPoint {
     /// A point from an evaluation.
     pub fn new(
         outcome: &Outcome,
@@ -70,7 +70,7 @@ impl Point {
     }
 }
 
-impl Point {
+impl ChartPoint {
     /// The method, with its options where the setting says more than its name.
     pub fn name(&self) -> String {
         let options = self.setting.trim_start_matches("--method ");
@@ -87,7 +87,7 @@ impl Point {
 
 /// Indices of the points that no other point beats in both `cost` (smaller is better) and
 /// accuracy, by ascending cost.
-pub fn pareto(points: &[Point], cost: impl Fn(&Point) -> f64) -> Vec<usize> {
+pub fn pareto(points: &[ChartPoint], cost: impl Fn(&ChartPoint) -> f64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| {
         let (a, b) = (&points[a], &points[b]);
@@ -103,8 +103,11 @@ pub fn pareto(points: &[Point], cost: impl Fn(&Point) -> f64) -> Vec<usize> {
 }
 
 /// As [`pareto`], the points themselves.
-pub(super) fn front<'a>(points: &[&'a Point], cost: impl Fn(&Point) -> f64) -> Vec<&'a Point> {
-    let owned: Vec<Point> = points.iter().map(|&p| p.clone()).collect();
+pub(super) fn front<'a>(
+    points: &[&'a ChartPoint],
+    cost: impl Fn(&ChartPoint) -> f64,
+) -> Vec<&'a ChartPoint> {
+    let owned: Vec<ChartPoint> = points.iter().map(|&p| p.clone()).collect();
     pareto(&owned, cost).into_iter().map(|i| points[i]).collect()
 }
 
@@ -128,27 +131,28 @@ pub struct Chart {
     /// Length of a whole drag in seconds, where one is.
     pub drag_s: Option<f64>,
     /// The measured points.
-    pub points: Vec<Point>,
+    pub points: Vec<ChartPoint>,
 }
 
 impl Chart {
     /// The points that are no controls.
-    pub fn methods(&self) -> impl Iterator<Item = &Point> {
+    pub fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| !point.control)
     }
 
     /// The negative controls.
-    pub fn controls(&self) -> impl Iterator<Item = &Point> {
+    pub fn controls(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| point.control)
     }
 
     /// Settings that were measured on several scan times.
-    pub fn timed(&self) -> Vec<&Point> {
-        let same = |a: &Point, b: &Point| {
+    pub fn timed(&self) -> Vec<&ChartPoint> {
+        let same = |a: &ChartPoint, b: &ChartPoint| {
             (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
         };
-        let has_others =
-            |a: &&Point| self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds);
+        let has_others = |a: &&ChartPoint| {
+            self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds)
+        };
         self.methods().filter(has_others).collect()
     }
 
@@ -167,12 +171,12 @@ impl Chart {
     }
 
     /// Whether a point of ours used but some of the sources.
-    pub fn is_subset(&self, point: &Point) -> bool {
+    pub fn is_subset(&self, point: &ChartPoint) -> bool {
         !point.peer && point.sources.len() < self.sources.len()
     }
 
     /// Scan time of a point: the part of the drag that it used.
-    pub fn scan_s(&self, point: &Point) -> f64 {
+    pub fn scan_s(&self, point: &ChartPoint) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
     }
 }
@@ -181,8 +185,8 @@ impl Chart {
 pub(super) mod tests {
     use super::*;
 
-    pub(crate) fn point(method: &str, ms: f64, accuracy: f64) -> Point {
-        Point {
+    pub(crate) fn point(method: &str, ms: f64, accuracy: f64) -> ChartPoint {
+        ChartPoint {
             method: method.into(),
             setting: String::new(),
             sources: vec!["ac".into(), "mi2".into()],
@@ -199,7 +203,7 @@ pub(super) mod tests {
         }
     }
 
-    pub(crate) fn chart(points: Vec<Point>) -> Chart {
+    pub(crate) fn chart(points: Vec<ChartPoint>) -> Chart {
         Chart {
             data: "a <scene>".into(),
             synthetic: true,
@@ -228,7 +232,7 @@ pub(super) mod tests {
     #[test]
     fn a_name_is_short_and_differs_between_settings() {
         let name = |method: &str, setting: &str| {
-            Point { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
+            ChartPoint { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
         };
         assert_eq!(name("svm", "--method svm"), "svm");
         assert_eq!(

@@ -43,7 +43,7 @@ fn on_subsets() -> MethodSpec {
 #[derive(Clone, Debug)]
 pub struct Charted {
     /// What compares the trials.
-    pub what: What,
+    pub what: Comparer,
     /// The sources.
     pub scene: Scene,
     /// How much of each query's drag is used, in seconds; `None` for all of it.
@@ -52,7 +52,7 @@ pub struct Charted {
 
 /// What compares trials.
 #[derive(Clone, Debug, PartialEq)]
-pub enum What {
+pub enum Comparer {
     /// A method that a person may choose.
     Method(MethodSpec),
     /// A negative control: a method on what should say little, and what that is.
@@ -64,17 +64,17 @@ pub enum What {
 impl Charted {
     /// Whether it is a negative control.
     pub fn is_control(&self) -> bool {
-        !matches!(self.what, What::Method(_))
+        !matches!(self.what, Comparer::Method(_))
     }
 }
 
-fn whole(what: What, scene: &Scene) -> Charted {
+fn whole(what: Comparer, scene: &Scene) -> Charted {
     Charted { what, scene: scene.clone(), seconds: vec![None] }
 }
 
 /// One setting of each method on whole drags with all sources, and the negative controls.
 pub fn brief(scene: &Scene) -> Vec<Charted> {
-    let settings = few_settings().into_iter().map(|method| whole(What::Method(method), scene));
+    let settings = few_settings().into_iter().map(|method| whole(Comparer::Method(method), scene));
     settings.chain(controls(scene)).collect()
 }
 
@@ -84,11 +84,11 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
     let of_setting = |(method, is_timed): (MethodSpec, bool)| {
         let seconds = if is_timed { timed.clone() } else { vec![None] };
-        Charted { seconds, ..whole(What::Method(method), scene) }
+        Charted { seconds, ..whole(Comparer::Method(method), scene) }
     };
     let mut all: Vec<Charted> = settings().into_iter().map(of_setting).collect();
     for subset in subsets(scene) {
-        all.push(whole(What::Method(on_subsets()), &subset));
+        all.push(whole(Comparer::Method(on_subsets()), &subset));
     }
     all.extend(controls(scene));
     all
@@ -106,11 +106,11 @@ fn controls(scene: &Scene) -> Vec<Charted> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        whole(What::Control(on_subsets(), of_band), &below)
+        whole(Comparer::Control(on_subsets(), of_band), &below)
     });
     let spectra = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. }));
     let loudness = spectra.map(|sounds| {
-        whole(What::Loudness(format!("loudness of {} alone", named(&sounds))), &sounds)
+        whole(Comparer::Loudness(format!("loudness of {} alone", named(&sounds))), &sounds)
     });
     band.into_iter().chain(loudness).collect()
 }
@@ -164,8 +164,8 @@ mod tests {
     fn a_spectrum_without_much_above_80_hz_is_no_negative_control() {
         let scene = Scene::lmt108().only(&[SourceId::new("ac").unwrap()]).unwrap();
         let narrow = scene.changed(|spec| spec.domain = Domain::Spectrum { band_hz: (0.5, 49.0) });
-        let controls: Vec<What> =
+        let controls: Vec<Comparer> =
             controls(&narrow).into_iter().map(|control| control.what).collect();
-        assert_eq!(controls, [What::Loudness("loudness of ac alone".into())]);
+        assert_eq!(controls, [Comparer::Loudness("loudness of ac alone".into())]);
     }
 }

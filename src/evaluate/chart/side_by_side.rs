@@ -3,9 +3,9 @@
 use plotters::prelude::*;
 
 use super::figure::three_digits;
-use super::legend::{Mark, lettered};
+use super::legend::{PointMark, lettered};
 use super::panel::{bar, controls, percent, place};
-use super::point::{Chart, Point};
+use super::point::{Chart, ChartPoint};
 use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, put, svg};
 
 const WIDTH: u32 = 960;
@@ -19,7 +19,7 @@ const MARGIN: i32 = 16;
 const CELLS: i32 = 250;
 
 /// A setting's method and options, the same in every chart.
-type Key<'a> = (&'a str, &'a str);
+type SettingKey<'a> = (&'a str, &'a str);
 
 /// An SVG with a panel for each chart, all with the same axes: accuracy against median latency (log
 /// axis), on whole drags with all sources. Bars are 95 % intervals, ticks are users, squares are
@@ -49,13 +49,13 @@ pub fn side_by_side(charts: &[Chart]) -> Result<String, FigureError> {
 }
 
 /// The points that are drawn.
-fn shown(chart: &Chart) -> impl Iterator<Item = &Point> {
+fn shown(chart: &Chart) -> impl Iterator<Item = &ChartPoint> {
     chart.methods().filter(|point| point.query_seconds.is_none() && !chart.is_subset(point))
 }
 
 /// The settings of all charts, in the order in which they come.
-fn rows(charts: &[Chart]) -> Vec<&Point> {
-    let mut rows: Vec<&Point> = Vec::new();
+fn rows(charts: &[Chart]) -> Vec<&ChartPoint> {
+    let mut rows: Vec<&ChartPoint> = Vec::new();
     for point in charts.iter().flat_map(shown) {
         if !rows.iter().any(|row| key(row) == key(point)) {
             rows.push(point);
@@ -64,7 +64,7 @@ fn rows(charts: &[Chart]) -> Vec<&Point> {
     rows
 }
 
-fn key(point: &Point) -> Key<'_> {
+fn key(point: &ChartPoint) -> SettingKey<'_> {
     (&point.method, &point.setting)
 }
 
@@ -72,7 +72,7 @@ fn colour(row: usize) -> RGBColor {
     COLOURS[row % COLOURS.len()]
 }
 
-fn ms(point: &Point) -> f64 {
+fn ms(point: &ChartPoint) -> f64 {
     point.query_ms_p50.max(1e-3)
 }
 
@@ -107,7 +107,7 @@ fn head(root: &Area<'_>, charts: &[Chart]) -> Drawn {
     put(root, key, (MARGIN, 38), 13)
 }
 
-fn panel(area: &Area<'_>, chart: &Chart, axes: &Axes, rows: &[&Point]) -> Drawn {
+fn panel(area: &Area<'_>, chart: &Chart, axes: &Axes, rows: &[&ChartPoint]) -> Drawn {
     let kind = if chart.synthetic { "SYNTHETIC " } else { "" };
     put(area, format!("{kind}{}, {}", chart.data, chart.protocol), (56, 4), 15)?;
     let queries = shown(chart).map(|point| point.queries).max().unwrap_or(0);
@@ -146,12 +146,12 @@ fn panel(area: &Area<'_>, chart: &Chart, axes: &Axes, rows: &[&Point]) -> Drawn 
     Ok(())
 }
 
-fn mark(row: usize, point: &Point) -> Mark {
-    Mark { colour: colour(row), square: point.peer, hollow: false }
+fn mark(row: usize, point: &ChartPoint) -> PointMark {
+    PointMark { colour: colour(row), square: point.peer, hollow: false }
 }
 
 /// The table: a row for each setting, a column for each chart.
-fn numbers(root: &Area<'_>, charts: &[Chart], rows: &[&Point], top: i32) -> Drawn {
+fn numbers(root: &Area<'_>, charts: &[Chart], rows: &[&ChartPoint], top: i32) -> Drawn {
     let width = (WIDTH as i32 - CELLS - MARGIN) / charts.len().max(1) as i32;
     let cells = |row: i32, of: &dyn Fn(&Chart) -> Option<String>| {
         for (column, chart) in charts.iter().enumerate() {
@@ -179,7 +179,7 @@ fn numbers(root: &Area<'_>, charts: &[Chart], rows: &[&Point], top: i32) -> Draw
     Ok(())
 }
 
-fn value(point: &Point) -> String {
+fn value(point: &ChartPoint) -> String {
     format!("{:.1} %, {} ms", 100.0 * point.accuracy, three_digits(point.query_ms_p50))
 }
 
@@ -198,9 +198,10 @@ mod tests {
         });
         let mut ours = point("embedding", 2.0, 0.9);
         ours.users = users.to_vec();
-        let first = chart(vec![ours.clone(), Point { peer: true, ..point("quant", 20.0, 0.8) }]);
-        let control = Point { control: true, ..point("control", 2.0, 0.5) };
-        let control = Point { setting: "loudness alone".into(), ..control };
+        let first =
+            chart(vec![ours.clone(), ChartPoint { peer: true, ..point("quant", 20.0, 0.8) }]);
+        let control = ChartPoint { control: true, ..point("control", 2.0, 0.5) };
+        let control = ChartPoint { setting: "loudness alone".into(), ..control };
         let second = chart(vec![ours, control]);
         let second = Chart { data: "other".into(), synthetic: false, ..second };
         let svg = side_by_side(&[first.clone(), second]).unwrap();

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::report::{Report, ReportRow};
+use super::report::{PaperReport, ReportRow};
 use crate::draw::{Area, Drawn, FigureError, drawing, put, svg};
 use crate::evaluate::Confusion;
 
@@ -31,7 +31,7 @@ const MATERIALS: [&str; 9] = [
 ///
 /// # Errors
 /// If the drawing fails.
-pub fn bars(report: &Report) -> Result<String, FigureError> {
+pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();
     let height = 90 + ROW * shown.len() as i32;

@@ -19,6 +19,6 @@ mod work;
 pub use rows::{ALL, rows};
 
 pub(crate) use figure::{bars, confusion};
-pub(crate) use part::{MergeError, Part, Shard, merge};
-pub(crate) use report::{Report, ReportRow};
+pub(crate) use part::{MergeError, PaperPart, Shard, merge};
+pub(crate) use report::{PaperReport, ReportRow};
 pub(crate) use work::{work, work_head};

@@ -48,7 +48,7 @@ impl FromStr for Shard {
     }
 }
 
-/// Answers of one setting. Trials are named by index into [`Part::trials`].
+/// Answers of one setting. Trials are named by index into [`PaperPart::trials`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowPart {
@@ -71,7 +71,7 @@ pub struct RowPart {
 /// The result of a shard, or of all of them joined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Part {
+pub struct PaperPart {
     /// 1.
     pub format: u32,
     /// Name of the data.
@@ -88,7 +88,7 @@ pub struct Part {
     pub rows: Vec<RowPart>,
 }
 
-impl Part {
+impl PaperPart {
     /// Whether this is a shard of the same run as another.
     pub fn is_of_run(&self, other: &Self) -> bool {
         let head = |part: &Self| {
@@ -128,7 +128,7 @@ pub enum MergeError {
 ///
 /// # Errors
 /// If one is missing, there twice, damaged, or of another run.
-pub fn merge(mut parts: Vec<Part>) -> Result<Part, MergeError> {
+pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, MergeError> {
     parts.sort_by_key(|part| part.shard);
     for part in &parts {
         let trials = part.trials.len();
@@ -169,7 +169,7 @@ pub fn merge(mut parts: Vec<Part>) -> Result<Part, MergeError> {
 mod tests {
     use super::*;
 
-    fn part(number: usize, answers: Vec<(usize, usize, usize)>) -> Part {
+    fn part(number: usize, answers: Vec<(usize, usize, usize)>) -> PaperPart {
         let row = RowPart {
             setting: "all".into(),
             missing: vec![],
@@ -182,7 +182,7 @@ mod tests {
         let trials = vec![("a".into(), "expert".into(), 1), ("a".into(), "user1".into(), 1)];
         let (data, settings) = ("d".into(), "s".into());
         let shard = Shard { number, of: 2 };
-        Part { format: 1, data, synthetic: false, settings, shard, trials, rows: vec![row] }
+        PaperPart { format: 1, data, synthetic: false, settings, shard, trials, rows: vec![row] }
     }
 
     #[test]
@@ -201,7 +201,7 @@ mod tests {
         let missing = MergeError::Missing { of: 2, missing: "2".into() };
         assert_eq!(merge(vec![one.clone()]), Err(missing));
         assert_eq!(merge(vec![one.clone(), one.clone()]), Err(MergeError::Twice(one.shard)));
-        let other = Part { settings: "t".into(), ..part(2, vec![]) };
+        let other = PaperPart { settings: "t".into(), ..part(2, vec![]) };
         assert!(matches!(merge(vec![one.clone(), other]), Err(MergeError::Different(..))));
         let damaged = part(2, vec![(0, 9, 0)]);
         assert_eq!(merge(vec![one, damaged.clone()]), Err(MergeError::Damaged(damaged.shard)));

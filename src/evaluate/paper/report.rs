@@ -1,6 +1,6 @@
 //! The figures of a whole run beside the paper's.
 
-use super::part::{Part, RowPart};
+use super::part::{PaperPart, RowPart};
 use super::rows::{ALL, Published, Row, rows};
 use crate::evaluate::{Confusion, Outcome, Prediction, Protocol};
 use crate::trial::TrialKey;
@@ -45,7 +45,7 @@ pub struct ReportRow {
 
 /// A whole run.
 #[derive(Clone, Debug, serde::Serialize)]
-pub struct Report {
+pub struct PaperReport {
     /// Name of the data.
     pub data: String,
     /// Made by a generator.
@@ -58,9 +58,9 @@ pub struct Report {
     pub confusion: Option<Confusion>,
 }
 
-impl Report {
+impl PaperReport {
     /// Sums a whole run up.
-    pub fn new(part: &Part) -> Self {
+    pub fn new(part: &PaperPart) -> Self {
         let keys: Vec<TrialKey> =
             part.trials.iter().map(|(s, user, number)| TrialKey::new(s, user, *number)).collect();
         let mut confusion = None;
@@ -73,7 +73,7 @@ impl Report {
                 confusion = outcome.map(|outcome| outcome.confusion);
             }
         }
-        let Part { data, synthetic, settings, .. } = part.clone();
+        let PaperPart { data, synthetic, settings, .. } = part.clone();
         Self { data, synthetic, settings, rows: report, confusion }
     }
 }

@@ -1,6 +1,6 @@
 //! The figures of the paper's tables and text, and the settings that they are of.
 
-use super::stream::{AS_USED, Stream, View};
+use super::stream::{AS_USED, SampleView, SampledSource};
 use crate::evaluate::Protocol;
 use crate::scene::Colour;
 
@@ -25,7 +25,7 @@ pub struct Row {
     /// How queries and library are split.
     pub protocol: Protocol,
     /// Weights and streams.
-    pub terms: Vec<(f64, Stream)>,
+    pub terms: Vec<(f64, SampledSource)>,
     /// What the paper prints.
     pub published: Option<Published>,
 }
@@ -36,16 +36,16 @@ const TEXT: &str = "text";
 const FIGURE: &str = "pairs";
 const OURS: &str = "beside";
 
-fn used(sources: &[&str]) -> Vec<Stream> {
-    sources.iter().map(|source| Stream::as_used(source)).collect()
+fn used(sources: &[&str]) -> Vec<SampledSource> {
+    sources.iter().map(|source| SampledSource::as_used(source)).collect()
 }
 
-fn changed(change: impl Fn(Stream) -> Stream) -> Vec<Stream> {
+fn changed(change: impl Fn(SampledSource) -> SampledSource) -> Vec<SampledSource> {
     AS_USED.iter().map(|&stream| change(stream)).collect()
 }
 
-fn is_image(stream: Stream) -> bool {
-    matches!(stream.view, View::Pixels(_))
+fn is_image(stream: SampledSource) -> bool {
+    matches!(stream.view, SampleView::Pixels(_))
 }
 
 fn mean(accuracy: f64, std: f64) -> Option<Published> {
@@ -60,7 +60,7 @@ impl Rows {
         place: &'static str,
         protocol: Protocol,
         name: impl Into<String>,
-        streams: Vec<Stream>,
+        streams: Vec<SampledSource>,
         published: Option<Published>,
     ) -> &mut Row {
         let terms = streams.into_iter().map(|stream| (1.0, stream)).collect();
@@ -95,21 +95,33 @@ fn table_1(rows: &mut Rows) {
     add("visual + auditory", used(&["ca1", "ca2", "mi1", "mi2"]), 84.1, 7.3);
     add("visual + haptic", used(&["ca1", "ca2", "ac", "fr"]), 92.7, 2.2);
     add("auditory + haptic", used(&["mi1", "mi2", "ac", "fr"]), 74.2, 10.9);
-    let rgb =
-        changed(|s| if is_image(s) { Stream { view: View::Pixels(Colour::Rgb), ..s } } else { s });
+    let rgb = changed(|s| {
+        if is_image(s) { SampledSource { view: SampleView::Pixels(Colour::Rgb), ..s } } else { s }
+    });
     add("all, RGB instead of HSV", rgb, 95.8, 2.7);
-    let in_time = |sound: View| {
+    let in_time = |sound: SampleView| {
         changed(move |s| match (s.source, s.view) {
-            ("mi2", _) => Stream { view: sound, ..s },
-            (_, View::Spectrum) => Stream { view: View::Time, ..s },
+            ("mi2", _) => SampledSource { view: sound, ..s },
+            (_, SampleView::Spectrum) => SampledSource { view: SampleView::Time, ..s },
             _ => s,
         })
     };
-    add("all, without DFT (drag sound: its first 1.1 s)", in_time(View::TimeOfSerial), 95.1, 3.3);
-    add("all, without the shift", changed(|s| Stream { align: false, ..s }), 88.7, 6.7);
+    add(
+        "all, without DFT (drag sound: its first 1.1 s)",
+        in_time(SampleView::TimeOfSerial),
+        95.1,
+        3.3,
+    );
+    add("all, without the shift", changed(|s| SampledSource { align: false, ..s }), 88.7, 6.7);
     let main = Published { accuracy: 97.2, std: Some(2.1), precision: Some(98.0) };
     rows.add(TABLE_1, protocol, ALL, AS_USED.to_vec(), Some(main));
-    rows.add(OURS, protocol, "all, without DFT (whole drag sound)", in_time(View::Time), None);
+    rows.add(
+        OURS,
+        protocol,
+        "all, without DFT (whole drag sound)",
+        in_time(SampleView::Time),
+        None,
+    );
 }
 
 fn text(rows: &mut Rows) {
@@ -120,12 +132,18 @@ fn text(rows: &mut Rows) {
         if is_image(stream) {
             both.push(stream);
         } else {
-            both.extend([View::Time, View::Spectrum].map(|view| Stream { view, ..stream }));
+            both.extend(
+                [SampleView::Time, SampleView::Spectrum]
+                    .map(|view| SampledSource { view, ..stream }),
+            );
         }
     }
-    let shifted = changed(|s| Stream { align: s.align || is_image(s), ..s });
-    let unshifted = changed(|s| Stream { align: false, ..s });
-    let camera_and_ac = [Stream::as_used("ca1"), Stream { align: false, ..Stream::as_used("ac") }];
+    let shifted = changed(|s| SampledSource { align: s.align || is_image(s), ..s });
+    let unshifted = changed(|s| SampledSource { align: false, ..s });
+    let camera_and_ac = [
+        SampledSource::as_used("ca1"),
+        SampledSource { align: false, ..SampledSource::as_used("ac") },
+    ];
     rows.add(TEXT, users, "all, both domains", both, mean(98.2, 1.7));
     let weighted =
         rows.add(TEXT, users, "all, ca1 and ac weigh 3", AS_USED.to_vec(), mean(98.5, 1.2));
@@ -139,7 +157,7 @@ fn text(rows: &mut Rows) {
         let channels =
             [("hue", Colour::Hue), ("saturation", Colour::Saturation), ("value", Colour::Value)];
         for ((name, colour), figure) in channels.into_iter().zip(figures) {
-            let stream = Stream::new(source, View::Pixels(colour), false);
+            let stream = SampledSource::new(source, SampleView::Pixels(colour), false);
             rows.add(TEXT, users, format!("{source}, {name}"), vec![stream], mean(figure, 0.0));
         }
     }
@@ -180,9 +198,9 @@ const SINGLES: [(&str, Cells, Cells); 8] = [
 fn table_2(rows: &mut Rows) {
     for (source, users, trials) in SINGLES {
         let views = if source.starts_with("ca") {
-            [("RGB", View::Pixels(Colour::Rgb)), ("HSV", View::Pixels(Colour::Hsv))]
+            [("RGB", SampleView::Pixels(Colour::Rgb)), ("HSV", SampleView::Pixels(Colour::Hsv))]
         } else {
-            [("time", View::Time), ("spectrum", View::Spectrum)]
+            [("time", SampleView::Time), ("spectrum", SampleView::Spectrum)]
         };
         for (protocol, cells) in
             [(Protocol::ExpertVsUsers, users), (Protocol::LeaveOneTrialOut, trials)]
@@ -191,7 +209,7 @@ fn table_2(rows: &mut Rows) {
                 [("no shift", false), ("shift", true)].into_iter().zip(cells)
             {
                 for ((how, view), (accuracy, std)) in views.into_iter().zip(of_shift) {
-                    let stream = Stream::new(source, view, align);
+                    let stream = SampledSource::new(source, view, align);
                     let name = format!("{source}, {how}, {shift}");
                     rows.add(TABLE_2, protocol, name, vec![stream], mean(accuracy, std));
                 }

@@ -6,7 +6,7 @@ use crate::trial::Signal;
 
 /// How samples are drawn from a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum View {
+pub enum SampleView {
     /// Equidistant in time.
     Time,
     /// The same at the positions of the 10 kHz series, whatever the source's own rate: of a drag
@@ -25,30 +25,30 @@ const BAND_HZ: (f64, f64) = (0.0, 1000.0);
 
 /// A source, how it is sampled, and whether the query's mean is shifted (Eq. 8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Stream {
+pub struct SampledSource {
     /// The source.
     pub source: &'static str,
     /// How it is sampled.
-    pub view: View,
+    pub view: SampleView,
     /// Whether the shift is done.
     pub align: bool,
 }
 
 /// The eight sources as the paper uses them.
-pub const AS_USED: [Stream; 8] = [
-    Stream::new("ca1", View::Pixels(Colour::Hsv), false),
-    Stream::new("ca2", View::Pixels(Colour::Hsv), false),
-    Stream::new("mi1", View::Spectrum, true),
-    Stream::new("mi2", View::Spectrum, true),
-    Stream::new("ac", View::Spectrum, true),
-    Stream::new("fr", View::Time, true),
-    Stream::new("ir", View::Time, true),
-    Stream::new("me", View::Time, false),
+pub const AS_USED: [SampledSource; 8] = [
+    SampledSource::new("ca1", SampleView::Pixels(Colour::Hsv), false),
+    SampledSource::new("ca2", SampleView::Pixels(Colour::Hsv), false),
+    SampledSource::new("mi1", SampleView::Spectrum, true),
+    SampledSource::new("mi2", SampleView::Spectrum, true),
+    SampledSource::new("ac", SampleView::Spectrum, true),
+    SampledSource::new("fr", SampleView::Time, true),
+    SampledSource::new("ir", SampleView::Time, true),
+    SampledSource::new("me", SampleView::Time, false),
 ];
 
-impl Stream {
+impl SampledSource {
     /// A stream from its parts.
-    pub const fn new(source: &'static str, view: View, align: bool) -> Self {
+    pub const fn new(source: &'static str, view: SampleView, align: bool) -> Self {
         Self { source, view, align }
     }
 
@@ -69,10 +69,10 @@ impl Stream {
             spec.align_mean = self.align;
             spec.weight = 1.0;
             match self.view {
-                View::Time | View::TimeOfSerial => spec.domain = Domain::Time,
-                View::Spectrum if matches!(spec.domain, Domain::Spectrum { .. }) => {}
-                View::Spectrum => spec.domain = Domain::Spectrum { band_hz: BAND_HZ },
-                View::Pixels(colour) => spec.colour = colour,
+                SampleView::Time | SampleView::TimeOfSerial => spec.domain = Domain::Time,
+                SampleView::Spectrum if matches!(spec.domain, Domain::Spectrum { .. }) => {}
+                SampleView::Spectrum => spec.domain = Domain::Spectrum { band_hz: BAND_HZ },
+                SampleView::Pixels(colour) => spec.colour = colour,
             }
         }))
     }
@@ -80,7 +80,7 @@ impl Stream {
     /// The entry with this source alone, of the length that this way sees.
     pub fn entry(&self, entry: &Entry, scene: &Scene) -> Entry {
         let entry = entry.clone().within(scene);
-        if self.view != View::TimeOfSerial {
+        if self.view != SampleView::TimeOfSerial {
             return entry;
         }
         entry.changed(|mut trial| {

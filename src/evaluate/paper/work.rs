@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::part::{Part, RowPart, Shard};
+use super::part::{PaperPart, RowPart, Shard};
 use super::rows::{Row, rows};
-use super::stream::Stream;
+use super::stream::SampledSource;
 use super::table::{LogScores, nearest};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Protocol, folds};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Protocol, folds};
 use crate::library::{Entry, Library};
 use crate::recognise::{Reference, ReferenceOptions};
 use crate::trial::TrialKey;
@@ -25,14 +25,14 @@ pub fn work(
     library: &Library,
     options: &ReferenceOptions,
     shard: Shard,
-    progress: Progress<'_>,
-) -> Result<Part, EvaluateError> {
+    progress: ProgressFn<'_>,
+) -> Result<PaperPart, EvaluateError> {
     let entries = in_order(library);
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let plans = plans(library, &entries);
-    let streams: BTreeSet<Stream> =
+    let streams: BTreeSet<SampledSource> =
         plans.iter().flat_map(|plan| plan.terms.iter().map(|(_, stream)| *stream)).collect();
-    let mut scores: BTreeMap<Stream, BTreeMap<usize, LogScores>> = BTreeMap::new();
+    let mut scores: BTreeMap<SampledSource, BTreeMap<usize, LogScores>> = BTreeMap::new();
     // Every score is needed, so nothing may be left out early.
     let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
     for (done, stream) in streams.iter().enumerate() {
@@ -46,7 +46,7 @@ pub fn work(
 }
 
 /// What [`work`] would give, without the answers: enough to know a shard of the same run by.
-pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> Part {
+pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> PaperPart {
     let entries = in_order(library);
     let keys = entries.iter().map(|entry| entry.key.clone()).collect();
     part(library, options, shard, keys, &plans(library, &entries), &BTreeMap::new())
@@ -59,8 +59,8 @@ fn in_order(library: &Library) -> Vec<Entry> {
     entries
 }
 
-fn plans(library: &Library, entries: &[Entry]) -> Vec<Plan> {
-    rows().into_iter().map(|row| Plan::new(row, library, entries)).collect()
+fn plans(library: &Library, entries: &[Entry]) -> Vec<PaperPlan> {
+    rows().into_iter().map(|row| PaperPlan::new(row, library, entries)).collect()
 }
 
 fn part(
@@ -68,16 +68,16 @@ fn part(
     options: &ReferenceOptions,
     shard: Shard,
     keys: Vec<TrialKey>,
-    plans: &[Plan],
-    scores: &BTreeMap<Stream, BTreeMap<usize, LogScores>>,
-) -> Part {
+    plans: &[PaperPlan],
+    scores: &BTreeMap<SampledSource, BTreeMap<usize, LogScores>>,
+) -> PaperPart {
     let ReferenceOptions { samples, repetitions, positions, seed, precision, tabulate, .. } =
         options;
     let settings = format!(
         "n = {samples}, R = {repetitions}, positions {positions:?}, seed {seed}, sums {precision:?}, \
          tables {tabulate}"
     );
-    Part {
+    PaperPart {
         format: 1,
         data: library.name.clone(),
         synthetic: library.synthetic,
@@ -89,17 +89,17 @@ fn part(
 }
 
 /// A setting on these data: what of it can be done.
-struct Plan {
+struct PaperPlan {
     row: Row,
-    terms: Vec<(f64, Stream)>,
+    terms: Vec<(f64, SampledSource)>,
     missing: Vec<String>,
     folds: Vec<Fold>,
     not_run: Option<String>,
 }
 
-impl Plan {
+impl PaperPlan {
     fn new(row: Row, library: &Library, entries: &[Entry]) -> Self {
-        let has = |entry: &Entry, stream: &Stream| {
+        let has = |entry: &Entry, stream: &SampledSource| {
             entry.sources.iter().any(|id| id.as_str() == stream.source)
         };
         let (terms, lacking): (Vec<_>, Vec<_>) = row.terms.iter().copied().partition(|(_, s)| {
@@ -133,7 +133,7 @@ impl Plan {
 
     fn answers(
         &self,
-        scores: &BTreeMap<Stream, BTreeMap<usize, LogScores>>,
+        scores: &BTreeMap<SampledSource, BTreeMap<usize, LogScores>>,
         keys: &[TrialKey],
         shard: Shard,
     ) -> RowPart {
@@ -174,7 +174,7 @@ struct WantedScores {
 }
 
 impl WantedScores {
-    fn new(plans: &[Plan], stream: Stream, shard: Shard) -> Self {
+    fn new(plans: &[PaperPlan], stream: SampledSource, shard: Shard) -> Self {
         let mut wanted = Self::default();
         for plan in plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream)) {
             let protocol: Protocol = plan.row.protocol;
@@ -211,7 +211,7 @@ impl WantedScores {
 
 /// ln of the scores of one stream, by query.
 fn score(
-    stream: Stream,
+    stream: SampledSource,
     library: &Library,
     entries: &[Entry],
     wanted: &WantedScores,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, Progress};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, Outcome, ProgressFn};
 use crate::library::Entry;
 use crate::recognise::{Goal, MethodName, MethodSpec, ReferenceOptions, ready_model};
 use crate::scene::Scene;
@@ -50,14 +50,14 @@ impl<'a> Trying<'a> {
     }
 
     /// What `embedding` makes of it.
-    pub fn embedded(self, progress: Progress<'_>) -> Result<Outcome, EvaluateError> {
+    pub fn embedded(self, progress: ProgressFn<'_>) -> Result<Outcome, EvaluateError> {
         run(&embedding(), self, progress)
     }
 }
 
 /// How long scans must last for an accuracy, in seconds, by the left-out trials of the library;
 /// `None` where that is not known.
-pub(super) fn needed_s(on: Trying<'_>, target: f64, progress: Progress<'_>) -> Option<f64> {
+pub(super) fn needed_s(on: Trying<'_>, target: f64, progress: ProgressFn<'_>) -> Option<f64> {
     let within = on.entries.iter().map(|entry| entry.clone().within(on.scene));
     let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
     let method = embedding().build(on.scene);
@@ -74,7 +74,7 @@ pub(super) struct ChoosingMethod<'a> {
     pub reaches: &'a dyn Fn(usize) -> bool,
     /// For people: what was done, a line each.
     pub steps: &'a mut Vec<String>,
-    pub progress: Progress<'a>,
+    pub progress: ProgressFn<'a>,
 }
 
 impl ChoosingMethod<'_> {
@@ -142,7 +142,7 @@ fn shown(setting: &MethodSpec) -> String {
 fn run(
     setting: &MethodSpec,
     on: Trying<'_>,
-    progress: Progress<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<Outcome, EvaluateError> {
     let entries: Vec<Entry> = on.entries.iter().map(|e| e.clone().within(on.scene)).collect();
     let has_any = |i: &usize| !entries[*i].sources.is_empty();

@@ -8,7 +8,7 @@ use super::file::{Expected, Plan};
 use super::method::{ChoosingMethod, Trying, needed_s};
 use super::study::Study;
 use super::worth::too_close;
-use crate::evaluate::{EvaluateError, Outcome, Progress, Protocol, folds, wilson_interval};
+use crate::evaluate::{EvaluateError, Outcome, ProgressFn, Protocol, folds, wilson_interval};
 use crate::library::{Entry, Library};
 use crate::recognise::{can_show, reaches};
 use crate::scene::{Phase, SourceId};
@@ -55,12 +55,12 @@ pub struct Planned {
 
 /// Sources, by their places in the study, and the queries that their whole scans name right.
 #[derive(Clone, Debug, PartialEq)]
-struct Choice {
+struct SourceChoice {
     sources: Vec<usize>,
     right: usize,
 }
 
-struct Search<'a> {
+struct PlanSearch<'a> {
     study: &'a Study,
     target: f64,
     /// How long sources must be dragged for the target, in seconds, where that is known.
@@ -77,7 +77,7 @@ struct Search<'a> {
 pub fn search(
     library: &Library,
     options: PlanOptions<'_>,
-    progress: Progress<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<Planned, EvaluateError> {
     let entries: Vec<Entry> =
         library.entries.iter().filter(|entry| !entry.sources.is_empty()).cloned().collect();
@@ -92,7 +92,7 @@ pub fn search(
         let on = Trying::new(&scene, &entries, &folds, options.cache);
         needed_s(on, options.target, progress)
     };
-    let mut search = Search::new(&study, options.target, &needed_s);
+    let mut search = PlanSearch::new(&study, options.target, &needed_s);
     let choice = search.choose();
     let scene = library.scene.clone().only(&ids(&choice.sources))?;
     let whole = Trying::new(&scene, &entries, &folds, options.cache);
@@ -116,7 +116,7 @@ pub fn search(
     Ok(Planned { plan, sources, steps: search.steps, warnings })
 }
 
-impl<'a> Search<'a> {
+impl<'a> PlanSearch<'a> {
     fn new(study: &'a Study, target: f64, needed_s: &'a dyn Fn(&[usize]) -> Option<f64>) -> Self {
         let mut search = Self { study, target, needed_s, by_cost: Vec::new(), steps: Vec::new() };
         let mut by_cost: Vec<usize> = (0..study.sources.len()).collect();
@@ -134,15 +134,15 @@ impl<'a> Search<'a> {
         sources.iter().map(|&s| self.study.sources[s].scan_s(drag_s)).fold(0.0, f64::max)
     }
 
-    fn choice(&self, sources: &[usize]) -> Choice {
-        Choice { sources: sources.to_vec(), right: self.study.right(sources) }
+    fn choice(&self, sources: &[usize]) -> SourceChoice {
+        SourceChoice { sources: sources.to_vec(), right: self.study.right(sources) }
     }
 
     fn reaches(&self, right: usize) -> bool {
         reaches(right, self.study.queries(), self.target)
     }
 
-    fn choose(&mut self) -> Choice {
+    fn choose(&mut self) -> SourceChoice {
         if let Some(single) = self.cheapest_single() {
             self.note(&single, "one source is enough:");
             return single;
@@ -154,10 +154,10 @@ impl<'a> Search<'a> {
 
     /// Of the sources that reach the target alone, the one with the least scan time, then the least
     /// work.
-    fn cheapest_single(&self) -> Option<Choice> {
+    fn cheapest_single(&self) -> Option<SourceChoice> {
         let all = self.by_cost.iter().map(|&s| self.choice(&[s]));
         let enough = all.filter(|choice| self.reaches(choice.right));
-        let cost = |choice: &Choice| {
+        let cost = |choice: &SourceChoice| {
             let drag_s = if self.is_dragged(&choice.sources) {
                 (self.needed_s)(&choice.sources)
             } else {
@@ -166,7 +166,7 @@ impl<'a> Search<'a> {
             let source = &self.study.sources[choice.sources[0]];
             (self.scan_s(&choice.sources, drag_s), source.work(drag_s))
         };
-        let costs: Vec<((f64, f64), Choice)> =
+        let costs: Vec<((f64, f64), SourceChoice)> =
             enough.map(|choice| (cost(&choice), choice)).collect();
         costs.into_iter().min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
     }
@@ -175,9 +175,9 @@ impl<'a> Search<'a> {
     /// where the target is missed, or nothing shorter is known to be enough.
     fn shortened<'t>(
         &mut self,
-        choice: &Choice,
+        choice: &SourceChoice,
         whole: Trying<'t>,
-        progress: Progress<'_>,
+        progress: ProgressFn<'_>,
     ) -> Result<(Trying<'t>, Outcome), EvaluateError> {
         let whole_s = self.scan_s(&choice.sources, None);
         let wanted = self.reaches(choice.right) && self.is_dragged(&choice.sources);
@@ -201,10 +201,10 @@ impl<'a> Search<'a> {
 
     /// Adds, one at a time, the source that helps most (of equals the cheapest), until the target
     /// is reached or none helps; all sources together if they do better than that.
-    fn grow(&mut self) -> Choice {
-        let mut chosen = Choice { sources: Vec::new(), right: 0 };
+    fn grow(&mut self) -> SourceChoice {
+        let mut chosen = SourceChoice { sources: Vec::new(), right: 0 };
         while !self.reaches(chosen.right) {
-            let mut best: Option<Choice> = None;
+            let mut best: Option<SourceChoice> = None;
             for &s in self.by_cost.iter().filter(|s| !chosen.sources.contains(s)) {
                 let mut sources = chosen.sources.clone();
                 sources.push(s);
@@ -233,7 +233,7 @@ impl<'a> Search<'a> {
     }
 
     /// Leaves out sources that are not needed, the most expensive first.
-    fn prune(&mut self, mut chosen: Choice, least: Option<usize>) -> Choice {
+    fn prune(&mut self, mut chosen: SourceChoice, least: Option<usize>) -> SourceChoice {
         for s in self.by_cost.clone().into_iter().rev() {
             let others: Vec<usize> = chosen.sources.iter().copied().filter(|o| *o != s).collect();
             if others.is_empty() || others.len() == chosen.sources.len() {
@@ -256,7 +256,7 @@ impl<'a> Search<'a> {
     fn expected(
         &self,
         outcome: &Outcome,
-        choice: &Choice,
+        choice: &SourceChoice,
         drag_s: Option<f64>,
         protocol: Protocol,
     ) -> Expected {
@@ -291,7 +291,7 @@ impl<'a> Search<'a> {
         self.by_cost.iter().map(cost).collect()
     }
 
-    fn note(&mut self, choice: &Choice, what: &str) {
+    fn note(&mut self, choice: &SourceChoice, what: &str) {
         let names: Vec<&str> =
             choice.sources.iter().map(|&s| self.study.sources[s].id.as_str()).collect();
         self.steps.push(format!(

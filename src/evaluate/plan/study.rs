@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run};
 use crate::library::Entry;
 use crate::recognise::{BySources, MethodName, MethodSpec, Model, RecogniseError};
 use crate::scene::{Phase, Scene, SourceId};
@@ -48,12 +48,12 @@ impl StudiedSource {
 
 /// One query: what it is, and what names it by some of its sources; none for one with too little in
 /// it.
-struct Query {
+struct StudyQuery {
     truth: String,
     by_sources: Option<Box<dyn BySources>>,
 }
 
-impl Query {
+impl StudyQuery {
     fn new(
         run: &Run<'_, '_>,
         model: &Arc<dyn Model>,
@@ -71,7 +71,7 @@ impl Query {
 /// See the module.
 pub(super) struct Study {
     pub sources: Vec<StudiedSource>,
-    queries: Vec<Query>,
+    queries: Vec<StudyQuery>,
 }
 
 impl Study {
@@ -79,7 +79,7 @@ impl Study {
         scene: &Scene,
         entries: &[Entry],
         folds: &[Fold],
-        progress: Progress<'_>,
+        progress: ProgressFn<'_>,
     ) -> Result<Self, EvaluateError> {
         let method = MethodSpec::from(MethodName::Embedding).build(scene);
         let evaluation = Evaluation { progress, ..Evaluation::new(scene, entries, folds) };
@@ -92,7 +92,7 @@ impl Study {
             let model = run.fit(&fold.library)?;
             for &i in &fold.queries {
                 let trial = run.recording(i)?;
-                queries.push(Query::new(&run, &model, &trial)?);
+                queries.push(StudyQuery::new(&run, &model, &trial)?);
                 if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
                         latencies.extend(time_alone(&run, &*model, &trial, &source.id));
@@ -117,7 +117,7 @@ impl Study {
     /// `embedding` does with these sources alone.
     pub fn right(&self, sources: &[usize]) -> usize {
         let ids: Vec<&SourceId> = sources.iter().map(|&s| &self.sources[s].id).collect();
-        let is_right = |query: &&Query| {
+        let is_right = |query: &&StudyQuery| {
             let named = query.by_sources.as_ref().and_then(|query| query.surface(&ids));
             named == Some(query.truth.as_str())
         };

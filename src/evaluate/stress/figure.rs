@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::report::{Cell, MethodReport, Report};
+use super::report::{MethodReport, StressCell, StressReport};
 use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing};
 
 const PANEL: (u32, u32) = (300, 230);
@@ -29,7 +29,7 @@ impl Measure {
         }
     }
 
-    fn of(self, cell: &Cell) -> Option<f64> {
+    fn of(self, cell: &StressCell) -> Option<f64> {
         match self {
             Self::Accuracy => Some(cell.accuracy),
             Self::UnknownRejected => cell.unknown_rejected,
@@ -42,7 +42,7 @@ impl Measure {
 ///
 /// # Errors
 /// If nothing was run, or no method has the measure.
-pub fn figure(report: &Report, measure: Measure) -> Result<String, FigureError> {
+pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureError> {
     let shown: Vec<(usize, &MethodReport)> =
         report.methods.iter().enumerate().filter(|(_, m)| measure.of(&m.clean).is_some()).collect();
     let panels = shown.first().map_or(0, |(_, m)| m.disturbances.len());

@@ -37,5 +37,5 @@ mod run;
 pub use disturb::{Disturbance, all};
 
 pub(crate) use figure::{Measure, figure};
-pub(crate) use report::Report;
-pub use run::{Plan, run};
+pub(crate) use report::StressReport;
+pub use run::{StressPlan, run};

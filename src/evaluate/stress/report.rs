@@ -9,7 +9,7 @@ const LOSS: f64 = 0.05;
 
 /// One method under one disturbance at one level. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Cell {
+pub struct StressCell {
     /// Share of queries named right.
     pub accuracy: f64,
     /// Share of queries of known surfaces that would be rejected.
@@ -25,31 +25,31 @@ pub struct Cell {
 
 /// A level of a disturbance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Level {
+pub struct DisturbanceLevel {
     /// In the disturbance's unit.
     pub level: f64,
     /// What was measured.
     #[serde(flatten)]
-    pub cell: Cell,
+    pub cell: StressCell,
 }
 
 /// A disturbance, level by level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Series {
+pub struct DisturbanceSeries {
     /// The disturbance.
     pub name: String,
     /// What its levels are, with their unit.
     pub axis: String,
     /// From mild to absurd.
-    pub levels: Vec<Level>,
+    pub levels: Vec<DisturbanceLevel>,
     /// The first level from which on 5 points or more are lost, if any.
     pub loses_5_points_at: Option<f64>,
 }
 
-impl Series {
+impl DisturbanceSeries {
     /// With the place where 5 points are lost against `clean`.
-    pub fn new(name: &str, axis: &str, levels: Vec<Level>, clean: f64) -> Self {
-        let lost = |level: &&Level| level.cell.accuracy <= clean - LOSS + 1e-9;
+    pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: f64) -> Self {
+        let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean - LOSS + 1e-9;
         let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
@@ -66,25 +66,26 @@ pub struct MethodReport {
     /// Its name.
     pub method: String,
     /// Without a disturbance.
-    pub clean: Cell,
+    pub clean: StressCell,
     /// With each.
-    pub disturbances: Vec<Series>,
+    pub disturbances: Vec<DisturbanceSeries>,
 }
 
 impl MethodReport {
     /// The disturbances that cost 5 points at the mildest place on any axis.
     pub fn fails_first(&self) -> Vec<&str> {
-        let Some(first) = self.disturbances.iter().filter_map(Series::breaks_at).min() else {
+        let Some(first) = self.disturbances.iter().filter_map(DisturbanceSeries::breaks_at).min()
+        else {
             return Vec::new();
         };
-        let there = |series: &&Series| series.breaks_at() == Some(first);
+        let there = |series: &&DisturbanceSeries| series.breaks_at() == Some(first);
         self.disturbances.iter().filter(there).map(|series| series.name.as_str()).collect()
     }
 }
 
 /// What `surfaced stress` writes as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Report {
+pub struct StressReport {
     /// What was measured on.
     pub data: String,
     /// Made by a generator, not recorded.
@@ -103,7 +104,7 @@ pub struct Report {
     pub methods: Vec<MethodReport>,
 }
 
-impl Report {
+impl StressReport {
     /// Adds the methods of another run of the same queries, as `NAME (whose)`.
     ///
     /// # Errors
@@ -130,7 +131,7 @@ impl Report {
 
     /// Disturbances with their levels.
     fn axes(&self) -> String {
-        let axis = |series: &Series| {
+        let axis = |series: &DisturbanceSeries| {
             let levels: Vec<_> = series.levels.iter().map(|l| l.level.to_string()).collect();
             format!("{} at {}", series.name, levels.join(" "))
         };
@@ -177,10 +178,10 @@ impl Report {
 mod tests {
     use super::*;
 
-    fn series(name: &str, accuracies: &[f64]) -> Series {
-        let level = |(i, &accuracy): (usize, &f64)| Level {
+    fn series(name: &str, accuracies: &[f64]) -> DisturbanceSeries {
+        let level = |(i, &accuracy): (usize, &f64)| DisturbanceLevel {
             level: i as f64,
-            cell: Cell {
+            cell: StressCell {
                 accuracy,
                 known_rejected: 0.05,
                 unknown_rejected: Some(0.5),
@@ -188,7 +189,12 @@ mod tests {
                 refused: 0,
             },
         };
-        Series::new(name, "unit", accuracies.iter().enumerate().map(level).collect(), 0.9)
+        DisturbanceSeries::new(
+            name,
+            "unit",
+            accuracies.iter().enumerate().map(level).collect(),
+            0.9,
+        )
     }
 
     #[test]
@@ -203,7 +209,7 @@ mod tests {
         let clean = disturbances[0].levels[0].cell.clone();
         let method = MethodReport { method: "joint".into(), clean, disturbances };
         assert_eq!(method.fails_first(), ["b"]);
-        let report = Report {
+        let report = StressReport {
             data: "d".into(),
             synthetic: false,
             protocol: "p".into(),

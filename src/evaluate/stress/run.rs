@@ -6,8 +6,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::disturb::{Disturbance, Kind, Setting};
-use super::report::{Cell, Level, MethodReport, Series};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, Progress, Run};
+use super::report::{DisturbanceLevel, DisturbanceSeries, MethodReport, StressCell};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run};
 use crate::library::Entry;
 use crate::recognise::{Method, Model, Ranking, RecogniseError};
 use crate::scene::Scene;
@@ -22,12 +22,12 @@ const REJECTED: f64 = 0.05;
 const BINS: usize = 10;
 
 /// What is run.
-pub struct Plan<'a> {
+pub struct StressPlan<'a> {
     /// The sources.
     pub scene: &'a Scene,
     /// The trials.
     pub entries: &'a [Entry],
-    /// Queries and libraries; see [`Plan::limited`].
+    /// Queries and libraries; see [`StressPlan::limited`].
     pub folds: &'a [Fold],
     /// The disturbances.
     pub disturbances: &'a [Disturbance],
@@ -37,7 +37,7 @@ pub struct Plan<'a> {
     pub keep_flawed: bool,
 }
 
-impl Plan<'_> {
+impl StressPlan<'_> {
     fn evaluation<'a>(&'a self, entries: &'a [Entry], folds: &'a [Fold]) -> Evaluation<'a> {
         let keep_dead_sources = self.keep_flawed;
         Evaluation { keep_dead_sources, ..Evaluation::new(self.scene, entries, folds) }
@@ -71,14 +71,14 @@ impl Plan<'_> {
 
 /// A query's answer, and that of a library without its surface.
 #[derive(Clone, Copy, Debug, Default)]
-struct Answer {
+struct StressAnswer {
     /// Nothing if it could not be compared.
-    known: Option<Named>,
-    unknown: Option<Option<Named>>,
+    known: Option<NamedQuery>,
+    unknown: Option<Option<NamedQuery>>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Named {
+struct NamedQuery {
     right: bool,
     margin: f64,
     confidence: Option<f64>,
@@ -90,15 +90,15 @@ struct Named {
 /// If the library cannot be prepared. Queries that a method refuses count as named wrong.
 pub fn run(
     method: &dyn Method,
-    plan: &Plan<'_>,
-    progress: Progress<'_>,
+    plan: &StressPlan<'_>,
+    progress: ProgressFn<'_>,
 ) -> Result<MethodReport, EvaluateError> {
     let evaluation = plan.evaluation(plan.entries, plan.folds);
     let run = Evaluation { progress, ..evaluation }.prepare(method)?;
     let levels: usize = plan.disturbances.iter().map(|d| d.levels.len()).sum();
     let (mut done, total) = (0, plan.folds.len() * levels);
     let mut clean = Vec::new();
-    let mut cells: Vec<Vec<Vec<Answer>>> =
+    let mut cells: Vec<Vec<Vec<StressAnswer>>> =
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
         let models = Models::fit(&run, plan, fold, &fold.library)?;
@@ -145,12 +145,16 @@ pub fn run(
 
 /// The queries of a fold, undisturbed.
 struct Queries<'a> {
-    plan: &'a Plan<'a>,
+    plan: &'a StressPlan<'a>,
     trials: Vec<(usize, Trial)>,
 }
 
 impl<'a> Queries<'a> {
-    fn load(run: &Run<'_, '_>, plan: &'a Plan<'a>, fold: &Fold) -> Result<Self, RecogniseError> {
+    fn load(
+        run: &Run<'_, '_>,
+        plan: &'a StressPlan<'a>,
+        fold: &Fold,
+    ) -> Result<Self, RecogniseError> {
         let load = |&query: &usize| Ok((query, run.recording(query)?));
         let trials = fold.queries.par_iter().map(load).collect::<Result<_, RecogniseError>>()?;
         Ok(Self { plan, trials })
@@ -162,7 +166,7 @@ impl<'a> Queries<'a> {
         run: &Run<'_, '_>,
         models: &Models,
         change: impl Fn(&Trial) -> Trial + Sync,
-    ) -> Vec<Answer> {
+    ) -> Vec<StressAnswer> {
         let answer =
             |(query, raw): &(usize, Trial)| models.answer(run, self.plan, *query, change(raw));
         self.trials.par_iter().map(answer).collect()
@@ -180,7 +184,7 @@ impl Models {
     /// in size has no unknown surfaces.
     fn fit(
         run: &Run<'_, '_>,
-        plan: &Plan<'_>,
+        plan: &StressPlan<'_>,
         fold: &Fold,
         places: &[usize],
     ) -> Result<Self, EvaluateError> {
@@ -193,53 +197,59 @@ impl Models {
         Ok(Self { all: run.fit(places)?, without })
     }
 
-    fn answer(&self, run: &Run<'_, '_>, plan: &Plan<'_>, query: usize, trial: Trial) -> Answer {
+    fn answer(
+        &self,
+        run: &Run<'_, '_>,
+        plan: &StressPlan<'_>,
+        query: usize,
+        trial: Trial,
+    ) -> StressAnswer {
         let truth = &plan.entries[query].key.surface;
         // The two libraries have one shape.
         let Ok(disturbed) = run.query_of(&*self.all, trial, None) else {
-            return Answer::default();
+            return StressAnswer::default();
         };
-        let named = |ranking: Ranking| Named {
+        let named = |ranking: Ranking| NamedQuery {
             right: ranking.surface() == truth,
             margin: ranking.margin,
             confidence: ranking.confidence,
         };
         let rank = |model: &Arc<dyn Model>| model.rank(&disturbed.prepared).ok().map(named);
         let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));
-        Answer { known: rank(&self.all), unknown: unknown.map(rank) }
+        StressAnswer { known: rank(&self.all), unknown: unknown.map(rank) }
     }
 }
 
 fn sum_up(
     method: &str,
-    plan: &Plan<'_>,
-    clean: &[Answer],
-    cells: &[Vec<Vec<Answer>>],
+    plan: &StressPlan<'_>,
+    clean: &[StressAnswer],
+    cells: &[Vec<Vec<StressAnswer>>],
 ) -> MethodReport {
     let mut margins: Vec<f64> = clean.iter().filter_map(|a| Some(a.known?.margin)).collect();
     margins.sort_by(f64::total_cmp);
     let threshold = margins.get((REJECTED * margins.len() as f64) as usize).copied().unwrap_or(0.0);
     let undisturbed = cell(clean, threshold);
-    let series = |(d, levels): (&Disturbance, &Vec<Vec<Answer>>)| {
+    let series = |(d, levels): (&Disturbance, &Vec<Vec<StressAnswer>>)| {
         let levels = (d.levels.iter().zip(levels))
-            .map(|(&level, answers)| Level { level, cell: cell(answers, threshold) })
+            .map(|(&level, answers)| DisturbanceLevel { level, cell: cell(answers, threshold) })
             .collect();
-        Series::new(d.name, d.axis, levels, undisturbed.accuracy)
+        DisturbanceSeries::new(d.name, d.axis, levels, undisturbed.accuracy)
     };
     let disturbances = plan.disturbances.iter().zip(cells).map(series).collect();
     MethodReport { method: method.into(), clean: undisturbed, disturbances }
 }
 
-fn cell(answers: &[Answer], threshold: f64) -> Cell {
-    let known: Vec<Named> = answers.iter().filter_map(|a| a.known).collect();
-    let unknown: Vec<Option<Named>> = answers.iter().filter_map(|a| a.unknown).collect();
-    let rejected = |named: &Named| named.margin < threshold;
+fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
+    let known: Vec<NamedQuery> = answers.iter().filter_map(|a| a.known).collect();
+    let unknown: Vec<Option<NamedQuery>> = answers.iter().filter_map(|a| a.unknown).collect();
+    let rejected = |named: &NamedQuery| named.margin < threshold;
     let share = |count: usize, of: usize| count as f64 / of.max(1) as f64;
     // What cannot be compared at all is rejected, too.
     let unknown_rejected =
         unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
     let refused = answers.len() - known.len();
-    Cell {
+    StressCell {
         accuracy: share(known.iter().filter(|named| named.right).count(), answers.len()),
         known_rejected: share(
             known.iter().filter(|n| rejected(n)).count() + refused,
@@ -253,7 +263,7 @@ fn cell(answers: &[Answer], threshold: f64) -> Cell {
 
 /// Mean over answers of how far, within a tenth of stated probability, the share of right ones is
 /// from the mean statement (Guo et al. 2017).
-fn calibration_error(answers: &[Named]) -> Option<f64> {
+fn calibration_error(answers: &[NamedQuery]) -> Option<f64> {
     let mut bins = [(0.0, 0.0); BINS];
     for named in answers {
         let stated = named.confidence?;
@@ -269,8 +279,8 @@ fn calibration_error(answers: &[Named]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn named(right: bool, confidence: f64) -> Named {
-        Named { right, margin: confidence, confidence: Some(confidence) }
+    fn named(right: bool, confidence: f64) -> NamedQuery {
+        NamedQuery { right, margin: confidence, confidence: Some(confidence) }
     }
 
     #[test]
@@ -286,9 +296,9 @@ mod tests {
         let fold =
             |name: &str, queries: Vec<usize>| Fold { name: name.into(), library: vec![0], queries };
         let folds = vec![fold("a", (0..20).collect()), fold("b", (20..40).collect())];
-        let limited = Plan::limited(folds.clone(), 25);
+        let limited = StressPlan::limited(folds.clone(), 25);
         assert_eq!(limited[0].queries.len(), 20);
         assert_eq!(limited[1].queries, [20, 24, 28, 32, 36]);
-        assert_eq!(Plan::limited(folds, 10)[0].queries, [0, 2, 4, 6, 8, 10, 12, 14, 16, 18]);
+        assert_eq!(StressPlan::limited(folds, 10)[0].queries, [0, 2, 4, 6, 8, 10, 12, 14, 16, 18]);
     }
 }

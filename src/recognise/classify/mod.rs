@@ -44,11 +44,11 @@ const CONSTANT: f64 = 1e-9;
 
 /// How unlike a query is, as logarithms; smaller is more alike.
 pub enum Scores {
-    /// To each surface, in the order of [`Training::surfaces`].
+    /// To each surface, in the order of [`TrainingSet::surfaces`].
     Surfaces(Vec<f64>),
     /// To each trial of the library, of which the `k` nearest vote.
     Trials {
-        /// in the order of [`Training::keys`]
+        /// in the order of [`TrainingSet::keys`]
         log_scores: Vec<f64>,
         /// number of voters
         k: usize,
@@ -64,13 +64,13 @@ pub trait Classifier: Clone + Send + Sync + 'static {
     fn name(&self) -> &'static str;
 
     /// Learns from a library.
-    fn train(&self, training: &Training) -> Self::Model;
+    fn train(&self, training: &TrainingSet) -> Self::Model;
 
     /// Scores of one query, of as many features as the library's trials have.
     fn scores(
         &self,
         model: &Self::Model,
-        training: &Training,
+        training: &TrainingSet,
         query: ArrayView1<'_, f64>,
     ) -> Scores;
 
@@ -82,7 +82,7 @@ pub trait Classifier: Clone + Send + Sync + 'static {
 
 /// A library as classifiers see it.
 #[derive(Clone, Debug)]
-pub struct Training {
+pub struct TrainingSet {
     /// Standardised features, shape (trials, features).
     pub features: Array2<f64>,
     /// Index of each trial's surface.
@@ -93,7 +93,7 @@ pub struct Training {
     pub keys: Vec<TrialKey>,
 }
 
-impl Training {
+impl TrainingSet {
     /// Splits the trials of every surface into `parts`, in turn: for each, whether a trial belongs
     /// to it. For choosing settings within a library.
     pub fn parts(&self, parts: usize) -> Vec<Vec<bool>> {
@@ -139,7 +139,7 @@ struct Columns {
 pub struct FeatureModel<C: Classifier> {
     method: OnFeatures<C>,
     columns: BTreeMap<SourceId, Columns>,
-    training: Training,
+    training: TrainingSet,
     learnt: C::Model,
 }
 
@@ -257,7 +257,7 @@ impl<C: Classifier> Method for OnFeatures<C> {
         let class = (keys.iter())
             .map(|key| surfaces.partition_point(|surface| *surface < key.surface))
             .collect();
-        let training = Training { features, class, surfaces, keys };
+        let training = TrainingSet { features, class, surfaces, keys };
         let learnt = self.classifier.train(&training);
         Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, learnt }))
     }
@@ -294,7 +294,7 @@ impl<C: Classifier> Model for FeatureModel<C> {
 
 /// One candidate a surface: its trial that is nearest to the query.
 fn by_surface(
-    training: &Training,
+    training: &TrainingSet,
     log_scores: &[f64],
     query: ArrayView1<'_, f64>,
 ) -> Vec<Candidate> {

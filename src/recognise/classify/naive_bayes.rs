@@ -4,7 +4,7 @@ use ndarray::ArrayView1;
 use smartcore::linalg::basic::matrix::DenseMatrix;
 use smartcore::naive_bayes::gaussian::{GaussianNB, GaussianNBParameters};
 
-use super::{Classifier, Scores, Training, negative_log_softmax};
+use super::{Classifier, Scores, TrainingSet, negative_log_softmax};
 
 /// Added to every variance, in units of the library's own: scikit-learn adds 1e-9, which a handful
 /// of trials a surface does not survive.
@@ -21,7 +21,7 @@ pub struct ClassMoments {
 }
 
 /// A library in smartcore's form.
-pub(super) fn matrix(training: &Training) -> (DenseMatrix<f64>, Vec<u32>) {
+pub(super) fn matrix(training: &TrainingSet) -> (DenseMatrix<f64>, Vec<u32>) {
     let (rows, columns) = training.features.dim();
     let values = training.features.iter().copied().collect();
     let matrix = DenseMatrix::new(rows, columns, values, false);
@@ -37,7 +37,7 @@ impl Classifier for NaiveBayes {
         "naive-bayes"
     }
 
-    fn train(&self, training: &Training) -> ClassMoments {
+    fn train(&self, training: &TrainingSet) -> ClassMoments {
         let (x, y) = matrix(training);
         // Its errors are an empty library and rows without a class; a library has two surfaces.
         let fitted = GaussianNB::fit(&x, &y, GaussianNBParameters::default())
@@ -45,7 +45,7 @@ impl Classifier for NaiveBayes {
         ClassMoments { mean: fitted.theta().clone(), variance: fitted.var().clone() }
     }
 
-    fn scores(&self, model: &ClassMoments, _: &Training, query: ArrayView1<'_, f64>) -> Scores {
+    fn scores(&self, model: &ClassMoments, _: &TrainingSet, query: ArrayView1<'_, f64>) -> Scores {
         let log_likelihood = |(mean, variance): (&Vec<f64>, &Vec<f64>)| -> f64 {
             let terms = query.iter().zip(mean).zip(variance).map(|((x, mean), variance)| {
                 let variance = variance + SMOOTHING;

@@ -3,7 +3,7 @@
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 use super::super::embedding::linear::{cholesky, solve_lower};
-use super::{Classifier, Scores, Training, squared_distance};
+use super::{Classifier, Scores, TrainingSet, squared_distance};
 
 /// Numbers of neighbours that are tried within the library.
 const NEIGHBOURS: [usize; 4] = [1, 3, 5, 7];
@@ -47,7 +47,7 @@ impl Classifier for Neighbours {
         }
     }
 
-    fn train(&self, training: &Training) -> NeighboursModel {
+    fn train(&self, training: &TrainingSet) -> NeighboursModel {
         let factor = match self.distance {
             Distance::Euclidean => None,
             Distance::Mahalanobis => cholesky(covariance(&training.features)),
@@ -64,7 +64,12 @@ impl Classifier for Neighbours {
         NeighboursModel { features, factor, k }
     }
 
-    fn scores(&self, model: &NeighboursModel, _: &Training, query: ArrayView1<'_, f64>) -> Scores {
+    fn scores(
+        &self,
+        model: &NeighboursModel,
+        _: &TrainingSet,
+        query: ArrayView1<'_, f64>,
+    ) -> Scores {
         let query: Array1<f64> = match &model.factor {
             Some(factor) => {
                 let mut column = query.to_owned().insert_axis(Axis(1));

@@ -8,7 +8,7 @@
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
-use super::{Classifier, Scores, Training, squared_distance};
+use super::{Classifier, Scores, TrainingSet, squared_distance};
 
 /// C that are tried.
 const COSTS: [f64; 3] = [1.0, 10.0, 100.0];
@@ -52,14 +52,19 @@ impl Classifier for Svm {
         "svm"
     }
 
-    fn train(&self, training: &Training) -> SvmModel {
+    fn train(&self, training: &TrainingSet) -> SvmModel {
         let distances = distances(training);
         let (cost, gamma) = choose(training, &distances);
         let everyone: Vec<usize> = (0..training.class.len()).collect();
         SvmModel { gamma, pairs: machines(training, &everyone, &distances, cost, gamma) }
     }
 
-    fn scores(&self, model: &SvmModel, training: &Training, query: ArrayView1<'_, f64>) -> Scores {
+    fn scores(
+        &self,
+        model: &SvmModel,
+        training: &TrainingSet,
+        query: ArrayView1<'_, f64>,
+    ) -> Scores {
         let kernel: Vec<f64> = (training.features.rows().into_iter())
             .map(|row| (-model.gamma * squared_distance(row, query)).exp())
             .collect();
@@ -82,7 +87,7 @@ fn votes(model: &SvmModel, surfaces: usize, kernel: &[f64]) -> Vec<f64> {
     won.iter().zip(sure).map(|(won, sure)| won + sure / (3.0 * (f64::abs(sure) + 1.0))).collect()
 }
 
-fn distances(training: &Training) -> Array2<f64> {
+fn distances(training: &TrainingSet) -> Array2<f64> {
     let x = &training.features;
     let squares: Vec<f64> = x.rows().into_iter().map(|row| row.dot(&row)).collect();
     let mut d2 = x.dot(&x.t());
@@ -93,7 +98,7 @@ fn distances(training: &Training) -> Array2<f64> {
 }
 
 /// C and γ that name most left-out trials of the library; the smallest of equal ones.
-fn choose(training: &Training, distances: &Array2<f64>) -> (f64, f64) {
+fn choose(training: &TrainingSet, distances: &Array2<f64>) -> (f64, f64) {
     let features = training.features.ncols().max(1) as f64;
     let parts = training.parts(PARTS);
     let settings: Vec<(f64, f64)> =
@@ -121,7 +126,7 @@ fn choose(training: &Training, distances: &Array2<f64>) -> (f64, f64) {
 
 /// One machine a pair of surfaces that have trials among `rows`.
 fn machines(
-    training: &Training,
+    training: &TrainingSet,
     rows: &[usize],
     distances: &Array2<f64>,
     cost: f64,

@@ -12,7 +12,7 @@ use smartcore::tree::decision_tree_classifier::{
 };
 
 use super::naive_bayes::matrix;
-use super::{Classifier, Scores, Training};
+use super::{Classifier, Scores, TrainingSet};
 use crate::seed;
 
 /// Trees of a forest.
@@ -24,10 +24,10 @@ const SPARE_LEVELS: u32 = 2;
 /// Weighted error below which a tree counts as perfect.
 const PERFECT: f64 = 1e-10;
 
-type Rows = DenseMatrix<f64>;
+type FeatureMatrix = DenseMatrix<f64>;
 /// A forest of one tree: smartcore gives the winner of a forest, but not how many trees chose it.
-type RandomTree = RandomForestClassifier<f64, u32, Rows, Vec<u32>>;
-type Tree = DecisionTreeClassifier<f64, u32, Rows, Vec<u32>>;
+type RandomTree = RandomForestClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
+type Tree = DecisionTreeClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
 
 /// A random forest (Breiman 2001): 200 trees on bootstrapped trials, the root of the number of
 /// features tried at each split. The inverse of a score is the share of trees.
@@ -46,7 +46,7 @@ pub struct AdaBoost {
 }
 
 /// A query in smartcore's form.
-fn row(query: ArrayView1<'_, f64>) -> Rows {
+fn row(query: ArrayView1<'_, f64>) -> FeatureMatrix {
     let values = query.to_vec();
     // Its one error is a number of values that is not rows × columns.
     DenseMatrix::new(1, values.len(), values, false).expect("one row")
@@ -67,7 +67,7 @@ impl Classifier for RandomForest {
         "random-forest"
     }
 
-    fn train(&self, training: &Training) -> Vec<RandomTree> {
+    fn train(&self, training: &TrainingSet) -> Vec<RandomTree> {
         let (x, y) = matrix(training);
         let tree = |number: u64| {
             let parameters = RandomForestClassifierParameters::default()
@@ -82,7 +82,7 @@ impl Classifier for RandomForest {
     fn scores(
         &self,
         model: &Vec<RandomTree>,
-        training: &Training,
+        training: &TrainingSet,
         query: ArrayView1<'_, f64>,
     ) -> Scores {
         let query = row(query);
@@ -105,7 +105,7 @@ impl Classifier for AdaBoost {
         "adaboost"
     }
 
-    fn train(&self, training: &Training) -> Vec<(f64, Tree)> {
+    fn train(&self, training: &TrainingSet) -> Vec<(f64, Tree)> {
         let (x, _) = matrix(training);
         let n = training.class.len();
         let surfaces = training.surfaces.len();
@@ -115,7 +115,7 @@ impl Classifier for AdaBoost {
         for round in 0..ROUNDS {
             let mut rng = seed::rng(self.seed, &[b"adaboost", &round.to_le_bytes()]);
             let drawn = draw(&weights, &mut rng);
-            let of_round = Training {
+            let of_round = TrainingSet {
                 features: training.features.select(Axis(0), &drawn),
                 class: drawn.iter().map(|&i| training.class[i]).collect(),
                 surfaces: training.surfaces.clone(),
@@ -151,7 +151,7 @@ impl Classifier for AdaBoost {
     fn scores(
         &self,
         model: &Vec<(f64, Tree)>,
-        training: &Training,
+        training: &TrainingSet,
         query: ArrayView1<'_, f64>,
     ) -> Scores {
         let query = row(query);

@@ -14,7 +14,7 @@ const GRID: usize = 40;
 const OFFSETS: [usize; 3] = [1, 4, 16];
 
 /// A pixel of the grid: itself, its right neighbours, its lower ones; bytes of red, green, blue.
-type Cell = [[u8; 3]; 1 + 2 * OFFSETS.len()];
+type PixelNeighbours = [[u8; 3]; 1 + 2 * OFFSETS.len()];
 
 /// The same in hue, saturation, value.
 pub type HsvCell = [[f32; 3]; 1 + 2 * OFFSETS.len()];
@@ -40,7 +40,7 @@ pub const QUARTERS: [Part; 4] = [
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PixelGrid {
     /// Row by row.
-    cells: Vec<Cell>,
+    cells: Vec<PixelNeighbours>,
 }
 
 /// Two coordinates that are compared together.

@@ -45,7 +45,7 @@ pub fn features(image: &Image) -> Vec<f64> {
             0.299 * f64::from(rgb[0]) + 0.587 * f64::from(rgb[1]) + 0.114 * f64::from(rgb[2]);
         grey.push(level as f32);
     }
-    let [cos, sin, saturation, value, warmth] = columns.map(|column| Moments::new(&column));
+    let [cos, sin, saturation, value, warmth] = columns.map(|column| PixelMoments::new(&column));
     let mut features = vec![
         cos.mean,
         sin.mean,
@@ -64,13 +64,13 @@ pub fn features(image: &Image) -> Vec<f64> {
     features
 }
 
-struct Moments {
+struct PixelMoments {
     mean: f64,
     deviation: f64,
     skewness: f64,
 }
 
-impl Moments {
+impl PixelMoments {
     fn new(values: &[f64]) -> Self {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -94,7 +94,7 @@ impl Texture {
         let scale = LEVELS as f32 / (high - low).max(1.0);
         let level = |x: &f32| (((x - low) * scale) as usize).min(LEVELS - 1) as u8;
         let values: Vec<f64> = grey.iter().map(|&x| f64::from(x)).collect();
-        let variance = Moments::new(&values).deviation.powi(2);
+        let variance = PixelMoments::new(&values).deviation.powi(2);
         Self { level: grey.iter().map(level).collect(), grey, variance }
     }
 

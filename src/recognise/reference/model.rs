@@ -36,7 +36,7 @@ impl Model for ReferenceModel {
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
         let options = &self.sampler.options;
         let query = self.query(query)?;
-        let comparison = Comparing::new(&self.sampler, &query);
+        let comparison = QueryComparison::new(&self.sampler, &query);
         let weights = comparison.weights();
         let mut alive = comparison.all(&self.library);
         let mut medians_of_all = Vec::new();
@@ -70,7 +70,7 @@ impl Model for ReferenceModel {
 
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         let query = self.query(query)?;
-        let comparison = Comparing::new(&self.sampler, &query);
+        let comparison = QueryComparison::new(&self.sampler, &query);
         let repetitions = self.sampler.options.repetitions;
         let all = comparison.go_on(comparison.all(&self.library), repetitions)?;
         let surfaces: BTreeSet<&str> =
@@ -104,7 +104,7 @@ impl ReferenceModel {
     /// As [`Model::rank`].
     pub fn log_scores(&self, query: &Prepared) -> Result<Vec<Option<f64>>, RecogniseError> {
         let query = self.query(query)?;
-        let comparison = Comparing::new(&self.sampler, &query);
+        let comparison = QueryComparison::new(&self.sampler, &query);
         let repetitions = self.sampler.options.repetitions;
         let all = comparison.go_on(comparison.all(&self.library), repetitions)?;
         let scores: Vec<TrialScores> =
@@ -115,7 +115,7 @@ impl ReferenceModel {
     }
 
     /// A query, cut to the lengths that comparisons with the library ask for.
-    fn query<'a>(&'a self, query: &'a Prepared) -> Result<Query<'a>, RecogniseError> {
+    fn query<'a>(&'a self, query: &'a Prepared) -> Result<ReferenceQuery<'a>, RecogniseError> {
         let query = query.samples(NAME)?;
         let sources = shared_sources(&self.sampler.scene, query, &self.library)?;
         // Nearly always one length a source.
@@ -129,12 +129,12 @@ impl ReferenceModel {
             }
             cuts.push(of_source);
         }
-        Ok(Query { trial: query, sources, cuts })
+        Ok(ReferenceQuery { trial: query, sources, cuts })
     }
 }
 
 /// A query, and the sources it shares with a library, each at every length that is asked for.
-struct Query<'a> {
+struct ReferenceQuery<'a> {
     trial: &'a PreparedTrial,
     sources: Vec<&'a SourceSpec>,
     cuts: Vec<BTreeMap<usize, Arc<Cut>>>,
@@ -147,14 +147,14 @@ struct QuerySource<'a> {
 }
 
 /// A query against a library.
-struct Comparing<'a> {
+struct QueryComparison<'a> {
     sampler: &'a Sampler,
-    query: &'a Query<'a>,
+    query: &'a ReferenceQuery<'a>,
     at_length: Vec<BTreeMap<usize, QuerySource<'a>>>,
 }
 
-impl<'a> Comparing<'a> {
-    fn new(sampler: &'a Sampler, query: &'a Query<'a>) -> Self {
+impl<'a> QueryComparison<'a> {
+    fn new(sampler: &'a Sampler, query: &'a ReferenceQuery<'a>) -> Self {
         let precision = sampler.options.precision;
         let of_cut = |spec: &SourceSpec, cut: &'a Arc<Cut>| {
             let set_up = |set| QuerySet::new(set, spec.align_mean, precision);
@@ -199,7 +199,7 @@ impl<'a> Comparing<'a> {
         sums: &[Option<f64>],
         repetitions: Range<usize>,
     ) -> Result<Vec<Option<f64>>, RecogniseError> {
-        let Query { trial: query, sources, .. } = self.query;
+        let ReferenceQuery { trial: query, sources, .. } = self.query;
         let contents = (query.content(), trial.content());
         let mut all = Vec::with_capacity(sources.len());
         for (s, (spec, lengths)) in sources.iter().zip(&self.at_length).enumerate() {

@@ -62,7 +62,7 @@ fn put(out: &mut Vec<u8>, numbers: &[f64]) {
 
 /// A trial from bytes, if they are those of one.
 pub fn decode(entry: &Entry, bytes: &[u8]) -> Option<PreparedTrial> {
-    let mut from = Reader(bytes);
+    let mut from = ByteReader(bytes);
     let mut sources: Vec<StoredSource> = Vec::new();
     for _ in 0..from.count()? {
         let length = from.count()?;
@@ -75,7 +75,7 @@ pub fn decode(entry: &Entry, bytes: &[u8]) -> Option<PreparedTrial> {
     from.0.is_empty().then(|| PreparedTrial::from_parts(entry, sources))
 }
 
-fn decode_set(from: &mut Reader<'_>) -> Option<SampleSet> {
+fn decode_set(from: &mut ByteReader<'_>) -> Option<SampleSet> {
     let (dims, n, width) = (from.count()?, from.count()?, from.count()?);
     let [sigma, coarseness] = from.numbers()?;
     let (mean, centre) = (from.list(dims)?, from.list(dims)?);
@@ -100,9 +100,9 @@ fn decode_set(from: &mut Reader<'_>) -> Option<SampleSet> {
 }
 
 /// What is left to read.
-struct Reader<'a>(&'a [u8]);
+struct ByteReader<'a>(&'a [u8]);
 
-impl<'a> Reader<'a> {
+impl<'a> ByteReader<'a> {
     fn bytes(&mut self, count: usize) -> Option<&'a [u8]> {
         let (head, tail) = self.0.split_at_checked(count)?;
         self.0 = tail;

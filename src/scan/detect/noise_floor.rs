@@ -30,7 +30,7 @@ pub enum SensorKind {
 
 /// The level of one stream.
 #[derive(Debug)]
-pub struct Level {
+pub struct StreamLevel {
     kind: SensorKind,
     channels: usize,
     /// Frames of a hop.
@@ -48,7 +48,7 @@ pub struct Level {
     lowest: f64,
 }
 
-impl Level {
+impl StreamLevel {
     /// The level of a stream of `channels` samples a frame, at this rate in Hz.
     pub fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
         Self {

@@ -23,7 +23,7 @@ fn find(
     samples: &[f32],
 ) -> (Vec<f64>, Vec<DetectorEvent>) {
     let (mut level, mut detector) =
-        (Level::new(kind, channels, rate_hz), Detector::new(DetectorConfig::default()));
+        (StreamLevel::new(kind, channels, rate_hz), Detector::new(DetectorConfig::default()));
     let (mut levels, mut found) = (Vec::new(), Vec::new());
     for part in samples.chunks(channels * 37) {
         let held = detector.in_contact();
@@ -148,7 +148,8 @@ fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
 fn levels_do_not_depend_on_how_the_samples_come() {
     let samples = noise(20_000, 0.1, &mut 1);
     let levels = |chunk: usize| {
-        let (mut level, mut all) = (Level::new(SensorKind::Vibration, 2, RATE_HZ), Vec::new());
+        let (mut level, mut all) =
+            (StreamLevel::new(SensorKind::Vibration, 2, RATE_HZ), Vec::new());
         samples.chunks(chunk).for_each(|part| level.feed(part, false, |x| all.push(x)));
         all
     };

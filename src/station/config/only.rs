@@ -7,7 +7,7 @@ use crate::scene::SourceId;
 
 /// The devices of a station.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Part {
+enum DevicePart {
     Stylus,
     Microphone,
     Camera,
@@ -21,18 +21,18 @@ impl StationConfig {
     pub fn only(mut self, sources: &[SourceId]) -> Self {
         self.detection.cuts.retain(|cut| sources.contains(&cut.source));
         let cuts = &self.detection.cuts;
-        let mut parts: BTreeSet<Part> =
+        let mut parts: BTreeSet<DevicePart> =
             cuts.iter().filter_map(|cut| self.part_of(&cut.stream)).collect();
-        if parts.contains(&Part::Flash) {
-            parts.insert(Part::Camera);
+        if parts.contains(&DevicePart::Flash) {
+            parts.insert(DevicePart::Camera);
             // The stylus switches the light where the camera cannot.
             let flash = self.camera.as_ref().and_then(|camera| camera.flash.as_ref());
             if flash.is_some_and(|flash| flash.control.is_none()) && self.stylus.is_some() {
-                parts.insert(Part::Stylus);
+                parts.insert(DevicePart::Stylus);
             }
         }
         let groups = self.detection.groups.iter().flatten();
-        let contact: BTreeSet<Part> =
+        let contact: BTreeSet<DevicePart> =
             groups.filter_map(|(stream, _)| self.part_of(stream)).collect();
         if parts.is_disjoint(&contact) {
             // The stylus comes before the microphone.
@@ -42,29 +42,29 @@ impl StationConfig {
         let kept = |stream: &SourceId| self.part_of(stream).is_some_and(|p| parts.contains(&p));
         groups.retain(|group| group.iter().all(|(stream, _)| kept(stream)));
         self.detection.groups = groups;
-        self.stylus = self.stylus.filter(|_| parts.contains(&Part::Stylus));
-        self.microphone = self.microphone.filter(|_| parts.contains(&Part::Microphone));
-        self.camera = self.camera.filter(|_| parts.contains(&Part::Camera));
+        self.stylus = self.stylus.filter(|_| parts.contains(&DevicePart::Stylus));
+        self.microphone = self.microphone.filter(|_| parts.contains(&DevicePart::Microphone));
+        self.camera = self.camera.filter(|_| parts.contains(&DevicePart::Camera));
         if let Some(camera) = &mut self.camera {
-            camera.flash = camera.flash.take().filter(|_| parts.contains(&Part::Flash));
+            camera.flash = camera.flash.take().filter(|_| parts.contains(&DevicePart::Flash));
         }
         self.by_t_star.retain(|source| sources.contains(source));
         self
     }
 
     /// The device that makes a stream.
-    fn part_of(&self, stream: &SourceId) -> Option<Part> {
+    fn part_of(&self, stream: &SourceId) -> Option<DevicePart> {
         let camera = self.camera.as_ref();
         let flash = camera.and_then(|camera| camera.flash.as_ref());
         let of_stylus = |of: &super::StylusConfig| of.streams.iter().any(|w| w.id == *stream);
         if self.stylus.as_ref().is_some_and(of_stylus) {
-            Some(Part::Stylus)
+            Some(DevicePart::Stylus)
         } else if self.microphone.as_ref().is_some_and(|of| of.stream == *stream) {
-            Some(Part::Microphone)
+            Some(DevicePart::Microphone)
         } else if camera.is_some_and(|of| of.source == *stream) {
-            Some(Part::Camera)
+            Some(DevicePart::Camera)
         } else {
-            flash.is_some_and(|of| of.source == *stream).then_some(Part::Flash)
+            flash.is_some_and(|of| of.source == *stream).then_some(DevicePart::Flash)
         }
     }
 }

@@ -63,7 +63,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     let stylus = stylus(file.stylus, &scene)?;
     let microphone = microphone(file.microphone)?;
     let camera = camera(file.camera, &scene)?;
-    let cuts = Cuts { scene: &scene, cuts: Vec::new() }
+    let cuts = StreamCuts { scene: &scene, cuts: Vec::new() }
         .stylus(stylus.as_ref())
         .microphone(microphone.as_ref(), &sound)?
         .camera(camera.as_ref())
@@ -206,12 +206,12 @@ fn camera(block: CameraBlock, scene: &Scene) -> Result<Option<CameraConfig>, Mis
 }
 
 /// What is cut from which stream.
-struct Cuts<'a> {
+struct StreamCuts<'a> {
     scene: &'a Scene,
     cuts: Vec<CutFrom>,
 }
 
-impl Cuts<'_> {
+impl StreamCuts<'_> {
     fn add(&mut self, source: &SourceId, stream: &SourceId) {
         let spec = self.scene.get(source.as_str());
         let (phase, channels) = spec.map_or((Phase::Drag, 1), |spec| (spec.phase, spec.channels));

@@ -2,7 +2,7 @@
 
 use crossbeam_channel::never;
 
-use super::{Naming, Run};
+use super::{Naming, StationRun};
 use crate::scan::{Progress, Scan};
 use crate::station::event::{Enrolled, StationEvent};
 use crate::station::orders::Enrolment;
@@ -33,7 +33,7 @@ impl InHand {
     }
 }
 
-impl Run<'_> {
+impl StationRun<'_> {
     pub fn scan(&mut self, scan: Box<Scan>) {
         if let Some(recording) = &mut self.recording
             && let Some(enrolment) = self.orders.claim(scan.number)

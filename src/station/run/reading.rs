@@ -1,17 +1,17 @@
 //! The library of a station: read at the start and on command, beside the loop.
 
-use super::{Loaded, Naming, Run};
+use super::{LoadedRecogniser, Naming, StationRun};
 use crate::station::event::StationEvent;
 use crate::station::library_state::LibraryState;
 
-impl Run<'_> {
+impl StationRun<'_> {
     /// Whether there is a library to read.
     pub fn can_load(&self) -> bool {
         self.load.is_some()
     }
 
     /// Names scans with what was read from now on, if it could be read.
-    pub fn loaded(&mut self, loaded: Loaded) {
+    pub fn loaded(&mut self, loaded: LoadedRecogniser) {
         match loaded {
             Ok(recogniser) => {
                 self.emit(StationEvent::Library(recogniser.library()));

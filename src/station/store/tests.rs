@@ -111,7 +111,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let (working, ending) = bounded(0);
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
     let (waiting, next) = (VecDeque::new(), Numbers::new());
-    let mut writer = Writer { store, waiting, next, current: false, send, ending };
+    let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
     drop(working);
     writer.accept((scan(1), enrolment(), None));
     // Without an end, the library would say 1, for it holds no trial.

@@ -1,9 +1,9 @@
 //! What a data element holds: numbers of any width, or letters.
 
-use super::format::{MAX_LETTERS, MAX_NUMBERS, MatError, Order, UTF8, UTF16, UTF32};
+use super::format::{ByteOrder, MAX_LETTERS, MAX_NUMBERS, MatError, UTF8, UTF16, UTF32};
 
 /// Numbers of any of the storage types.
-pub(super) fn numbers(order: Order, kind: u32, data: &[u8]) -> Result<Vec<f64>, MatError> {
+pub(super) fn numbers(order: ByteOrder, kind: u32, data: &[u8]) -> Result<Vec<f64>, MatError> {
     fn each<const N: usize>(
         data: &[u8],
         to: impl Fn([u8; N]) -> f64,
@@ -33,7 +33,7 @@ pub(super) fn numbers(order: Order, kind: u32, data: &[u8]) -> Result<Vec<f64>, 
 }
 
 /// The letters of a text in any of the codes.
-pub(super) fn letters(order: Order, kind: u32, data: &[u8]) -> Result<Vec<char>, MatError> {
+pub(super) fn letters(order: ByteOrder, kind: u32, data: &[u8]) -> Result<Vec<char>, MatError> {
     if data.len() > MAX_LETTERS {
         return Err(MatError::TooLarge);
     }

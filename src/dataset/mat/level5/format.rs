@@ -54,14 +54,14 @@ pub enum MatError {
 
 /// Order of bytes in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum ByteOrder {
     /// Least significant first.
     Little,
     /// Most significant first.
     Big,
 }
 
-impl Order {
+impl ByteOrder {
     pub(super) fn u16(self, bytes: [u8; 2]) -> u16 {
         match self {
             Self::Little => u16::from_le_bytes(bytes),
@@ -113,7 +113,7 @@ pub struct Variable {
 
 /// Contents of an array.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Values {
+pub enum ArrayValues {
     /// Column after column.
     Numbers(Vec<f64>),
     /// One text a row, without spaces at the end.
@@ -130,16 +130,16 @@ pub struct Array {
     /// Name and shape.
     pub variable: Variable,
     /// Contents.
-    pub values: Values,
+    pub values: ArrayValues,
 }
 
 impl Array {
     /// All texts in it, cell after cell, row after row.
     pub fn texts(&self) -> Vec<&str> {
         match &self.values {
-            Values::Text(rows) => rows.iter().map(String::as_str).collect(),
-            Values::Cells(cells) => cells.iter().flat_map(Array::texts).collect(),
-            Values::Numbers(_) | Values::Unread => Vec::new(),
+            ArrayValues::Text(rows) => rows.iter().map(String::as_str).collect(),
+            ArrayValues::Cells(cells) => cells.iter().flat_map(Array::texts).collect(),
+            ArrayValues::Numbers(_) | ArrayValues::Unread => Vec::new(),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::setting::{Setting, Spread, analog, each_series, sound, to_sample};
+use super::setting::{ChannelSpread, Setting, analog, each_series, sound, to_sample};
 use crate::seed::uniform;
 use crate::trial::{Series, Trial};
 
@@ -70,9 +70,9 @@ fn add(
 ) {
     for channel in 0..series.channels() {
         let noise = make(rng, series.frames(), series.rate_hz());
-        let own = Spread::of(noise.iter().copied()).deviation;
-        let scale =
-            Spread::of(series.channel(channel)).deviation * 10f64.powf(-db / 20.0) / own.max(1e-12);
+        let own = ChannelSpread::of(noise.iter().copied()).deviation;
+        let scale = ChannelSpread::of(series.channel(channel)).deviation * 10f64.powf(-db / 20.0)
+            / own.max(1e-12);
         for (x, noise) in series.view_mut().column_mut(channel).iter_mut().zip(noise) {
             *x = to_sample(f64::from(*x) + scale * noise);
         }

@@ -72,11 +72,11 @@ pub(super) fn each_sample(
     trial: &mut Trial,
     setting: &mut Setting<'_>,
     touches: fn(&SourceSpec) -> bool,
-    change: impl Fn(f64, Spread, f64) -> f64,
+    change: impl Fn(f64, ChannelSpread, f64) -> f64,
 ) {
     each_series(trial, setting, touches, |_, series, _, level| {
         for channel in 0..series.channels() {
-            let spread = Spread::of(series.channel(channel));
+            let spread = ChannelSpread::of(series.channel(channel));
             for x in series.view_mut().column_mut(channel) {
                 *x = to_sample(change(f64::from(*x), spread, level));
             }
@@ -109,13 +109,13 @@ pub(super) fn replace(series: &mut Series, samples: Vec<f32>) {
 
 /// Mean, deviation and largest magnitude of a channel.
 #[derive(Clone, Copy)]
-pub(super) struct Spread {
+pub(super) struct ChannelSpread {
     pub(super) mean: f64,
     pub(super) deviation: f64,
     pub(super) peak: f64,
 }
 
-impl Spread {
+impl ChannelSpread {
     pub(super) fn of(values: impl ExactSizeIterator<Item = f64>) -> Self {
         let n = values.len() as f64;
         let (mut sum, mut squares, mut peak) = (0.0, 0.0, 0.0f64);

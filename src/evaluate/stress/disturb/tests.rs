@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::setting::Spread;
+use super::setting::ChannelSpread;
 use super::*;
 use crate::dataset::synth::{self, Parameters};
 use crate::library::Entry;
@@ -83,7 +83,8 @@ fn white_noise_has_the_level_that_it_says() {
         panic!("sound is a series");
     };
     let noise: Vec<f64> = a.channel(0).zip(b.channel(0)).map(|(a, b)| b - a).collect();
-    let ratio = Spread::of(a.channel(0)).deviation / Spread::of(noise.into_iter()).deviation;
+    let ratio =
+        ChannelSpread::of(a.channel(0)).deviation / ChannelSpread::of(noise.into_iter()).deviation;
     assert!((20.0 * ratio.log10() - 20.0).abs() < 0.1, "{ratio}");
 }
 

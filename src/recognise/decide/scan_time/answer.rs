@@ -47,7 +47,7 @@ pub enum Shortfall {
 
 /// How long a scan must last, or why that cannot be said.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-#[serde(into = "Document")]
+#[serde(into = "ScanTimeDocument")]
 pub struct ScanTime {
     /// The share that is to be named right.
     pub target: f64,
@@ -67,7 +67,7 @@ pub struct ScanTime {
 
 /// As programs get it.
 #[derive(serde::Serialize)]
-struct Document {
+struct ScanTimeDocument {
     /// The share that is to be named right.
     target: f64,
     /// How long to drag, in seconds; null where `reason` says why.
@@ -89,7 +89,7 @@ struct Document {
     more_trials: Option<usize>,
 }
 
-impl From<ScanTime> for Document {
+impl From<ScanTime> for ScanTimeDocument {
     fn from(answer: ScanTime) -> Self {
         let (at, whole) = (answer.enough, answer.whole);
         Self {

@@ -55,7 +55,7 @@ pub struct LibraryCounts {
 /// Trials that were left out together: how many there are, and how many are named right by each
 /// time, the last of which is their whole length.
 #[derive(Clone, Debug, PartialEq)]
-struct Group {
+struct LeftOutGroup {
     trials: usize,
     right: Vec<usize>,
 }
@@ -66,7 +66,7 @@ pub struct LeftOutAccuracy {
     /// In seconds, rising; the median length of the trials comes last and stands for their whole
     /// length.
     times: Vec<f64>,
-    groups: Vec<Group>,
+    groups: Vec<LeftOutGroup>,
     library: LibraryCounts,
 }
 
@@ -83,7 +83,7 @@ impl LeftOutAccuracy {
         let shorter = times.len();
         times.push(whole_s);
         let count = scans.iter().map(|scan| scan.group + 1).max().unwrap_or(0);
-        let mut groups = vec![Group { trials: 0, right: vec![0; times.len()] }; count];
+        let mut groups = vec![LeftOutGroup { trials: 0, right: vec![0; times.len()] }; count];
         for scan in scans {
             let group = &mut groups[scan.group];
             group.trials += 1;
