@@ -1,15 +1,16 @@
-//! The cache beside a library: prepared trials, so that they need not be prepared again.
+//! The caches beside a library: prepared trials, so that they need not be prepared again, and the
+//! model that was trained on them.
 //!
-//! One hidden file a method, `LIBRARY/.METHOD.surfaced-cache`, replaced as a whole. It may be removed
-//! at any time. Little-endian:
+//! One hidden file each, `LIBRARY/.METHOD.surfaced-cache` and `LIBRARY/.METHOD-model.surfaced-cache`,
+//! replaced as a whole. They may be removed at any time. Little-endian:
 //!
 //! ```text
 //! "surfaced cache"  version u16   key u64
 //! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
 //! ```
 //! `key` stands for the settings that the trials were prepared with, `stamp` for the files of a
-//! trial: device, inode, size and times of change. Whatever is wrong with the file, the answer is
-//! that it holds less: never an error, at most a remark.
+//! trial: device, inode, size and times of change; of a model, for those of all its trials. Whatever
+//! is wrong with the file, the answer is that it holds less: never an error, at most a remark.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

@@ -5,10 +5,10 @@
 //! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
 //! limits of level are multiples of each stream's own noise floor.
 
-mod noise_floor;
+mod hop_level;
 
-pub use noise_floor::SensorKind;
-pub(crate) use noise_floor::{HOP_S, StreamLevel};
+pub use hop_level::SensorKind;
+pub(crate) use hop_level::{HOP_S, StreamLevel};
 
 /// What is a tap, and what a drag.
 #[derive(Clone, Copy, Debug, PartialEq)]

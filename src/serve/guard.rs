@@ -22,9 +22,9 @@ use super::client::{Client, neighbourhood};
 use super::hub::Hub;
 use super::limits::Limits;
 use super::problem::Problem;
-use super::rates::Rates;
 use super::settings::Settings;
 use super::token::Token;
+use super::token_buckets::Rates;
 
 /// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "surfaced_token";

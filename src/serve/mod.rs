@@ -26,7 +26,6 @@ mod metrics;
 mod order;
 mod page;
 mod problem;
-mod rates;
 mod reporter;
 mod request;
 mod scans;
@@ -37,6 +36,7 @@ mod spectrum;
 mod state;
 mod subscribers;
 mod token;
+mod token_buckets;
 mod trace;
 mod whole;
 

@@ -1,12 +1,12 @@
 //! One recorded interaction with one surface: all its sources, as they came from the sensors.
 
+mod channel_flaws;
 mod label;
-mod quality;
 mod signal;
 
+pub(crate) use channel_flaws::is_plain;
+pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
 pub use label::{EXPERT, TrialKey, UNLABELLED};
-pub(crate) use quality::is_plain;
-pub use quality::{Flaw, SeriesFlaws, flaws};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;

@@ -4,7 +4,8 @@
 //! The vector holds kernel mean embeddings: Fourier features of log-band frames (`fourier`),
 //! whose squared distance is an MMD², the moments and the lag covariance of each series
 //! (`series`), and the same for neighbouring pixels (`picture`). A discriminant is trained when
-//! the library is loaded, from whole trials and random excerpts (`training`). Probabilities, the
+//! the library is loaded, from whole trials and random excerpts (`training`), and kept beside the
+//! library (`stored`). Probabilities, the
 //! stop rule and the threshold of `unknown` come from leaving library trials out, by user where
 //! there are several (`left_out`). Missing sources cost their own columns: a discriminant of
 //! those that are there is made of the same sums.
