@@ -80,7 +80,7 @@ fn other_people_are_named_far_more_often_than_by_chance() {
         ("boreal", Protocol::ExpertVsUsers, 0.72),
         ("boreal", Protocol::AllVsOneUser, 0.82),
         ("fabric", Protocol::ExpertVsUsers, 0.74),
-        ("fabric", Protocol::AllVsOneUser, 0.88),
+        ("fabric", Protocol::AllVsOneUser, 0.95),
     ] {
         let Some(path) = shared(&format!("data/cross_user/{set}")) else { return };
         let library = dataset::open(&path, &Scene::lmt108()).unwrap();
