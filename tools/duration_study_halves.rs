@@ -3,19 +3,22 @@
 //! On LMT108's dragging sounds `pooled` agrees on 14 of 20 surfaces. It is no jump between two
 //! crossings, but what five trials of 4.8 s can show: at T* the dependence has a standard error of
 //! 0.016 (median), and it falls by 0.11 while the lag grows by a factor of e. So ln T* has a standard
-//! error of 0.15, and halves lie within a factor of 1.5 in 84 % of cases if each has a T*; one half
-//! of G2StoneTileVersion2 has too little data for one. Ten trials against ten would come to 90 %.
+//! error of 0.15. The line below each table says in how many cases a process agrees with itself that
+//! has the same T* and never changes; one half of G2StoneTileVersion2 has too little data for a T*.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use rayon::prelude::*;
 use surfaced::duration::{
     Algorithm1Settings, CORRELATION, Estimator, PooledSettings, Question, Rule, SourceDuration,
-    report,
+    VALUES, at_needed_rate, report, simulate,
 };
 use surfaced::kernel::Threshold;
 use surfaced::library::Library;
+use surfaced::recognise::LibraryShape;
 use surfaced::scene::Scene;
+use surfaced::seed;
 
 use super::Failure;
 
@@ -44,6 +47,9 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
     // For each source and surface the cells of the three rules; and the counts for each source.
     let mut cells: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
     let mut counts: BTreeMap<(String, &str), [usize; 3]> = BTreeMap::new();
+    // For each source, in which share of cases an ideal process agrees, surface by surface.
+    let mut ideal: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    let shape = LibraryShape::of(&library.entries.iter().collect::<Vec<_>>())?;
     for (name, estimator) in estimators {
         let sources = report(&half(true), &Question::default(), |_, _| {})?;
         let sources = sources.scene.into_iter().map(|s| s.source).collect();
@@ -59,6 +65,13 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
             count[0] += usize::from(agree);
             count[1] += usize::from(a.t_star_s.is_some() && b.t_star_s.is_some());
             count[2] += 1;
+            if let ("pooled", Some(x), Some(y)) = (name, a.t_star_s, b.t_star_s)
+                && let Some(shape) = shape.get(&a.source)
+            {
+                let trial_s = shape.median_frames as f64 / shape.rate_hz;
+                let share = ideal_share((x * y).sqrt(), a.trials.min(b.trials), trial_s);
+                ideal.entry(a.source.to_string()).or_default().push(share);
+            }
         }
     }
     println!("| source | surface | pooled | quantile | mean-ci |\n|---|---|---|---|---|");
@@ -69,16 +82,56 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
     for ((source, rule), [agree, both, all]) in &counts {
         println!("| {source} | {rule} | {agree} of {all} ({} %) | {both} |", 100 * agree / all);
     }
+    println!();
+    for (source, shares) in &ideal {
+        println!(
+            "{source}: where both halves have a T*, an Ornstein–Uhlenbeck process with the same T*, \
+             trials and seconds agrees with itself in {:.0} % of cases by `pooled` (surfaces: {}; \
+             cases each: {CASES}).",
+            100.0 * shares.iter().sum::<f64>() / shares.len() as f64,
+            shares.len()
+        );
+    }
     Ok(())
+}
+
+/// Cases that are simulated for a surface.
+const CASES: u64 = 100;
+
+/// The share of cases in which halves of an Ornstein–Uhlenbeck process with this T* agree, by
+/// `trials` trials of `trial_s` seconds each.
+fn ideal_share(t_star_s: f64, trials: usize, trial_s: f64) -> f64 {
+    /// Samples within T*.
+    const RESOLUTION: f64 = 100.0;
+    let rate_hz = RESOLUTION / t_star_s;
+    let (frames, tau) = ((trial_s * rate_hz) as usize, RESOLUTION / -CORRELATION.ln());
+    let agrees = |case: &u64| {
+        let t_star = |half: u64| {
+            let mut rng = seed::rng(2 * case + half, &[b"halves"]);
+            let make = || simulate::ar1(frames, tau, &mut rng);
+            let series = simulate::trials(trials, rate_hz, make).ok()?;
+            at_needed_rate(&series, frames, CORRELATION, VALUES)?.t_star_samples()
+        };
+        match (t_star(0), t_star(1)) {
+            (Some(x), Some(y)) => is_near(x, y),
+            (x, y) => x == y,
+        }
+    };
+    (0..CASES).into_par_iter().filter(agrees).count() as f64 / CASES as f64
 }
 
 /// Within a factor of 1.5 or one lag, or without a T* for the same reason.
 fn agree(a: &SourceDuration, b: &SourceDuration) -> bool {
     match (a.t_star_samples, b.t_star_samples) {
-        (Some(x), Some(y)) => x.abs_diff(y) <= 1 || 2 * x.max(y) <= 3 * x.min(y),
+        (Some(x), Some(y)) => is_near(x, y),
         (None, None) => kind(a) == kind(b),
         _ => false,
     }
+}
+
+/// Within a factor of 1.5 or one lag.
+fn is_near(x: usize, y: usize) -> bool {
+    x.abs_diff(y) <= 1 || 2 * x.max(y) <= 3 * x.min(y)
 }
 
 /// What a reason begins with.
