@@ -10,6 +10,7 @@
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use serde::{Deserialize, Serialize};
 
+use super::evidence_weights::EvidenceWeights;
 use super::linear::{
     cholesky, orthonormal_rows, solve_lower, solve_lower_transposed, subtract_lower_product,
 };
@@ -148,8 +149,8 @@ impl Discriminant {
     }
 
     /// m_c in the features' own space, shape (C, D), and what u·m_c has besides.
-    pub fn weights(&self) -> Weights {
-        Weights {
+    pub fn weights(&self) -> EvidenceWeights {
+        EvidenceWeights {
             of_class: self.means.mapv(|x| x as f32).dot(&self.projection),
             offset: self.means.dot(&self.origin),
         }
@@ -183,31 +184,6 @@ impl Discriminant {
             }
         };
         self.means.rows().into_iter().zip(&self.present).map(distance).collect()
-    }
-}
-
-/// What makes inner products with the class means of vectors, stretch by stretch.
-pub struct Weights {
-    of_class: Array2<f32>,
-    offset: Array1<f64>,
-}
-
-impl Weights {
-    /// u·m_c, taken apart by stretches of the vector: how much each speaks for the class. The
-    /// class's distance is |u|² + |m_c|² less twice their sum.
-    pub fn terms(
-        &self,
-        class: usize,
-        vector: ArrayView1<'_, f32>,
-        stretches: &[std::ops::Range<usize>],
-    ) -> Vec<f64> {
-        let offset = self.offset[class] / stretches.len() as f64;
-        let term = |stretch: &std::ops::Range<usize>| {
-            let stretch = s![stretch.clone()];
-            let own = self.of_class.row(class).slice(stretch).dot(&vector.slice(stretch));
-            f64::from(own) - offset
-        };
-        stretches.iter().map(term).collect()
     }
 }
 

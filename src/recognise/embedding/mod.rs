@@ -15,6 +15,7 @@
 
 pub mod calibrated_probability;
 pub mod discriminant;
+mod evidence_weights;
 mod follower;
 mod fourier;
 mod joint;
