@@ -90,16 +90,13 @@ impl Cache {
         let mut header = vec![0; HEADER.min(length as usize)];
         file.read_exact(&mut header)?;
         self.check_header(&header).map_err(io::Error::other)?;
+        let file = &*self.file.insert(file);
         let mut at = HEADER as u64;
         while at < length {
             let damaged = || io::Error::other("the file is cut short or damaged");
-            let (name, place) = record(&file, at, length).ok_or_else(damaged)?;
+            let (name, place) = record(file, at, length).ok_or_else(damaged)?;
             at = place.begin + place.length + CHECKSUM;
             self.records.insert(name, place);
-            // Of what is known so far, all can be read.
-            if self.file.is_none() {
-                self.file = Some(file.try_clone()?);
-            }
         }
         Ok(())
     }

@@ -109,7 +109,7 @@ impl Discriminant {
         Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
     }
 
-    /// Whether it is of so many classes and features.
+    /// Whether it has this number of classes and of features.
     pub fn is_of(&self, classes: usize, dims: usize) -> bool {
         let space = self.origin.len();
         self.present.len() == classes

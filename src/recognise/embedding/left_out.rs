@@ -22,8 +22,8 @@ const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 /// stated.
 const MOST_BEGUN: usize = 400;
 
-/// Weights of excerpts that are tried: from as much as a whole trial to next to nothing.
-const EXCERPT_WEIGHTS: [f64; 4] = [1.0, 0.1, 0.01, 0.001];
+/// Weights of excerpts that are tried beside that of a whole trial, down to next to nothing.
+const LIGHTER_EXCERPTS: [f64; 3] = [0.1, 0.01, 0.001];
 
 /// What left-out trials showed.
 #[derive(Serialize, Deserialize)]
@@ -95,23 +95,28 @@ impl WithoutGroups {
     /// Leaves each group of trials out in turn. Where groups are people, excerpts get the weight by
     /// which left-out people's trials are named best: that of least log loss.
     pub fn new(joint: &JointEmbedder, training: &mut Training, labels: &Labels) -> Self {
+        let mut best = Self::train(joint, training, labels);
         if !labels.across_users {
-            return Self::train(joint, training, labels);
+            return best;
         }
-        let mut best: Option<(f64, f64, Self)> = None;
-        for weight in EXCERPT_WEIGHTS {
-            training.weigh_excerpts(weight);
+        let (mut least, mut weight) = (best.log_loss(labels, training), training.excerpt_weight());
+        for lighter in LIGHTER_EXCERPTS {
+            training.weigh_excerpts(lighter);
             let without = Self::train(joint, training, labels);
-            let held_out: Vec<HeldOut> =
-                without.whole_trials(labels, training).into_iter().flatten().collect();
-            let (_, loss) = best_fit(&held_out);
-            if best.as_ref().is_none_or(|(least, ..)| loss < *least) {
-                best = Some((loss, weight, without));
+            let loss = without.log_loss(labels, training);
+            if loss < least {
+                (least, weight, best) = (loss, lighter, without);
             }
         }
-        let (_, weight, without) = best.expect("there are weights to try");
         training.weigh_excerpts(weight);
-        without
+        best
+    }
+
+    /// That of whole trials, by the temperature that fits them best.
+    fn log_loss(&self, labels: &Labels, training: &Training) -> f64 {
+        let held_out: Vec<HeldOut> =
+            self.whole_trials(labels, training).into_iter().flatten().collect();
+        best_fit(&held_out).1
     }
 
     fn train(joint: &JointEmbedder, training: &Training, labels: &Labels) -> Self {

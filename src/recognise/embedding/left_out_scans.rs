@@ -67,7 +67,7 @@ impl FollowedTrial {
         }
     }
 
-    /// Whether it is what following a trial of one of so many classes can give.
+    /// Whether following a trial can give this, with this number of classes.
     pub fn is_sound(&self, classes: usize) -> bool {
         let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
         self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)

@@ -87,9 +87,16 @@ impl Training {
         Self { rows, labels, groups, classes, excerpt_weight, present, all: OnceLock::new() }
     }
 
-    /// The same with excerpts of another weight.
+    /// How much an excerpt weighs.
+    pub fn excerpt_weight(&self) -> f64 {
+        self.excerpt_weight
+    }
+
+    /// Gives excerpts a weight; sums by the one that they had are made anew.
     pub fn weigh_excerpts(&mut self, weight: f64) {
-        (self.excerpt_weight, self.all) = (weight, OnceLock::new());
+        if weight != self.excerpt_weight {
+            (self.excerpt_weight, self.all) = (weight, OnceLock::new());
+        }
     }
 
     /// All of it that does not follow from the labels: vectors, which sources each trial has, and
