@@ -77,5 +77,7 @@ pub mod scene;
 #[doc(hidden)]
 pub mod seed;
 pub mod serve;
+#[doc(hidden)] // For the project's own tests.
+pub mod spectrum;
 pub mod station;
 pub mod trial;

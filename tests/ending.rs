@@ -22,7 +22,7 @@ use surfaced::recognise::{
 use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};
-use surfaced::serve::{Server, Settings, Shelf};
+use surfaced::serve::{LibraryFolder, Server, Settings};
 use surfaced::station::{
     Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
     Station, StationEvent,
@@ -275,10 +275,10 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     let http = HttpOutput::start(address).unwrap();
     let mqtt = MqttOutput::start(format!("mqtt://{mqtt}/answers").parse().unwrap()).unwrap();
     let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
-    let shelf = Shelf { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
+    let library = LibraryFolder { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
     let settings = Settings {
         address: "127.0.0.1:0".parse().unwrap(),
-        library: Some(shelf),
+        library: Some(library),
         ..Settings::default()
     };
     let devices: Vec<Box<dyn Device>> = vec![Box::new(Stylus), Box::new(Stuck)];

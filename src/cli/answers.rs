@@ -1,6 +1,6 @@
 //! How answers are given during scans, and when a scan is called unknown.
 
-use super::parse::share;
+use super::common::share;
 use super::show;
 use crate::recognise::{Rejection, RejectionError, ScanTime, Settling};
 use crate::station::Recogniser;

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+
 use super::Failure;
-use super::protocol::ProtocolArg;
 use crate::evaluate::{self, EvaluateError, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
@@ -50,9 +52,9 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
 /// If the protocol finds no folds.
 pub(super) fn split(
     keys: &[TrialKey],
-    named: Option<ProtocolArg>,
+    named: Option<Protocol>,
 ) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
-    let protocol = named.map_or_else(|| Protocol::natural(keys), |ProtocolArg(protocol)| protocol);
+    let protocol = named.unwrap_or_else(|| Protocol::natural(keys));
     let folds = evaluate::folds(protocol, keys)?;
     if named.is_none() {
         say!("protocol: {}, which fits these data", protocol.name());
@@ -67,7 +69,7 @@ pub(super) fn split(
 pub(super) fn choose(
     library: &Library,
     scene: Scene,
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
 ) -> Result<Choice, Failure> {
     let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
@@ -105,5 +107,29 @@ impl Choice {
         let held: BTreeSet<&SourceId> =
             used.into_iter().flat_map(|i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()
+    }
+}
+
+impl ValueEnum for Protocol {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self {
+            Protocol::ExpertVsUsers => {
+                "The expert's trials are the library; each other user is a fold of queries (1 vs 10)"
+            }
+            Protocol::LeaveOneTrialOut => {
+                "Fold k: trial k of every surface against the same person's other trials (1 vs 1)"
+            }
+            Protocol::AllVsOneUser => {
+                "Each user is a fold; the library is everybody else (10 vs 1)"
+            }
+            Protocol::RandomHalves => {
+                "50 folds: a random half of a person's trials of each surface against the other half"
+            }
+        };
+        Some(PossibleValue::new(self.name()).help(help))
     }
 }

@@ -1,4 +1,4 @@
-//! What commands share: how they end, and how they open data.
+//! What commands share: how they end, how they open data, and how they parse values.
 
 use std::path::Path;
 
@@ -51,4 +51,23 @@ pub(super) fn open(path: &Path) -> Result<Library, Failure> {
     let library = dataset::open(path, &Scene::lmt108())?;
     show::library(&library);
     Ok(library)
+}
+
+/// Longest drag in seconds: an hour.
+const LONGEST_S: f64 = 3600.0;
+
+/// Parses a positive number of seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x <= LONGEST_S => Ok(x),
+        _ => Err(format!("expected a positive number of seconds, at most {LONGEST_S}")),
+    }
+}
+
+/// Parses a fraction.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
+        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
+    }
 }

@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use self::algorithm1::Algorithm1Args;
+use super::common::share;
 use super::figure::write;
 use super::method::at_least_one;
-use super::parse::share;
 use super::{Done, Failure, show};
 use crate::duration::{
     AccuracyCurve, CORRELATION, DurationReport, Estimator, PooledSettings, Question, ReportError,

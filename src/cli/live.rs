@@ -1,20 +1,21 @@
-//! What the commands share that work with live devices: `run`, `enroll` and `record`.
+//! `surfaced run`: the station at work, and what it shares with `enroll` and `record`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
+use sd_notify::NotifyState;
 
 use super::answers::AnswerArgs;
 use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::plan::Comparing;
+use super::plan::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
-use super::supervisor::Supervisor;
 use super::terminal::Terminal;
-use super::{Done, Failure};
+use super::{Done, Failure, shown};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
@@ -23,11 +24,11 @@ use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
-use crate::serve::{Audit, Settings, Shelf};
+use crate::serve::{Audit, LibraryFolder, Settings};
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
     Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
-    StationEvent,
+    StationEvent, assemble,
 };
 
 /// Which station.
@@ -202,13 +203,14 @@ pub fn work(
         devices: assembled.device_of,
         by_t_star: config.by_t_star.clone(),
     };
-    let shelf = Shelf { folder: store.folder.clone(), scene: store.scene.clone() };
+    let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
     let mut history = Arc::default();
     if work.load.is_some() {
-        let folder = shelf.folder.join(history::FOLDER);
-        (station, history) = keep_scans(station, &folder, config.keep_mb, (&shelf.scene, devices))?;
+        let folder = library.folder.join(history::FOLDER);
+        (station, history) =
+            keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
     }
     if let Some(address) = config.http.clone() {
         station = station.listener(HttpOutput::start(address)?);
@@ -233,7 +235,7 @@ pub fn work(
         station = station.listener(listen(commands.clone()));
     }
     let supervisor = Supervisor::new(commands.clone())?;
-    let (address, library) = (config.serve, Some(shelf));
+    let (address, library) = (config.serve, Some(library));
     let (check, viewfinder) = (work.check, assembled.viewfinder);
     let settings = Settings { address, library, check, history, viewfinder, ..Settings::default() };
     let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
@@ -281,4 +283,96 @@ pub fn verdict(totals: &Totals) -> Done {
         0 => Ok(()),
         lost => Err(Failure::Damaged(format!("samples lost, in scans or between: {lost}"))),
     }
+}
+
+/// Reports to systemd, where it is there.
+pub struct Supervisor(());
+
+impl Supervisor {
+    /// Pings the station that takes `commands` as often as the watchdog of the unit demands.
+    ///
+    /// # Errors
+    /// If there is no thread to be had.
+    pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
+        if let Some(limit) = sd_notify::watchdog_enabled() {
+            // Three times as often as necessary: two may come late.
+            let every = (limit / 3).max(Duration::from_millis(10));
+            let ping = move || {
+                while commands.send(Command::Ping).is_ok() {
+                    std::thread::sleep(every);
+                }
+            };
+            std::thread::Builder::new().name("watchdog".into()).spawn(ping)?;
+        }
+        Ok(Self(()))
+    }
+}
+
+impl Listener for Supervisor {
+    fn on_event(&mut self, event: &StationEvent) {
+        let state = match event {
+            StationEvent::Streams(_) => NotifyState::Ready,
+            StationEvent::Alive => NotifyState::Watchdog,
+            StationEvent::Finished(_) => NotifyState::Stopping,
+            _ => return,
+        };
+        // Fails only without systemd.
+        let _ = sd_notify::notify(&[state]);
+    }
+}
+
+/// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
+///
+/// Starts with the devices that are there, and names those that are missing. Scans are detected by
+/// their tap and drag; on a terminal, the space bar also begins and ends one by hand.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
+                        surfaced run --config station.toml --json --serve\n  \
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until it is ended; an answer comes some 10 ms after its scan")]
+pub struct Args {
+    #[command(flatten)]
+    station: StationArgs,
+    #[command(flatten)]
+    comparing: ComparingArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Done {
+    let how = args.comparing.resolve(None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
+    let library = library_of(&config)?;
+    if !library.is_dir() {
+        return Err(Failure::Failed(format!(
+            "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
+             for each surface, or name another one",
+            shown(&library)
+        )));
+    }
+    let check = Some(check(&library, &how));
+    let assembled = assemble(&config);
+    let given = Some(given(&assembled));
+    let load = load(&library, &config.scene, &how, &args.answers, given);
+    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
+    let totals = work(
+        &config,
+        assembled,
+        StationWork {
+            load: Some(load),
+            store: library,
+            keep: None,
+            listeners: Vec::new(),
+            hint: format!(
+                "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
+            ),
+            check,
+            json: args.station.json,
+            serve: args.station.serve.clone(),
+        },
+    )?;
+    verdict(&totals)
 }

@@ -14,7 +14,6 @@ mod choose;
 mod common;
 mod compare;
 mod completion;
-mod dependence;
 mod devices;
 mod duration;
 mod enroll;
@@ -26,19 +25,14 @@ mod json_lines;
 mod keys;
 mod library;
 mod live;
-mod log;
 mod method;
 mod paper;
-mod parse;
 mod plan;
-mod protocol;
 mod replay;
-mod run;
 mod samples;
 mod serve;
 mod show;
 mod stress;
-mod supervisor;
 mod synth;
 mod tally;
 mod terminal;
@@ -68,7 +62,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum CliCommand {
     Replay(replay::Args),
-    Run(run::Args),
+    Run(live::Args),
     Enroll(enroll::EnrollArgs),
     Record(enroll::RecordArgs),
     Eval(eval::Args),
@@ -79,7 +73,7 @@ enum CliCommand {
     Plan(plan::Args),
     Stress(stress::Args),
     Compare(compare::Args),
-    Dependence(dependence::Args),
+    Dependence(compare::DependenceArgs),
     Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
@@ -93,10 +87,10 @@ const DAMAGED: u8 = 3;
 
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
-    log::start();
+    say::start_log();
     let done = match Cli::parse().command {
         CliCommand::Replay(args) => replay::run(&args),
-        CliCommand::Run(args) => run::run(&args),
+        CliCommand::Run(args) => live::run(&args),
         CliCommand::Enroll(args) => enroll::enroll(&args),
         CliCommand::Record(args) => enroll::record(&args),
         CliCommand::Eval(args) => eval::run(&args),
@@ -107,7 +101,7 @@ pub fn run() -> ExitCode {
         CliCommand::Plan(args) => plan::run(&args),
         CliCommand::Stress(args) => stress::run(&args),
         CliCommand::Compare(args) => compare::run(&args),
-        CliCommand::Dependence(args) => dependence::run(&args),
+        CliCommand::Dependence(args) => compare::dependence(&args),
         CliCommand::Duration(args) => duration::run(&args),
         CliCommand::Synth(args) => synth::run(&args),
         CliCommand::Devices(args) => devices::run(&args),
@@ -121,7 +115,7 @@ pub fn run() -> ExitCode {
         Err(Failure::Usage(message)) => (2, Level::ERROR, message),
         Err(Failure::Damaged(message)) => (DAMAGED, Level::WARN, message),
     };
-    say!("{}{}{message}", log::priority(level), log::word(level));
+    say!("{}{}{message}", say::priority(level), say::word(level));
     ExitCode::from(code)
 }
 

@@ -9,21 +9,20 @@ use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::plan::{Comparing, ComparingArgs};
-use super::protocol::ProtocolArg;
 use super::serve::ServeArgs;
-use super::show::quoted;
+use super::show::{self, quoted};
 use super::tally::Tally;
-use super::{Done, Failure, live, say, show};
+use super::{Done, Failure, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{Evaluation, Fold, first_seconds};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
 use crate::library::Entry;
 use crate::library::lock::LibraryLock;
 use crate::recognise::{LOOK_S, Method, Model, ReadyModel, RecogniseError, ready_model};
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::serve::{Settings, Shelf};
+use crate::serve::{LibraryFolder, Settings};
 use crate::station::config::StationConfig;
 use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent};
 use crate::trial::EXPERT;
@@ -49,13 +48,13 @@ pub struct Args {
     speed: Speed,
     /// Which trials are named against which, where no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::parse::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::common::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -130,7 +129,7 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
 fn by_protocol(
     how: &Comparing,
     folder: &Path,
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
     let data = super::open(folder)?;
     let scene = how.narrow(data.scene.clone())?;
@@ -197,7 +196,7 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
         (station, settings.history) = live::keep_scans(station, &folder, keep_mb, sources)?;
         settings.library = library.map(|folder| {
             let (folder, scene) = (folder.clone(), stage.scene.clone());
-            Shelf { folder, scene }
+            LibraryFolder { folder, scene }
         });
         settings.check = library.map(|folder| live::check(folder, how));
     }

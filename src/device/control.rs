@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{SendTimeoutError, Sender};
 
-use super::{DeviceError, Mark};
-use crate::ring::Stop;
+use crate::ring::{Stop, Stopped};
+use crate::scene::{Phase, SourceId};
+use crate::trial::TrialKey;
 
 /// How a device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -132,6 +133,74 @@ impl Control {
             }
         }
     }
+}
+
+/// One mark.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Mark {
+    /// A scan begins.
+    Begin(Begin),
+    /// A source of the scan begins.
+    Open(Open),
+    /// A source of the scan has ended.
+    Close {
+        /// the source
+        source: SourceId,
+        /// index of the first frame after it
+        end: u64,
+    },
+    /// The scan continues, but should not be trusted.
+    Spoil {
+        /// for people
+        why: String,
+    },
+    /// This is no scan; forget it.
+    GiveUp {
+        /// for people
+        why: String,
+    },
+    /// The scan has ended; its sources that are still open end with what was pushed so far.
+    End {
+        /// when its last sample was taken
+        at: Instant,
+    },
+}
+
+/// The begin of a scan.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Begin {
+    /// What the scan really is, where that is known: reported beside the answer, never used for it.
+    pub truth: Option<TrialKey>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+}
+
+/// The begin of a source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Open {
+    /// The source: one stream may serve several, such as the sound of a tap and of a drag.
+    pub source: SourceId,
+    /// The stream that it is cut from.
+    pub stream: SourceId,
+    /// Index of its first frame, or of its picture.
+    pub start: u64,
+    /// The part of the scan that it belongs to.
+    pub phase: Phase,
+    /// Frames a second; of no meaning for pictures.
+    pub rate_hz: f64,
+    /// How many of the stream's channels are the source's: the first ones.
+    pub channels: usize,
+}
+
+/// Why a device cannot continue.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// a stop was requested while it waited; no failure
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
+    /// what is wrong, and what to do
+    #[error("{0}")]
+    Failed(String),
 }
 
 #[cfg(test)]

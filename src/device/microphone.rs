@@ -11,7 +11,6 @@ mod alsa;
 mod callback_sink;
 mod level;
 mod lost_sound;
-mod mono;
 mod pace;
 
 use std::any::Any;
@@ -24,9 +23,8 @@ pub use alsa::Alsa;
 
 #[cfg(feature = "microphone")]
 pub(crate) use alsa::microphones;
-pub(crate) use callback_sink::CallbackSink;
+pub(crate) use callback_sink::{CallbackSink, Pick};
 pub(crate) use level::{LevelWatch, SoundLevel};
-pub(crate) use mono::Pick;
 
 use lost_sound::Listening;
 

@@ -7,9 +7,7 @@
 #[doc(hidden)]
 pub mod camera;
 mod control;
-mod error;
 pub(crate) mod list;
-mod mark;
 #[doc(hidden)]
 pub mod microphone;
 mod open;
@@ -17,9 +15,9 @@ mod replay;
 #[doc(hidden)]
 pub mod serial;
 
-pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
-pub use error::DeviceError;
-pub use mark::{Begin, Mark, Open};
+pub use control::{
+    Begin, Control, DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark, Open,
+};
 pub use open::OpenError;
 pub use replay::{Replay, Speed};
 

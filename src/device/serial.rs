@@ -10,23 +10,24 @@
 
 mod connection;
 mod intake;
-mod light;
 mod port;
 
-use std::time::Instant;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use self::connection::{Connection, ConnectionEnd, LinkErrors};
+use super::camera::FlashLine;
+use super::open::{RETRY, Retry};
+use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use crate::ring::Sink;
+use crate::scene::SourceId;
 
 pub use intake::{Intake, IntakeEvent};
 pub use port::{OpenPort, Selector};
 
 pub(crate) use intake::{Value, Wanted};
-pub(crate) use light::Light;
 pub(crate) use port::Port;
-
-use self::connection::{Connection, ConnectionEnd, LinkErrors};
-use super::open::{RETRY, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
-use crate::ring::Sink;
-use crate::scene::SourceId;
 
 /// Rate of the stylus's sampling clock in Hz.
 pub const RATE_HZ: u32 = 10_000;
@@ -144,6 +145,49 @@ impl Device for Stylus {
                 }
             }
             control.sleep_until(Instant::now() + RETRY);
+        }
+        Ok(())
+    }
+}
+
+/// How long the stylus may take to confirm.
+const CONFIRM: Duration = Duration::from_millis(500);
+
+/// Switches the camera's light on the stylus; clones switch the same one.
+#[derive(Clone, Debug, Default)]
+pub struct Light(Arc<[AtomicBool; 2]>);
+
+impl Light {
+    /// Requests the light on or off; the driver repeats the command until the stylus confirms it.
+    pub fn set(&self, on: bool) {
+        self.0[0].store(on, Ordering::Release);
+    }
+
+    /// Whether the stylus last said that the light is on.
+    pub fn is_on(&self) -> bool {
+        self.0[1].load(Ordering::Acquire)
+    }
+
+    fn wanted(&self) -> bool {
+        self.0[0].load(Ordering::Acquire)
+    }
+
+    /// Notes what the stylus says of it.
+    fn confirm(&self, on: bool) {
+        self.0[1].store(on, Ordering::Release);
+    }
+}
+
+impl FlashLine for Light {
+    fn switch(&mut self, on: bool) -> Result<(), String> {
+        self.set(on);
+        let until = Instant::now() + CONFIRM;
+        while self.is_on() != on {
+            if Instant::now() >= until {
+                self.set(false);
+                return Err("the stylus, which switches the light, does not answer".into());
+            }
+            std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
     }

@@ -5,12 +5,11 @@ use std::sync::Arc;
 use super::error::RecogniseError;
 use super::features::{FeatureVector, FrameFeatures};
 use super::reference::prepared_trial::PreparedTrial;
-use super::reference::storage::{decode, encode};
 use crate::library::Entry;
 use crate::trial::TrialKey;
 
 /// Changes whenever the bytes of [`Prepared::encode`] mean something else.
-pub(super) const FORMAT: u64 = 1;
+pub(super) const FORMAT: u64 = 2;
 
 /// A trial, ready to be compared. A copy is cheap.
 #[derive(Clone)]
@@ -91,7 +90,7 @@ impl Prepared {
     /// The trial as bytes; `None` if that would be as large as the recording.
     pub(super) fn encode(&self) -> Option<Vec<u8>> {
         let (kind, bytes) = match self {
-            Self::Samples(trial) => (SAMPLES, encode(trial)),
+            Self::Samples(trial) => (SAMPLES, trial.encode()),
             Self::Frames(trial) => (FRAMES, postcard::to_allocvec(&trial.sources).ok()),
             Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
         };
@@ -104,7 +103,7 @@ impl Prepared {
     pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let key = entry.key.clone();
         Some(match bytes.split_last()? {
-            (&SAMPLES, bytes) => Self::Samples(Arc::new(decode(entry, bytes)?)),
+            (&SAMPLES, bytes) => Self::Samples(Arc::new(PreparedTrial::decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;
                 Self::Frames(Arc::new(FrameFeatures { key, sources }))

@@ -11,11 +11,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Select};
 
-use super::cut::cut;
 use super::event_queue::EventQueue;
-use super::layout::ScanCommand;
-use super::mark::Marked;
-use super::options::Options;
+use super::marked_scan::{Marked, cut};
+use super::options::{Options, ScanCommand};
 use super::progress::{self, SnapshotLengths};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;

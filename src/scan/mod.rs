@@ -5,13 +5,10 @@
 
 pub(crate) mod clock;
 mod collect;
-mod cut;
 pub mod detect;
 mod event_queue;
 mod group;
-mod history;
-mod layout;
-mod mark;
+mod marked_scan;
 mod options;
 mod progress;
 mod scan_detector;
@@ -19,9 +16,8 @@ mod session;
 mod stream;
 mod timeline;
 
-pub use layout::{CutFrom, Detection, ScanCommand};
-pub use options::Options;
-pub use progress::{Fresh, PartialScan, Progress, Trace};
+pub use options::{CutFrom, Detection, Options, ScanCommand};
+pub use progress::{Fresh, Progress, Trace};
 pub(crate) use session::StreamMeter;
 pub use session::{Session, SessionError};
 

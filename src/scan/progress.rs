@@ -1,16 +1,14 @@
 //! What a scan holds so far, in steps of scan time: each snapshot carries only what is new.
 //!
 //! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
-//! so a reader that adds them up ([`PartialScan`]) always has the scan without a gap.
+//! so a reader that adds them up always has the scan without a gap.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::history::narrow;
-use super::mark::{Marked, SourceSpan};
-use super::stream::{Stream, StreamBuffer};
+use super::marked_scan::{Marked, SourceSpan};
+use super::stream::{Stream, StreamBuffer, narrow};
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Image, Series, Signal, Trial, TrialKey};
+use crate::trial::{Image, TrialKey};
 
 /// New frames of one source, or of one stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,43 +61,6 @@ pub struct Trace {
     pub fresh: Vec<Fresh>,
     /// The latest picture of each camera stream that has a new one.
     pub images: Vec<(SourceId, Arc<Image>)>,
-}
-
-/// Adds up the snapshots of a scan.
-#[derive(Clone, Debug, Default)]
-pub struct PartialScan {
-    number: u32,
-    series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
-    images: BTreeMap<SourceId, Arc<Image>>,
-}
-
-impl PartialScan {
-    /// Adds a snapshot; one of another scan starts again.
-    pub fn add(&mut self, progress: &Progress) {
-        if self.number != progress.number {
-            *self = Self { number: progress.number, ..Self::default() };
-        }
-        for fresh in &progress.fresh {
-            let begin = || (fresh.rate_hz, fresh.channels, Vec::new());
-            let (_, _, samples) = self.series.entry(fresh.source.clone()).or_insert_with(begin);
-            samples.extend_from_slice(&fresh.samples);
-        }
-        self.images.extend(progress.images.iter().cloned());
-    }
-
-    /// The scan so far. Sources without usable data are left out.
-    pub fn trial(&self) -> Trial {
-        let series = self.series.iter().filter_map(|(id, (rate_hz, channels, samples))| {
-            let series = Series::new(*rate_hz, *channels, samples.clone()).ok()?;
-            Some((id.clone(), Signal::Series(series)))
-        });
-        let images = self.images.iter().map(|(id, image)| {
-            let image = Arc::unwrap_or_clone(image.clone());
-            (id.clone(), Signal::Image(image))
-        });
-        let key = TrialKey::new("", "", self.number);
-        Trial { key, signals: series.chain(images).collect() }
-    }
 }
 
 impl SourceSpan {

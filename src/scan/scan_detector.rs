@@ -8,7 +8,7 @@
 
 use super::detect::{DetectorEvent, HOP_S, onset_in};
 use super::group::Group;
-use super::layout::{CutFrom, Detection, ScanCommand};
+use super::options::{CutFrom, Detection, ScanCommand};
 use super::stream::{Stream, StreamBuffer};
 use super::timeline::Timeline;
 use crate::device::{Begin, Mark, Open};

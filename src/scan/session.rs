@@ -11,8 +11,7 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
 use super::event_queue::EventQueue;
-use super::layout::ScanCommand;
-use super::options::Options;
+use super::options::{Options, ScanCommand};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Totals};

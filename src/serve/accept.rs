@@ -21,8 +21,7 @@ use tokio_io_timeout::TimeoutStream;
 use super::api;
 use super::client::{Peer, neighbourhood};
 use super::hub::Hub;
-use super::limits::Limits;
-use super::settings::Settings;
+use super::settings::{Limits, Settings};
 
 /// The largest head of a request, in bytes.
 const LARGEST_HEAD: usize = 16 << 10;

@@ -15,9 +15,7 @@ use tokio::runtime::Runtime;
 use tower_service::Service;
 
 use super::hub::Hub;
-use super::limits::{LARGEST_BODY, Limits};
-use super::settings::Settings;
-use super::token::Token;
+use super::settings::{LARGEST_BODY, Limits, Settings, Token};
 use super::{api, label};
 use crate::station::Command;
 

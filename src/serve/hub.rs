@@ -13,16 +13,15 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
-use super::checks::{CheckView, Checks};
-use super::metrics::{Around, Metrics};
-use super::settings::{Settings, Shelf};
-use super::spectrum;
+use super::library::{CheckView, Checks};
+use super::metrics::{Elsewhere, Metrics};
+use super::settings::{LibraryFolder, Settings};
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
-use super::trace::Tracer;
-use super::whole::{StreamsEvent, Whole};
+use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::history::{History, Precision};
+use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
@@ -45,7 +44,7 @@ pub struct Hub {
     /// Past scans.
     pub history: Arc<History>,
     /// The library that may be edited.
-    pub library: Option<Shelf>,
+    pub library: Option<LibraryFolder>,
     /// Its audit.
     pub checks: Checks,
 }
@@ -75,13 +74,13 @@ struct PhaseEvent {
 
 impl HubState {
     /// All that is known now.
-    pub fn whole(&self) -> Whole<'_> {
-        Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
+    pub fn whole(&self) -> StateDocument<'_> {
+        StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
     }
 
     /// All figures.
     pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
-        self.metrics.text(&Around {
+        self.metrics.text(&Elsewhere {
             precision,
             state: &self.state,
             meters: &self.meters,
@@ -95,7 +94,7 @@ impl HubState {
         if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
             let Self { state, meters, enrolls, viewfinder, subscribers, .. } = self;
-            let whole = || Whole::of(state, *enrolls, viewfinder, meters);
+            let whole = || StateDocument::of(state, *enrolls, viewfinder, meters);
             subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
@@ -318,7 +317,7 @@ pub async fn run(
                 let inner = &mut *hub.lock();
                 inner.publish_camera();
                 if inner.subscribers.wanted(EventKind::Spectrum) {
-                    let event = spectrum::spectra(&inner.tracer);
+                    let event = trace::spectra(&inner.tracer);
                     inner.publish(EventKind::Spectrum, &event);
                 }
             }
@@ -336,4 +335,60 @@ fn every(period: Duration) -> Interval {
     let mut interval = interval(period);
     interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     interval
+}
+
+/// All that is known now.
+#[derive(Serialize)]
+pub struct StateDocument<'a> {
+    #[serde(flatten)]
+    state: &'a State,
+    /// Whether the station keeps scans for a library.
+    enrolls: bool,
+    /// The camera, if there is one.
+    camera: Option<CameraView>,
+    streams: Vec<StreamView>,
+}
+
+impl<'a> StateDocument<'a> {
+    /// What the parts say now.
+    pub fn of(
+        state: &'a State,
+        enrolls: bool,
+        viewfinder: &Option<Viewfinder>,
+        meters: &[StreamMeter],
+    ) -> Self {
+        let camera = viewfinder.as_ref().map(Viewfinder::view);
+        Self { state, enrolls, camera, streams: views(meters) }
+    }
+}
+
+/// What one stream carries.
+#[derive(Debug, Serialize)]
+struct StreamView {
+    source: SourceId,
+    device: String,
+    #[serde(flatten)]
+    counts: Counts,
+}
+
+/// What all streams carry.
+#[derive(Serialize)]
+pub struct StreamsEvent {
+    streams: Vec<StreamView>,
+}
+
+impl StreamsEvent {
+    /// What these meters say now.
+    pub fn of(meters: &[StreamMeter]) -> Self {
+        Self { streams: views(meters) }
+    }
+}
+
+fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
+    let view = |meter: &StreamMeter| StreamView {
+        source: meter.id.clone(),
+        device: meter.device.clone(),
+        counts: meter.counts(),
+    };
+    meters.iter().map(view).collect()
 }

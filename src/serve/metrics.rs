@@ -60,7 +60,7 @@ impl Default for Metrics {
 }
 
 /// What is counted elsewhere.
-pub struct Around<'a> {
+pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
     pub subscribers: usize,
@@ -78,12 +78,12 @@ impl Metrics {
     }
 
     /// All figures.
-    pub fn text(&self, around: &Around<'_>) -> String {
+    pub fn text(&self, elsewhere: &Elsewhere<'_>) -> String {
         let mut page = MetricsPage::default();
-        let state = around.state;
+        let state = elsewhere.state;
         page.head("surfaced_info", "gauge", "The version of the program.");
         page.line("surfaced_info", &[("version", state.version)], 1);
-        page.streams(around.meters);
+        page.streams(elsewhere.meters);
         page.devices(state);
         let counts = state.counts;
         page.head("surfaced_scans_total", "counter", "Scans that were answered.");
@@ -106,20 +106,20 @@ impl Metrics {
             (
                 "surfaced_events_dropped_total",
                 "Events that a slow subscriber missed.",
-                around.dropped_events,
+                elsewhere.dropped_events,
             ),
             (
                 "surfaced_notices_missed_total",
                 "Notices that the server missed.",
-                around.missed_notices,
+                elsewhere.missed_notices,
             ),
         ] {
             page.head(name, "counter", help);
             page.line(name, &[], value);
         }
-        page.precision(around.precision);
+        page.precision(elsewhere.precision);
         page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
-        page.line("surfaced_readers", &[], around.subscribers);
+        page.line("surfaced_readers", &[], elsewhere.subscribers);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
         let help = "From the end of a scan to its name.";
         page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
@@ -223,7 +223,7 @@ mod tests {
         for latency_s in [0.0005, 0.001, 0.003, 99.0] {
             metrics.scan(1.0, latency_s);
         }
-        let around = Around {
+        let elsewhere = Elsewhere {
             state: &state,
             meters: &[],
             subscribers: 3,
@@ -231,7 +231,7 @@ mod tests {
             missed_notices: 5,
             precision: &[],
         };
-        let text = metrics.text(&around);
+        let text = metrics.text(&elsewhere);
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
             "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",

@@ -13,37 +13,23 @@
 
 mod accept;
 mod api;
-mod checks;
 mod client;
-mod error;
 #[cfg(any(test, fuzzing))]
 pub mod fuzz;
 mod guard;
 mod hub;
 mod label;
-mod limits;
+mod library;
 mod metrics;
 mod order;
-mod page;
 mod problem;
-mod reporter;
-mod request;
 mod scans;
 mod server;
 mod settings;
-mod shelf;
-mod spectrum;
 mod state;
 mod subscribers;
-mod token;
-mod token_buckets;
 mod trace;
-mod whole;
 
-pub use error::ServeError;
-pub use limits::Limits;
-pub use reporter::Reporter;
-pub use server::Server;
+pub use server::{Reporter, ServeError, Server};
 pub(crate) use settings::{Audit, PORT};
-pub use settings::{Settings, Shelf};
-pub use token::Token;
+pub use settings::{LibraryFolder, Limits, Settings, Token};

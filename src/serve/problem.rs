@@ -5,7 +5,7 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Json, Response};
 use serde::Serialize;
 
-use super::limits::LARGEST_BODY;
+use super::settings::LARGEST_BODY;
 
 /// Why a request is refused.
 #[derive(Debug, thiserror::Error)]

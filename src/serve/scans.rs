@@ -12,11 +12,11 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::api::{Shared, aside, body};
 use super::hub::Hub;
 use super::label;
 use super::problem::Problem;
-use super::request::{Shared, aside, body};
-use super::settings::Shelf;
+use super::settings::LibraryFolder;
 use crate::history::{
     Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,
 };
@@ -270,12 +270,12 @@ async fn keep(
     let id = name(id)?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label::check("user", user.as_deref().unwrap_or(EXPERT)).map_err(Problem::Bad)?;
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.history.clone();
     let scan = aside(move || {
         let scan = history.answer(&id)?;
         let id = full_name(&scan);
-        let trial = to_library(&shelf, &scan, &history.folder(&id)?, user)?;
+        let trial = to_library(&library, &scan, &history.folder(&id)?, user)?;
         history.became(&id, Some(trial))?;
         Ok(history.answer(&id)?)
     });
@@ -288,7 +288,7 @@ async fn keep(
 
 /// Writes a corrected scan into a library, and says as which trial.
 fn to_library(
-    shelf: &Shelf,
+    library: &LibraryFolder,
     scan: &Value,
     folder: &std::path::Path,
     user: String,
@@ -304,15 +304,15 @@ fn to_library(
         return refuse("this scan is spoiled, and no good trial");
     }
     let about = About::read(folder)?;
-    let opened = recording::open_trial(folder, &shelf.scene)?;
+    let opened = recording::open_trial(folder, &library.scene)?;
     let [entry] = opened.entries.as_slice() else { return refuse("this scan holds no signals") };
-    let number = edit::next_number(&shelf.folder, &shelf.scene, surface, &user)?;
+    let number = edit::next_number(&library.folder, &library.scene, surface, &user)?;
     let key = TrialKey::new(surface, user, number);
     let trial = Trial { key, signals: entry.load()?.signals };
     let options = TrialOptions {
         about: About { notes: Some(format!("scan {}", full_name(scan))), ..about },
         durable: true,
     };
-    let (_, kept) = append_trial(&shelf.folder, &trial, &shelf.scene, &options)?;
-    Ok(edit::trial_name(&shelf.folder, &kept))
+    let (_, kept) = append_trial(&library.folder, &trial, &library.scene, &options)?;
+    Ok(edit::trial_name(&library.folder, &kept))
 }

@@ -1,12 +1,14 @@
-//! Where and how to serve, and what clients may take.
+//! Where and how to serve: address, token, and the limits of clients.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
-use super::limits::Limits;
-use super::token::Token;
+use subtle::ConstantTimeEq;
+
+use super::server::ServeError;
 use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
 use crate::history::History;
@@ -30,7 +32,7 @@ pub struct Settings {
     /// Whether the station keeps scans for a library.
     pub enrolls: bool,
     /// That library, where it may be edited: scans become its trials.
-    pub library: Option<Shelf>,
+    pub library: Option<LibraryFolder>,
     /// Audits that library, where it may be edited.
     pub check: Option<Audit>,
     /// Past scans.
@@ -54,7 +56,7 @@ impl fmt::Debug for Audit {
 
 /// A library on disk.
 #[derive(Clone, Debug)]
-pub struct Shelf {
+pub struct LibraryFolder {
     /// Its folder.
     pub folder: PathBuf,
     /// What its sources are.
@@ -73,6 +75,105 @@ impl Default for Settings {
             check: None,
             history: Arc::default(),
             viewfinder: None,
+        }
+    }
+}
+
+/// The largest body of a request, in bytes.
+pub const LARGEST_BODY: usize = 64 << 10;
+
+/// What clients may take.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Connections at once; one more is closed unread.
+    pub connections: usize,
+    /// Those of one address, so that no address can take all.
+    pub connections_an_address: usize,
+    /// Subscribers to the stream of events at once.
+    pub readers: usize,
+    /// How long a request may take to arrive, and its answer to be made.
+    pub request: Duration,
+    /// How long a client may leave unread what was sent to it.
+    pub unread: Duration,
+    /// Requests a second that one address may make in the long run.
+    pub requests_a_second: f64,
+    /// How many of them at once.
+    pub burst: f64,
+    /// Wrong tokens a second that one address may try in the long run.
+    pub guesses_a_second: f64,
+    /// How many of them at once.
+    pub guess_burst: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 256,
+            connections_an_address: 64,
+            readers: 128,
+            request: Duration::from_secs(10),
+            unread: Duration::from_secs(20),
+            requests_a_second: 50.0,
+            burst: 200.0,
+            guesses_a_second: 1.0,
+            guess_burst: 10.0,
+        }
+    }
+}
+
+/// What a client must know. Compared in constant time, and never printed.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// A token from its text.
+    ///
+    /// # Errors
+    /// If it is shorter than 16 characters or longer than 256, or would need quoting in a header,
+    /// a cookie or an address.
+    pub fn new(text: &str) -> Result<Self, ServeError> {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-._~".contains(c);
+        if !(16..=256).contains(&text.len()) || !text.chars().all(plain) {
+            return Err(ServeError::Token);
+        }
+        Ok(Self(text.into()))
+    }
+
+    /// Whether a client knows it. The time that this takes depends on the length alone.
+    pub fn matches(&self, given: &str) -> bool {
+        self.0.as_bytes().ct_eq(given.as_bytes()).into()
+    }
+
+    /// The text, for the cookie.
+    pub(super) fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_whole_token_matches() {
+        let token = Token::new("0123456789abcdef").unwrap();
+        assert!(token.matches("0123456789abcdef"));
+        for wrong in ["", "0123456789abcde", "0123456789abcdef0", "0123456789abcdeF"] {
+            assert!(!token.matches(wrong), "{wrong}");
+        }
+        assert_eq!(format!("{token:?}"), "Token(…)");
+    }
+
+    #[test]
+    fn a_token_that_is_short_or_would_need_quoting_is_refused() {
+        for text in ["", "short", "0123456789abcde;", "0123456789 abcdef", &"x".repeat(257)] {
+            assert!(Token::new(text).is_err(), "{text}");
         }
     }
 }

@@ -17,80 +17,51 @@ const QUEUE: usize = 256;
 /// Figures and traces leave this much room for what matters more.
 const KEPT_FREE: usize = 128;
 
-/// The types of event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EventKind {
-    State,
-    Advice,
-    Device,
-    Phase,
-    Guess,
-    Answer,
-    Unnamed,
-    Camera,
-    Correction,
-    Check,
-    Enrolled,
-    Enrolling,
-    Reading,
-    Library,
-    Warning,
-    Streams,
-    Trace,
-    Spectrum,
-    Missed,
-    Finished,
+/// Defines [`EventKind`] by one list of types and their names.
+macro_rules! event_kinds {
+    ($($kind:ident = $name:literal,)*) => {
+        /// The types of event.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum EventKind {
+            $($kind,)*
+        }
+
+        impl EventKind {
+            const ALL: [Self; [$($name),*].len()] = [$(Self::$kind),*];
+
+            fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)*
+                }
+            }
+        }
+    };
+}
+
+event_kinds! {
+    State = "state",
+    Advice = "advice",
+    Device = "device",
+    Phase = "phase",
+    Guess = "guess",
+    Answer = "answer",
+    Unnamed = "unnamed",
+    Camera = "camera",
+    Correction = "correction",
+    Check = "check",
+    Enrolled = "enrolled",
+    Enrolling = "enrolling",
+    Reading = "reading",
+    Library = "library",
+    Warning = "warning",
+    Streams = "streams",
+    Trace = "trace",
+    Spectrum = "spectrum",
+    Missed = "missed",
+    Finished = "finished",
 }
 
 impl EventKind {
-    const ALL: [Self; 20] = [
-        Self::State,
-        Self::Advice,
-        Self::Device,
-        Self::Phase,
-        Self::Guess,
-        Self::Answer,
-        Self::Unnamed,
-        Self::Camera,
-        Self::Correction,
-        Self::Check,
-        Self::Enrolled,
-        Self::Enrolling,
-        Self::Reading,
-        Self::Library,
-        Self::Warning,
-        Self::Streams,
-        Self::Trace,
-        Self::Spectrum,
-        Self::Missed,
-        Self::Finished,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::State => "state",
-            Self::Advice => "advice",
-            Self::Device => "device",
-            Self::Phase => "phase",
-            Self::Guess => "guess",
-            Self::Answer => "answer",
-            Self::Unnamed => "unnamed",
-            Self::Camera => "camera",
-            Self::Correction => "correction",
-            Self::Check => "check",
-            Self::Enrolled => "enrolled",
-            Self::Enrolling => "enrolling",
-            Self::Reading => "reading",
-            Self::Library => "library",
-            Self::Warning => "warning",
-            Self::Streams => "streams",
-            Self::Trace => "trace",
-            Self::Spectrum => "spectrum",
-            Self::Missed => "missed",
-            Self::Finished => "finished",
-        }
-    }
-
     /// Whether the next one makes up for it.
     fn passes(self) -> bool {
         matches!(self, Self::Trace | Self::Spectrum | Self::Streams | Self::Guess | Self::Advice)

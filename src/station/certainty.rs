@@ -12,7 +12,7 @@ const EVEN: f64 = 0.5;
 const LONG_ENOUGH: f64 = 0.5;
 
 /// What is known of an answer.
-pub(super) struct Case<'a> {
+pub(super) struct NamedScan<'a> {
     pub verdict: &'a Verdict,
     pub scan: &'a Scan,
     /// When the answer was settled, if it was.
@@ -20,11 +20,11 @@ pub(super) struct Case<'a> {
 }
 
 /// The state of an answer, and for people the reasons, a line each.
-pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
-    let Verdict { ranking, rejection, .. } = case.verdict;
+pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
+    let Verdict { ranking, rejection, .. } = named.verdict;
     let of = ranking.ranked.len();
     if let (Some(p), Some(rejection), true) =
-        (ranking.p_value, rejection, case.verdict.is_unknown())
+        (ranking.p_value, rejection, named.verdict.is_unknown())
     {
         let reason = format!(
             "looks like none of {of} surfaces: p = {}, and {} or less is unknown",
@@ -33,7 +33,7 @@ pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
         );
         return (AnswerState::Unknown, vec![reason]);
     }
-    let doubts = doubts(case);
+    let doubts = doubts(named);
     if !doubts.is_empty() {
         return (AnswerState::Unsure, doubts);
     }
@@ -44,8 +44,8 @@ pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
     (AnswerState::Named, Vec::new())
 }
 
-fn doubts(case: &Case<'_>) -> Vec<String> {
-    let Case { verdict, scan, settled_s } = case;
+fn doubts(named: &NamedScan<'_>) -> Vec<String> {
+    let NamedScan { verdict, scan, settled_s } = named;
     let Verdict { ranking, rejection, needed_s, left_out, .. } = verdict;
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
@@ -100,7 +100,7 @@ mod tests {
     }
 
     fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {
-        let (state, reasons) = judge(&Case { verdict, scan: &scan(scan_s), settled_s });
+        let (state, reasons) = judge(&NamedScan { verdict, scan: &scan(scan_s), settled_s });
         (state, reasons.join("\n"))
     }
 

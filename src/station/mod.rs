@@ -9,14 +9,11 @@ mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
-mod end;
 mod enroll;
 mod event;
 mod followed;
-mod library_state;
 mod orders;
 mod recogniser;
-mod remark;
 mod run;
 mod start;
 mod store;
@@ -24,17 +21,14 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Unnamed};
+pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind, Unnamed};
 pub use assemble::{Assembled, assemble};
-pub use end::End;
 pub use event::{
-    Command, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
+    Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
     SurfaceProbability,
 };
-pub use library_state::LibraryState;
 pub use orders::Keep;
-pub use recogniser::{Load, Recogniser, Verdict};
-pub use remark::{Remark, RemarkKind};
+pub use recogniser::{LibraryState, Load, Recogniser, Verdict};
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

@@ -3,8 +3,8 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use super::Frames;
 use super::frame::FrameFormat;
-use super::reader::Frames;
 use super::*;
 use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::{ImageTap, Waker, images};

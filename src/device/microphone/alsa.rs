@@ -10,7 +10,7 @@ use cpal::{
 };
 use crossbeam_channel::Sender;
 
-use super::mono::Pcm;
+use super::callback_sink::Pcm;
 use super::{CallbackSink, RATE_HZ, Sound, StreamError};
 use crate::device::list::ListedDevice;
 use crate::device::open::OpenError;

@@ -25,7 +25,7 @@ fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> Prepared {
 }
 
 fn check<C: Classifier>(classifier: C) {
-    let method = OnFeatures::new(Scene::lmt108(), classifier);
+    let method = OnFeatures::new("classifier", Scene::lmt108(), classifier);
     let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key().number == 3);
     let shape = Arc::default();
     let model = method.fit(rest.clone(), &shape).unwrap();
@@ -84,7 +84,7 @@ fn trees_keep_the_promises() {
 
 #[test]
 fn a_source_that_a_query_lacks_counts_as_the_mean() {
-    let method = OnFeatures::new(Scene::lmt108(), NaiveBayes);
+    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), NaiveBayes);
     let mut both = Vec::new();
     for vector in library() {
         let mut vector = FeatureVector::clone(vector.features(method.name()).unwrap());

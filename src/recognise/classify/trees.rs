@@ -63,10 +63,6 @@ fn shares(votes: &[f64]) -> Scores {
 impl Classifier for RandomForest {
     type Model = Vec<RandomTree>;
 
-    fn name(&self) -> &'static str {
-        "random-forest"
-    }
-
     fn train(&self, training: &TrainingSet) -> Vec<RandomTree> {
         let (x, y) = matrix(training);
         let tree = |number: u64| {
@@ -100,10 +96,6 @@ impl Classifier for RandomForest {
 
 impl Classifier for AdaBoost {
     type Model = Vec<(f64, Tree)>;
-
-    fn name(&self) -> &'static str {
-        "adaboost"
-    }
 
     fn train(&self, training: &TrainingSet) -> Vec<(f64, Tree)> {
         let (x, _) = matrix(training);

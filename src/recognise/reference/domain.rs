@@ -2,10 +2,10 @@
 
 use ndarray::Array2;
 
-use super::amplitude_spectrum::amplitude_spectrum;
 use super::sampling::{DomainExtent, Positions};
 use crate::recognise::features::hsv;
 use crate::scene::{Colour, Domain, SourceSpec};
+use crate::spectrum::amplitude_spectrum;
 use crate::trial::{Image, Series, Signal};
 
 /// What can be sampled of one source.

@@ -7,18 +7,16 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::halving;
-use super::options::NAME;
-use super::prepared_trial::{Cut, PreparedTrial, shared_sources};
+use super::prepared_trial::{PreparedTrial, SampledSource, shared_sources};
 use super::sample_set::{SampleSet, Scratch};
-use super::sampler::Sampler;
+use super::sampling::Sampler;
 use super::score::{QuerySet, log_score};
+use super::{NAME, halving};
 use crate::library::Entry;
-use crate::recognise::combine::{TrialScores, candidates, log_discrepancy, medians};
 use crate::recognise::error::RecogniseError;
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
-use crate::recognise::rank::{Ranking, rank};
+use crate::recognise::rank::{Ranking, TrialScores, candidates, log_discrepancy, medians, rank};
 use crate::scene::SourceSpec;
 use crate::trial::Trial;
 
@@ -119,7 +117,7 @@ impl ReferenceModel {
         let query = query.samples(NAME)?;
         let sources = shared_sources(&self.sampler.scene, query, &self.library)?;
         // Nearly always one length a source.
-        let mut cuts: Vec<BTreeMap<usize, Arc<Cut>>> = Vec::new();
+        let mut cuts: Vec<BTreeMap<usize, Arc<SampledSource>>> = Vec::new();
         for spec in &sources {
             let mut of_source = BTreeMap::new();
             for frames in self.library.iter().filter_map(|y| query.common_frames(y, &spec.id)) {
@@ -137,12 +135,12 @@ impl ReferenceModel {
 struct ReferenceQuery<'a> {
     trial: &'a PreparedTrial,
     sources: Vec<&'a SourceSpec>,
-    cuts: Vec<BTreeMap<usize, Arc<Cut>>>,
+    cuts: Vec<BTreeMap<usize, Arc<SampledSource>>>,
 }
 
 /// A query's source at one length, set up for comparison.
 struct QuerySource<'a> {
-    cut: &'a Cut,
+    cut: &'a SampledSource,
     sets: Vec<QuerySet<'a>>,
 }
 
@@ -156,7 +154,7 @@ struct QueryComparison<'a> {
 impl<'a> QueryComparison<'a> {
     fn new(sampler: &'a Sampler, query: &'a ReferenceQuery<'a>) -> Self {
         let precision = sampler.options.precision;
-        let of_cut = |spec: &SourceSpec, cut: &'a Arc<Cut>| {
+        let of_cut = |spec: &SourceSpec, cut: &'a Arc<SampledSource>| {
             let set_up = |set| QuerySet::new(set, spec.align_mean, precision);
             QuerySource { cut, sets: cut.sets.par_iter().map(set_up).collect() }
         };
@@ -171,7 +169,7 @@ impl<'a> QueryComparison<'a> {
         &self,
         spec: &SourceSpec,
         query: &QuerySource<'_>,
-        y: &Cut,
+        y: &SampledSource,
         contents: (u64, u64),
         repetitions: Range<usize>,
     ) -> f64 {

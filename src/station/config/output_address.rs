@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use axum::http::Uri;
+use http::Uri;
 
 /// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -8,13 +8,13 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::error::ConfigError;
 use super::file::{
-    CameraBlock, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
-    StylusBlock,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
+    StylusBlock, is_default, merged,
 };
-use super::merge::{DEFAULTS, is_default, merged};
-use super::resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
+use super::{
+    CameraConfig, ConfigError, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig,
+};
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;

@@ -1,6 +1,6 @@
-//! The library for programs and the page: its trials, edits of them, and its audit.
+//! The library over HTTP: its trials, edits of them, and its audit.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::Router;
 use axum::body::Bytes;
@@ -11,12 +11,13 @@ use axum::response::Json;
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::checks::CheckView;
+use super::api::{Shared, aside, body};
 use super::hub::Hub;
 use super::label;
 use super::problem::Problem;
-use super::request::{Shared, aside, body};
+use super::settings::Audit;
 use super::state::unix_ms;
+use crate::evaluate::CheckReport;
 use crate::library::LibraryError;
 use crate::record::edit::{self, Editor, ListedTrial, Step};
 use crate::station::Command;
@@ -37,20 +38,20 @@ pub fn router() -> Router<Arc<Hub>> {
 }
 
 #[derive(Serialize)]
-struct ShelfTrials {
+struct LibraryTrials {
     trials: Vec<ListedTrial>,
     removed: Vec<ListedTrial>,
     /// The step that can be undone.
     undo: Option<Step>,
 }
 
-async fn trials(State(hub): Shared) -> Result<Json<ShelfTrials>, Problem> {
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+async fn trials(State(hub): Shared) -> Result<Json<LibraryTrials>, Problem> {
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
-        Ok(ShelfTrials {
-            trials: edit::list(&shelf.folder, &shelf.scene)?,
-            removed: edit::list_removed(&shelf.folder, &shelf.scene)?,
-            undo: edit::last_step(&shelf.folder)?,
+        Ok(LibraryTrials {
+            trials: edit::list(&library.folder, &library.scene)?,
+            removed: edit::list_removed(&library.folder, &library.scene)?,
+            undo: edit::last_step(&library.folder)?,
         })
     });
     Ok(Json(listed.await?))
@@ -121,8 +122,8 @@ async fn edited(
     hub: &Hub,
     edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
 ) -> Result<Json<Step>, Problem> {
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let step = aside(move || Ok(edit(&Editor::open(&shelf.folder, &shelf.scene)?)?)).await?;
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let step = aside(move || Ok(edit(&Editor::open(&library.folder, &library.scene)?)?)).await?;
     // A station that is too busy for it leaves it to the operator.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
@@ -161,4 +162,39 @@ async fn begin_check(State(hub): Shared) -> Result<(StatusCode, Json<CheckView>)
     let started = std::thread::Builder::new().name("check".into()).spawn(work);
     started.map_err(|error| Problem::Failed(error.to_string()))?;
     Ok((StatusCode::OK, Json(view)))
+}
+
+/// How the audit is.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckView {
+    /// `none`, `running`, `done` or `failed`.
+    pub state: &'static str,
+    /// Since when.
+    pub unix_ms: u64,
+    /// For people: why it failed.
+    pub problem: Option<String>,
+    /// What was found last.
+    pub report: Option<Arc<CheckReport>>,
+}
+
+/// Audits, one at a time.
+#[derive(Debug)]
+pub struct Checks {
+    /// Does one.
+    pub audit: Option<Audit>,
+    view: Mutex<CheckView>,
+}
+
+impl Checks {
+    /// None has run yet.
+    pub fn new(audit: Option<Audit>) -> Self {
+        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
+        Self { audit, view: Mutex::new(view) }
+    }
+
+    /// How the last one is.
+    pub fn lock(&self) -> MutexGuard<'_, CheckView> {
+        // Each change is one assignment.
+        self.view.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
