@@ -27,7 +27,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let report = audit(&args.library, &how, true)?;

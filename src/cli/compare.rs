@@ -63,7 +63,6 @@ fn level(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     if args.samples { compare_samples(args) } else { compare_trials(args) }
 }
@@ -202,7 +201,6 @@ pub struct DependenceArgs {
     json: bool,
 }
 
-/// Runs the command.
 pub fn dependence(args: &DependenceArgs) -> Done {
     let (x, y) = (samples::read(&args.x)?, samples::read(&args.y)?);
     let threshold =

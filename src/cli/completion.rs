@@ -18,7 +18,6 @@ pub struct Args {
     shell: Shell,
 }
 
-/// Runs the command, for a program of these commands.
 pub fn run(args: &Args, mut program: clap::Command) -> Done {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);

@@ -99,7 +99,6 @@ fn cameras() -> DeviceClass {
     DeviceClass::left_out("camera")
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let inventory = Inventory {
         serial_ports: DeviceClass::of(list::serial_ports()),

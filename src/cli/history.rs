@@ -32,7 +32,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let folder = args.library.join(FOLDER);
     if !folder.is_dir() {

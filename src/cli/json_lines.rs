@@ -34,7 +34,6 @@ pub struct JsonLines {
     warnings: Vec<String>,
 }
 
-/// One line.
 #[derive(Serialize)]
 struct JsonLine<'a, T> {
     #[serde(flatten)]

@@ -338,7 +338,6 @@ pub struct Args {
     answers: AnswerArgs,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let mut config = args.station.config()?;

@@ -76,7 +76,6 @@ pub(super) struct ReplayStage {
     pub cache: Option<PathBuf>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;

@@ -51,7 +51,6 @@ struct SynthReport {
     seed: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     if args.trials + args.users == 0 {
         return Err(Failure::Usage("--trials 0 --users 0 leaves nothing to write".into()));

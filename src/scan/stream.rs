@@ -13,7 +13,6 @@ const RECENT_IMAGES: u64 = 8;
 /// Pictures that are kept at most.
 const MOST_IMAGES: usize = 64;
 
-/// One stream.
 pub(super) struct Stream {
     id: SourceId,
     /// Number of its device: streams of one device and one rate share one sample counter.

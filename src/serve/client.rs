@@ -12,7 +12,6 @@ pub struct Peer(pub SocketAddr);
 /// Who sends a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Client {
-    /// The address.
     pub address: IpAddr,
     /// Whether the client speaks TLS, to a trusted proxy.
     pub tls: bool,

@@ -33,7 +33,6 @@ pub struct Advice {
     pub text: String,
 }
 
-/// The kinds of advice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AdviceKind {
@@ -51,7 +50,6 @@ pub enum AdviceKind {
     Ended,
 }
 
-/// A device.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceView {
     /// Its name.
@@ -64,14 +62,11 @@ pub struct DeviceView {
     pub since_unix_ms: u64,
 }
 
-/// The library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LibraryView {
-    /// Its name.
     pub name: String,
     /// Its surfaces, sorted.
     pub surfaces: Vec<SurfaceView>,
-    /// Its sources.
     pub sources: Vec<SourceId>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
@@ -127,7 +122,6 @@ pub struct SessionCounts {
     pub enrolled: u64,
     /// Frames and pictures that were lost within scans.
     pub lost_samples: u64,
-    /// Warnings.
     pub warnings: u64,
 }
 

@@ -120,7 +120,6 @@ struct Subscriber {
     missed: u64,
 }
 
-/// All subscribers.
 #[derive(Debug, Default)]
 pub struct Subscribers {
     subscribers: Vec<Subscriber>,

@@ -18,7 +18,6 @@ pub const RECENT: usize = 4096;
 /// What is new in the streams, small enough to draw.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
-    /// A stream each.
     pub streams: Vec<Bins>,
     /// Camera streams that have a new picture.
     pub pictures: Vec<SourceId>,
@@ -218,7 +217,6 @@ impl Tracer {
 /// The spectra of all streams.
 #[derive(Debug, Serialize)]
 pub struct SpectrumEvent {
-    /// A stream each.
     pub streams: Vec<StreamBands>,
 }
 

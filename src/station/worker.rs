@@ -50,7 +50,6 @@ impl Work {
     }
 }
 
-/// A scan with its answer.
 pub(super) enum ScanAnswer {
     Named(Arc<AnsweredScan>),
     /// One that could not be named.

@@ -19,9 +19,7 @@ const QUALITY: u8 = 80;
 pub enum FlashState {
     /// There is none.
     None,
-    /// Off.
     Off,
-    /// On.
     On,
     /// It could not be switched.
     Failed,

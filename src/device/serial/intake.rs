@@ -46,7 +46,6 @@ pub enum IntakeEvent<'a> {
     Frames {
         /// number of the stream among those wanted
         stream: usize,
-        /// the samples
         samples: &'a [f32],
     },
     /// Frames of a stream that never arrived.
@@ -69,7 +68,6 @@ pub enum IntakeEvent<'a> {
     Refused(String),
     /// The index restarted: the stylus was reset, or the line lost it for long.
     Restarted,
-    /// Its status.
     Status(Status),
     /// A frame was damaged, or of a format that is not known.
     Damaged(DecodeError),

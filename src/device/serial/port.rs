@@ -43,9 +43,7 @@ pub enum Selector {
     Auto,
     /// A USB device.
     Usb {
-        /// its vendor
         vendor: u16,
-        /// its product
         product: u16,
         /// its serial number, where there are several
         serial: Option<String>,
