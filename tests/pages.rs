@@ -320,7 +320,7 @@ fn the_embedded_scene_explains_itself() {
         assert!(said.contains(part), "`{part}` is not in: {said}");
     }
     for part in
-        ["accuracy ", "unknown  ", "of surfaces that the library lacks", "left out ac of 1 scan"]
+        ["accuracy ", "unknown  ", "of new surfaces", "left out ac in 1 scan"]
     {
         assert!(shown.contains(part), "`{part}` is not in: {shown}");
     }

@@ -9,10 +9,10 @@ use crate::evaluate::{CheckReport, check};
 use crate::library::lock::LibraryLock;
 use crate::scene::Scene;
 
-/// Audit a library: left-out accuracy, confusions, likely mislabels, damage, what to record next
+/// Audit a library: cross-validated accuracy, confusions, likely mislabels, damage, advice
 ///
 /// Each trial is left out and named by the others. One bad file does not stop it. The exit code is 3
-/// where something should be mended.
+/// where something needs fixing.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced check my-library\n  \
                         surfaced check my-library --json > check.json\n\nTime: up to ten \
@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Done {
     }
     match report.mend.len() {
         0 => Ok(()),
-        n => Err(Failure::Damaged(format!("{} to mend", show::counted(n, "thing")))),
+        n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
 }
 
@@ -68,7 +68,7 @@ fn print(report: &CheckReport) {
         (report.accuracy, report.accuracy_low, report.accuracy_high)
     {
         let [accuracy, low, high] = [accuracy, low, high].map(show::percent);
-        result!("left out and named right: {accuracy} (95 % interval {low} to {high})");
+        result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high})");
     }
     result!();
     result!("{:<28} {:>6}  {:>9}  {:<18}  taken for", "surface", "trials", "right", "95 %");
@@ -86,7 +86,7 @@ fn print(report: &CheckReport) {
         let (name, trials) = (&surface.surface, surface.trials);
         result!("{name:<28} {trials:>6}  {right:>9}  {interval:<18}  {taken}");
     }
-    for (title, lines) in [("to mend", &report.mend), ("next", &report.advice)] {
+    for (title, lines) in [("needs fixing", &report.mend), ("next", &report.advice)] {
         if !lines.is_empty() {
             result!();
             result!("{title}:");

@@ -1,4 +1,4 @@
-//! Which trials, sources and folds of some recordings a measurement works with.
+//! Chooses the trials, sources and folds that a measurement works with.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
-/// What a measurement works with.
+/// The data that a measurement works with.
 pub(super) struct Choice {
     /// The sources to compare.
     pub scene: Scene,

@@ -1,4 +1,4 @@
-//! What commands share: how they end, how they open data, and how they parse values.
+//! Parts shared by commands: their ends, the opening of data, and the parsing of values.
 
 use std::path::Path;
 
@@ -25,10 +25,10 @@ impl<E: std::error::Error> From<E> for Failure {
     }
 }
 
-/// What a command gives.
+/// The result of a command.
 pub(super) type Done = Result<(), Failure>;
 
-/// Which sources a comparison uses.
+/// The sources that a comparison uses.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct SourceArgs {
     /// Sources to compare, with commas between them (default: all that the data have)

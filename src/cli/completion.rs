@@ -11,9 +11,9 @@ use super::common::Done;
                         surfaced completion fish > surfaced.fish\n\n\
                         For all users: bash, /usr/share/bash-completion/completions/surfaced; zsh, \
                         /usr/share/zsh/vendor-completions/_surfaced; fish, \
-                        /usr/share/fish/vendor_completions.d/surfaced.fish.\n\nTime: none to speak of")]
+                        /usr/share/fish/vendor_completions.d/surfaced.fish.\n\nTime: immediate")]
 pub struct Args {
-    /// Which shell
+    /// The shell
     #[arg(value_enum)]
     shell: Shell,
 }

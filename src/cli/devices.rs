@@ -65,7 +65,7 @@ struct HushedStderr(Option<std::os::fd::OwnedFd>);
 
 #[cfg(feature = "microphone")]
 impl HushedStderr {
-    /// Where stderr cannot be kept for later, it stays as it is.
+    /// If stderr cannot be kept for later, it stays as it is.
     fn new() -> Self {
         let kept = rustix::io::fcntl_dupfd_cloexec(std::io::stderr(), 3).ok();
         let null = std::fs::OpenOptions::new().write(true).open("/dev/null").ok();

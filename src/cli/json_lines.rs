@@ -1,4 +1,4 @@
-//! What a station reports as lines of JSON on stdout.
+//! Prints the events of a station as lines of JSON on stdout.
 //!
 //! A thread of its own writes them, so that a reader who stalls holds up neither live devices nor
 //! the end of the program.

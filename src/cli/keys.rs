@@ -1,4 +1,4 @@
-//! What ends or steers a station from outside: keys and signals.
+//! Keys and signals that end or steer a station.
 
 use std::io::{IsTerminal, Read};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +13,7 @@ use signal_hook::iterator::Signals;
 use super::{DAMAGED, Failure};
 use crate::station::Command;
 
-/// How long after the first signal the process ends, come what may: later than a station does by
+/// How long after the first signal the process ends, whatever happens: later than a station does by
 /// itself, and within the five seconds that it has.
 const LIMIT: Duration = Duration::from_millis(4700);
 
@@ -103,7 +103,7 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
                 restore();
                 std::process::exit(128 + signal);
             }
-            // Where no thread is to be had, the second signal ends it.
+            // If the system gives no thread, the second signal ends it.
             let _ = std::thread::Builder::new().name("end".into()).spawn(end_late);
         }
     };
@@ -121,8 +121,8 @@ fn hangup_is_ignored() -> bool {
 /// Ends a process that has not ended by itself in time, such as one whose output nobody reads.
 fn end_late() {
     std::thread::sleep(LIMIT);
-    // Beside, for stderr may be what it waits for.
-    let warn = || say!("warning: not all could be ended in time; something may be lost");
+    // On a thread of its own: the process may be stuck on stderr.
+    let warn = || say!("warning: the program did not end in time; some data may be lost");
     let _ = std::thread::Builder::new().spawn(warn);
     std::thread::sleep(Duration::from_millis(50));
     restore();

@@ -31,7 +31,7 @@ use crate::station::{
     StationEvent, assemble,
 };
 
-/// Which station.
+/// Options that describe the station.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StationArgs {
     /// The station's configuration (default: that of configs/stylus.toml)
@@ -158,13 +158,13 @@ pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> 
 pub struct StationWork<'a> {
     /// Reads the library, if scans are to be named.
     pub load: Option<Load>,
-    /// Where enrolled scans go.
+    /// The library for enrolled scans.
     pub store: PathBuf,
-    /// Which scans are kept, whenever the page orders nothing else.
+    /// The station's own order to keep scans, which holds unless the page gives another one.
     pub keep: Option<Keep>,
     /// Further listeners, which may send commands.
     pub listeners: Vec<Listen<'a>>,
-    /// What a person is to do, shown while there is nothing else to show.
+    /// Instructions for the operator, shown while there is nothing else to show.
     pub hint: String,
     /// Audits the library, if that can be asked for.
     pub check: Option<Audit>,
@@ -281,7 +281,7 @@ pub fn verdict(totals: &Totals) -> Done {
     }
     match totals.lost() {
         0 => Ok(()),
-        lost => Err(Failure::Damaged(format!("samples lost, in scans or between: {lost}"))),
+        lost => Err(Failure::Damaged(format!("samples were lost, within scans or between them: {lost}"))),
     }
 }
 
@@ -292,7 +292,7 @@ impl Supervisor {
     /// Pings the station that takes `commands` as often as the watchdog of the unit demands.
     ///
     /// # Errors
-    /// If there is no thread to be had.
+    /// If no thread can be started.
     pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
         if let Some(limit) = sd_notify::watchdog_enabled() {
             // Three times as often as necessary: two may come late.

@@ -1,4 +1,4 @@
-//! Which method compares trials, and with what settings.
+//! Options that choose a method and its settings.
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;

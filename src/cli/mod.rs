@@ -159,7 +159,7 @@ mod tests {
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
             assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
-                // What a shell would take away.
+                // A shell would take these away.
                 let plain = example.split(" > ").next().unwrap_or_default();
                 let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
                 let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));

@@ -1,4 +1,4 @@
-//! `surfaced replay`: plays recordings through the rings as if they were live, and names them.
+//! `surfaced replay`: plays recordings through the live pipeline, and names them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -46,7 +46,7 @@ pub struct Args {
     /// How fast to play: a multiple of real time, or `max`
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
-    /// Which trials are named against which, where no library is given
+    /// Split of queries and library, where no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
     protocol: Option<Protocol>,
     #[command(flatten)]
@@ -63,7 +63,7 @@ pub struct Args {
     serve: ServeArgs,
 }
 
-/// What is played, and what it is compared with.
+/// The recordings that are played, and those that they are compared with.
 pub(super) struct ReplayStage {
     /// Name of the library.
     pub name: String,
@@ -215,7 +215,7 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     let totals = station.run()?;
     tally.sum_up(stage.synthetic);
     if let (Some(server), Some(signals)) = (server, signals) {
-        // What is known is shown until somebody says that it is enough.
+        // The page stays until somebody ends the program.
         signals.wait();
         server.stop();
     }
@@ -225,8 +225,8 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     tally.verdict(totals.lost())
 }
 
-/// What names the queries, each by the library of its fold, and whether it follows scans while they
-/// go on; says what its answers rest on.
+/// Makes the recogniser of the queries, each by the library of its fold, and says on what its answers
+/// rest. The flag is true if it follows scans while they go on.
 fn recogniser(
     args: &Args,
     how: &Comparing,

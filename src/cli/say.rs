@@ -189,7 +189,7 @@ pub fn word(level: Level) -> &'static str {
     }
 }
 
-/// What the journal reads at the start of a line as its priority (see sd-daemon(3)).
+/// The priority of a line, in the form that the journal reads at its start (see sd-daemon(3)).
 pub fn priority(level: Level) -> &'static str {
     if std::env::var_os("JOURNAL_STREAM").is_none() {
         return "";

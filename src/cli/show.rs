@@ -1,4 +1,4 @@
-//! What people see on stderr: summaries, progress, advice.
+//! Texts for people on stderr: summaries, progress, advice.
 
 use std::io::Write;
 use std::path::Path;

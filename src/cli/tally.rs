@@ -7,7 +7,7 @@ use crate::evaluate::wilson_interval;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
 
-/// What has been named so far.
+/// Counts of the answers so far.
 pub struct Tally {
     /// Whether each answer is shown.
     each: bool,
@@ -18,7 +18,7 @@ pub struct Tally {
     with_truth: usize,
     right: usize,
     latencies_ms: Vec<f64>,
-    /// What was named when an answer was settled, by the number of the scan.
+    /// The surface at the time when an answer was settled, by the number of the scan.
     settled: BTreeMap<u32, String>,
     by_then: ByThen,
     notable: Notable,
@@ -28,7 +28,7 @@ pub struct Tally {
     spoiled: usize,
 }
 
-/// What made naming hard, for the summary.
+/// Difficulties, for the summary.
 #[derive(Default)]
 struct Notable {
     /// How often one surface was taken for another.
@@ -72,18 +72,18 @@ impl Notable {
         }
         if self.lacking > 0 {
             result!(
-                "unknown  {} of {} of surfaces that the library lacks called unknown",
+                "unknown  {} of {} of new surfaces were called unknown",
                 self.called_unknown,
                 show::counted(self.lacking, "scan")
             );
         }
         if self.rejected > 0 {
             let scans = show::counted(self.rejected, "scan");
-            result!("rejected {scans} of surfaces that the library has called unknown");
+            result!("rejected {scans} of known surfaces called unknown by mistake");
         }
         for (source, count) in &self.left_out {
             let scans = show::counted(*count, "scan");
-            result!("left out {source} of {scans}, since its sensor was dead there");
+            result!("left out {source} in {scans}: its sensor was dead");
         }
     }
 }

@@ -205,7 +205,7 @@ impl Drop for Terminal {
     }
 }
 
-/// What a scan in progress looks like.
+/// One line about a scan in progress.
 fn so_far(guess: &Guess) -> String {
     let best = guess.named.first().map(|best| {
         let settled = if guess.settled { ", settled" } else { "" };

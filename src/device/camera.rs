@@ -63,7 +63,7 @@ enum CameraEnd {
     Lost(String),
 }
 
-/// What lasts from one reader to the next.
+/// The state that lasts from one reader to the next.
 struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
@@ -211,7 +211,7 @@ impl CameraWatch<'_> {
         CameraEnd::Stop
     }
 
-    /// Deals with one frame; whether it was good, or good for nothing but not to blame.
+    /// Handles a frame. False if it was damaged.
     fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<ControlRequest>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
@@ -260,8 +260,8 @@ impl CameraWatch<'_> {
     fn damaged(&mut self, error: &FrameError) {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
-            let (name, count) = (&self.camera.name, self.damaged);
-            self.control.warn(format!("{name}: {count} frames were damaged; the last: {error}"));
+            let count = self.damaged;
+            self.control.warn(format!("{count} frames were damaged; the last: {error}"));
             (self.damaged, self.summed_up) = (0, Some(Instant::now()));
         }
     }
@@ -286,8 +286,7 @@ impl CameraWatch<'_> {
     fn no_light(&mut self, why: &str) {
         self.cycle.cancel();
         self.camera.viewfinder.light(FlashState::Failed);
-        let name = &self.camera.name;
-        self.control.warn(format!("{name}: the flash cannot be switched: {why}"));
+        self.control.warn(format!("the flash cannot be switched: {why}"));
     }
 
     /// Leaves no light on behind.
@@ -304,7 +303,7 @@ mod tests;
 
 /// A camera that can be opened, again and again.
 pub trait Video: Send + Sync {
-    /// For people: the camera that it opens.
+    /// The name of the camera that it opens.
     fn device(&self) -> String;
 
     /// Opens the camera, and starts its stream. Called on the thread that reads.
@@ -363,7 +362,7 @@ fn start_reader(
                 let _ = send.send(last);
             }
         })
-        .map_err(|error| DeviceError::Failed(format!("no thread to read the camera: {error}")))?;
+        .map_err(|error| DeviceError::Failed(format!("cannot start a thread to read the camera: {error}")))?;
     Ok((orders, news))
 }
 

@@ -41,9 +41,9 @@ impl fmt::Display for DeviceState {
 /// A report of a device to its session.
 #[derive(Debug)]
 pub struct DeviceReport {
-    /// Which device, counted from 0 in the order in which the session got them.
+    /// Number of the device, counted from 0 in the order in which the session got them.
     pub device: usize,
-    /// What it reports.
+    /// The report.
     pub kind: DeviceReportKind,
 }
 
@@ -59,7 +59,7 @@ pub enum DeviceReportKind {
     },
     /// A mark of a scan.
     Mark(Mark),
-    /// For people: something was wrong, and it continues.
+    /// A warning: something was wrong, and the device continues.
     Warning(String),
     /// Its thread has ended; sent by the session.
     Ended(Result<(), DeviceError>),
@@ -169,7 +169,8 @@ pub enum Mark {
 /// The begin of a scan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Begin {
-    /// What the scan really is, where that is known: reported beside the answer, never used for it.
+    /// The true label of the scan, where it is known. It is reported beside the answer and never
+    /// used for it.
     pub truth: Option<TrialKey>,
     /// Made by a generator, not measured.
     pub synthetic: bool,

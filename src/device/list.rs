@@ -1,4 +1,4 @@
-//! What is plugged into this machine, by names that stay, and what is wrong with each.
+//! Lists the devices of this machine, by names that stay, and what is wrong with each.
 //!
 //! Nothing is opened to find out that need not be: opening a serial line resets some boards.
 
@@ -18,11 +18,11 @@ pub struct ListedDevice {
     /// Names it in a configuration. It stays the same when something else is plugged in, unless
     /// `problem` says otherwise.
     pub id: String,
-    /// For people: what it is.
+    /// A description of the device.
     pub name: String,
     /// The device node that it has now, if it has one.
     pub node: Option<String>,
-    /// What keeps it from being used, and what to do; none if it can be used.
+    /// The reason why it cannot be used, and what to do; `None` if it can be used.
     pub problem: Option<String>,
 }
 
@@ -57,7 +57,7 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
         SerialPortType::Unknown => (node.into(), "on board".to_string(), true),
     };
     let unstable = || {
-        let text = "it has no name that stays (no udev?); its number may change at the next plug";
+        let text = "it has no permanent name (no udev?); its number may change when it is plugged in again";
         (!stays).then(|| text.to_string())
     };
     ListedDevice {
@@ -75,7 +75,7 @@ pub(super) fn alias(folder: &Path, node: &Path) -> Option<PathBuf> {
     links.filter(|link| link.canonicalize().is_ok_and(|target| target == node)).min()
 }
 
-/// What keeps this user from a device node: that it is gone, not permitted, or in use.
+/// The reason why this user cannot use a device node: it is gone, not permitted, or in use.
 pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     use rustix::fs::{Access, access};
     match access(node, Access::READ_OK | Access::WRITE_OK) {
@@ -88,7 +88,7 @@ pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     }
 }
 
-/// What to do where the user may not use a device node: `group` is who usually may.
+/// Says how a user gets the right to use a device node. `group` is the group that usually has it.
 pub fn permission_hint(node: &Path, group: &str) -> String {
     let subsystem = if group == "video" { "video4linux" } else { "tty" };
     let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
@@ -122,7 +122,7 @@ fn holder(proc: &Path, node: &Path) -> Option<String> {
     })
 }
 
-/// Where udev keeps links to cameras that stay: by what the camera is, or by where it is plugged in.
+/// Folders in which udev keeps links to cameras that stay: by model, or by the socket.
 #[cfg(any(feature = "camera", test))]
 const CAMERA_FOLDERS: [&str; 2] = ["v4l/by-id", "v4l/by-path"];
 
@@ -149,7 +149,7 @@ fn video_number(node: &Path) -> Option<u32> {
     node.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
 }
 
-/// The name that stays of a node, if it has one; by what it is rather than by where it is.
+/// The permanent name of a node, if it has one: by model rather than by socket.
 #[cfg(any(feature = "camera", test))]
 pub(super) fn camera_alias(dev: &Path, node: &Path) -> Option<PathBuf> {
     CAMERA_FOLDERS.iter().find_map(|folder| alias(&dev.join(folder), node))

@@ -46,7 +46,7 @@ const STALLED_S: f64 = 0.7;
 /// No sound for this long, and the stream is reopened, in seconds.
 const GIVE_UP_S: f64 = 4.0;
 
-/// What goes wrong with a stream that runs.
+/// Errors of a stream that is open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StreamError {
     /// Samples were lost before they could be read; the stream continues.
@@ -57,7 +57,7 @@ pub enum StreamError {
 
 /// A sound system.
 pub trait Sound: Send {
-    /// For people: the microphone that it opens.
+    /// The name of the microphone that it opens.
     fn device(&self) -> String;
 
     /// Opens the microphone at [`RATE_HZ`]. From then on `sink` is fed from a callback, and
@@ -146,7 +146,7 @@ impl Device for Microphone {
             drop(open);
             if broken.get() > 0 {
                 let count = broken.get();
-                control.warn(format!("{}: {count} samples were no numbers; silence", self.name));
+                control.warn(format!("{count} samples were not numbers and became silence"));
             }
             match end {
                 StreamEnd::Stop => break,
@@ -215,8 +215,8 @@ fn said_of(level: SoundLevel) -> &'static str {
     match level {
         SoundLevel::Normal => "the microphone's level is normal again",
         SoundLevel::Silent => {
-            "the microphone is silent, without even a noise; check that it is plugged in, switched \
-             on and not muted"
+            "the microphone delivers pure silence; check that it is plugged in, switched on and not \
+             muted"
         }
         SoundLevel::Clipped => "the microphone is clipped; lower its gain, or press less",
     }

@@ -1,4 +1,4 @@
-//! What produces streams: the stylus, a microphone, a camera, or a recording that is played.
+//! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
 //!
 //! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
 //! one ring a stream, and reports its state and the marks of scans through its [`Control`].
@@ -26,10 +26,11 @@ use crate::scene::SourceId;
 
 /// A source of streams.
 pub trait Device: Send {
-    /// For people: which device this is.
+    /// The name of the device, for messages.
     fn name(&self) -> &str;
 
-    /// What it will push, in the order of the sinks that [`Device::run`] gets. Called once, before
+    /// The streams that it will push, in the order of the sinks that [`Device::run`] gets. Called
+    /// once, before
     /// it runs; names are unique in a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
@@ -53,11 +54,11 @@ pub trait Device: Send {
 pub struct StreamSpec {
     /// Its name.
     pub id: SourceId,
-    /// What it carries.
+    /// The kind of data.
     pub kind: StreamKind,
 }
 
-/// What a stream carries.
+/// The kind of data of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StreamKind {
     /// Samples in time.

@@ -158,7 +158,7 @@ fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError>
     std::thread::Builder::new()
         .name("replay-load".into())
         .spawn(work)
-        .map_err(|error| DeviceError::Failed(format!("no thread to read trials: {error}")))?;
+        .map_err(|error| DeviceError::Failed(format!("cannot start a thread to read trials: {error}")))?;
     Ok(receiver)
 }
 
@@ -202,7 +202,7 @@ impl FromStr for Speed {
             _ if text == "max" => Ok(Self::Max),
             Ok(factor) if SPEEDS.contains(&factor) => Ok(Self::RealTime(factor)),
             _ => Err(format!(
-                "`{text}` is no speed; expected a number from {} to {}, or `max`",
+                "`{text}` is not a speed; expected a number from {} to {}, or `max`",
                 SPEEDS.start(),
                 SPEEDS.end()
             )),

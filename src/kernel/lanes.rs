@@ -19,7 +19,7 @@ pub enum InstructionSet {
     Avx512,
     /// AVX2 with FMA, NEON or wider registers, by the compiler, as found at run time.
     Vectorised,
-    /// What the program was compiled for, by the compiler.
+    /// The instructions that the program was compiled for, by the compiler.
     Portable,
 }
 

@@ -81,7 +81,7 @@ impl ImageTap {
         self.reckoning.position()
     }
 
-    /// What this ring has carried.
+    /// The meter of this ring.
     pub fn meter(&self) -> &Arc<Meter> {
         self.reckoning.meter()
     }

@@ -164,7 +164,7 @@ impl Reckoning {
         }
     }
 
-    /// What is missing up to `head`, once the ring was emptied of all before it.
+    /// The number of frames missing up to `head`, once the ring was emptied of all before it.
     pub(super) fn missing_before(&mut self, head: u64) -> Option<u64> {
         let missing = head.checked_sub(self.position).filter(|&frames| frames > 0)?;
         self.position = head;
@@ -177,7 +177,7 @@ pub(super) fn half_full<R: Observer>(ring: &R) -> bool {
     ring.occupied_len() * 2 >= ring.capacity().get()
 }
 
-/// What one ring has carried, readable from any thread while it works.
+/// Counts of one ring, readable from any thread while it works.
 ///
 /// Counts are in frames (one sample of every channel) or images.
 #[derive(Debug)]
@@ -191,7 +191,7 @@ pub struct Meter {
     pub(super) waiting: AtomicBool,
 }
 
-/// What a ring has carried, at one moment.
+/// Counts of a ring at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Counts {
     /// Frames offered by the device: those in the ring, those that left it, and those lost.

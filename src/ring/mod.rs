@@ -29,7 +29,7 @@ pub use series::{Piece, SeriesTap, series};
 pub(crate) use images::{ImageTap, images};
 pub(crate) use ledger::Meter;
 
-/// Where a device puts the data of one stream.
+/// The end of a ring into which a device puts the data of one stream.
 pub enum Sink {
     /// Samples in time.
     Series(SeriesSink),

@@ -59,7 +59,7 @@ impl Line {
 }
 
 impl Clock {
-    /// A clock of a stream with this nominal rate in Hz; a rate that is none is taken as 1 Hz.
+    /// A clock of a stream with this nominal rate in Hz; an invalid rate is taken as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }

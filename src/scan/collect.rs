@@ -156,7 +156,7 @@ impl Collector {
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
             None => {
-                self.event_queue.warn("a recording itself says when its scans begin and end".into())
+                self.event_queue.warn("the command was ignored: a recording sets the begin and end of its scans".into())
             }
         }
     }
@@ -239,7 +239,7 @@ impl Collector {
         self.detect(ScanDetector::update);
         self.detect(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
-        // What a device that hangs has not delivered will not come.
+        // A device that hangs will not deliver the rest.
         self.drain();
         self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-/// What is a tap, and what a drag.
+/// Thresholds of taps and drags.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectorConfig {
     /// Level at which contact begins, in multiples of the noise floor.
@@ -40,7 +40,7 @@ impl Default for DetectorConfig {
     }
 }
 
-/// What was detected; hops are counted from the start of the streams, spans are half-open.
+/// Events of the detector; hops are counted from the start of the streams, spans are half-open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DetectorEvent {
     /// A drag is in progress.
@@ -183,7 +183,7 @@ const FORCE: f64 = 5e-3;
 /// Vibration is what lies above this frequency in Hz; below are tilt and the hand.
 const HIGH_PASS_HZ: f64 = 20.0;
 
-/// What a stream measures.
+/// The kind of sensor behind a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorKind {
     /// Force at rest is the lowest of late; a multiple is 0.5 % of full scale above that.

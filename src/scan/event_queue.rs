@@ -1,4 +1,5 @@
-//! Where events leave the collector: a reader that does not keep up never holds up live devices.
+//! The queue of events between the collector and its reader: a slow reader never holds up live
+//! devices.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

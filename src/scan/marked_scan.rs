@@ -23,7 +23,7 @@ pub(super) struct Marked {
     pub ended: Option<(Instant, Instant)>,
     /// How many steps of progress were sent.
     pub steps: u64,
-    /// For people: what spoils it, besides what its data show.
+    /// Reasons why the scan should not be trusted, besides those that its data show.
     pub spoiled: Vec<String>,
     /// The part that it has come to.
     pub phase: Option<Phase>,
@@ -107,7 +107,7 @@ impl Marked {
     fn open(&mut self, open: Open, streams: &[Stream]) -> Result<(), String> {
         let Open { source, stream, start, phase, rate_hz, channels } = open;
         let Some(index) = streams.iter().position(|s| s.id() == &stream) else {
-            return Err(format!("{source} would be cut from {stream}, which is no stream"));
+            return Err(format!("{source} would be cut from {stream}, which does not exist"));
         };
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(format!("{source} would have a rate of {rate_hz} Hz"));
@@ -125,7 +125,7 @@ impl Marked {
 /// The longest gap that is bridged, in seconds.
 const BRIDGED_S: f64 = 1e-3;
 
-/// What was cut for one source.
+/// The signal cut for one source.
 struct CutPiece {
     signal: Option<Signal>,
     lost: u64,
@@ -190,7 +190,7 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
     let (first, samples) = history.frames(span.clone());
     let kept = (samples.len() / history.channels()) as u64;
     let mut gaps: Vec<_> = history.missing_in(first..first + kept).collect();
-    // What was forgotten or never delivered is missing as well.
+    // Forgotten and undelivered frames are missing as well.
     let gone = (end - cut.start).saturating_sub(kept);
     let in_gaps: u64 = gaps.iter().map(|gap| gap.end - gap.start).sum();
     let lost = gone + in_gaps;
@@ -202,7 +202,7 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
     let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
     if gone > 0 {
         spoiled =
-            Some(format!("{source}: {:.1} ms of it were not kept or never arrived", ms(gone)));
+            Some(format!("{source}: {:.1} ms of it are missing", ms(gone)));
     } else if worst as f64 > BRIDGED_S * cut.rate_hz {
         spoiled = Some(format!(
             "{source}: a gap of {:.1} ms, longer than the {:.0} ms that can be bridged",

@@ -36,7 +36,7 @@ pub struct Scan {
     pub number: u32,
     /// The data. Its key is neutral: no surface, no user, and the number of the scan.
     pub trial: Trial,
-    /// What it truly is, where a recording says so: for reports, not for recognition.
+    /// The true label, where a recording has it: for reports, not for recognition.
     pub truth: Option<TrialKey>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
@@ -46,7 +46,7 @@ pub struct Scan {
     pub lost_samples: u64,
     /// The same for each source that was marked.
     pub lost_by_source: BTreeMap<SourceId, u64>,
-    /// For people: why the scan should not be trusted, a line each; empty if it may be. A gap of
+    /// Reasons why the scan should not be trusted, a line each; empty if there are none. A gap of
     /// at most 1 ms is bridged by repeating the frame before it, and spoils nothing.
     pub spoiled: Vec<String>,
     /// When its last sample was taken.
@@ -74,7 +74,7 @@ impl Scan {
     }
 }
 
-/// What happens in a session.
+/// Events of a session.
 #[derive(Debug)]
 pub enum Event {
     /// A scan is complete.
@@ -86,9 +86,9 @@ pub enum Event {
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// What is new in the scan in progress.
+    /// New data of the scan in progress.
     Progress(Progress),
-    /// What is new in the streams, during scans and between them.
+    /// New data of the streams, during scans and between them.
     Trace(Trace),
     /// A device has changed its state.
     Device {
@@ -99,7 +99,7 @@ pub enum Event {
         /// for people: why, and what to do
         detail: String,
     },
-    /// For people: something was lost, damaged or not understood, and work continues.
+    /// A warning: something was lost, damaged or not understood, and work continues.
     Warning(String),
     /// All devices have ended and all that they sent was processed; the last event.
     Finished(Totals),
@@ -110,7 +110,7 @@ pub enum Event {
 pub struct Totals {
     /// Scans that were sent.
     pub scans: u32,
-    /// What each stream carried.
+    /// Counts of each stream.
     pub streams: BTreeMap<SourceId, Counts>,
     /// Devices that failed or panicked, and why.
     pub failed: Vec<(String, String)>,

@@ -52,7 +52,7 @@ impl Default for Options {
 /// How scans are detected, and what is cut for them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// What is a tap, and what a drag.
+    /// Thresholds of taps and drags.
     pub detector: DetectorConfig,
     /// Streams that show contact, by device: those of one group share one sample counter and one
     /// rate. The first group whose data arrive leads.

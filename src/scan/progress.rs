@@ -1,4 +1,4 @@
-//! What a scan holds so far, in steps of scan time: each snapshot carries only what is new.
+//! Snapshots of a scan in progress, in steps of scan time: each carries only the new data.
 //!
 //! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
 //! so a reader that adds them up always has the scan without a gap.
@@ -25,7 +25,7 @@ pub struct Fresh {
     pub samples: Vec<f32>,
 }
 
-/// What is new in the scan in progress.
+/// New data of the scan in progress.
 #[derive(Clone, Debug)]
 pub struct Progress {
     /// Number of the scan.
@@ -54,7 +54,7 @@ impl Progress {
     }
 }
 
-/// What is new in the streams, during scans and between them.
+/// New data of the streams, during scans and between them.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// New frames, a stream each.
@@ -159,7 +159,7 @@ impl SnapshotLengths {
     }
 }
 
-/// What is new in the streams since each was last traced, and up to where.
+/// The new data of the streams since each was last traced, and the ends of these data.
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {

@@ -30,7 +30,7 @@ pub enum SessionError {
     /// two streams of one name
     #[error("two devices have a stream called {0}; rename one of them in the configuration")]
     SameStream(SourceId),
-    /// an interval that is none
+    /// not a valid interval
     #[error("{what} = {value}; expected a positive number of seconds")]
     Seconds {
         /// which option
@@ -39,7 +39,7 @@ pub enum SessionError {
         value: f64,
     },
     /// the system gave no thread
-    #[error("no thread for {name}: {error}")]
+    #[error("cannot start the thread {name}: {error}")]
     Thread {
         /// what it was for
         name: String,
@@ -51,7 +51,7 @@ pub enum SessionError {
     Collector(String),
 }
 
-/// What one stream carries, readable while it does.
+/// The counts of one stream, readable at any time.
 #[derive(Clone, Debug)]
 pub struct StreamMeter {
     /// The stream.
@@ -85,7 +85,7 @@ impl Session {
     /// Starts the devices.
     ///
     /// # Errors
-    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
+    /// If two streams have one name, an option is impossible, or a thread cannot be started. A
     /// device that fails is no error here: it ends in an event.
     pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
         check(&options)?;
@@ -157,12 +157,12 @@ impl Session {
         Ok(session)
     }
 
-    /// What happens; ends after [`Event::Finished`]. All clones draw from one queue.
+    /// The events; they end after [`Event::Finished`]. All clones draw from one queue.
     pub fn events(&self) -> &Receiver<Event> {
         &self.events
     }
 
-    /// What each stream carries.
+    /// A meter for each stream.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
     }

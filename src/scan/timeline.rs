@@ -17,7 +17,7 @@ pub(super) struct Timeline {
     streams: Vec<Arrivals>,
 }
 
-/// What is known of one stream.
+/// Arrivals of one stream.
 struct Arrivals {
     clock: Clock,
     /// Index after its last frame, and when that arrived.

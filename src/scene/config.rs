@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Colour, Domain, Phase, Scene, SceneError, SourceId, SourceSpec};
 
-/// What a file said.
+/// A file as it stands.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SceneFile {
@@ -31,7 +31,7 @@ enum DomainName {
     Image,
 }
 
-/// What a file said of one source.
+/// One source as a file describes it.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
@@ -94,7 +94,7 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// What the `library.toml` of a library says.
+/// The content of a `library.toml`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
     /// The sources that it describes, and the library's name.
@@ -182,7 +182,7 @@ fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Opti
 }
 
 impl SourceBlock {
-    /// What was said, and for the rest what `default` says, if it is of the same domain.
+    /// This description, completed from `default` if that is of the same domain.
     fn over(&self, default: Option<&SourceSpec>) -> Self {
         let Some(default) = default.map(Self::from_spec) else { return self.clone() };
         if self.domain.is_some() && self.domain != default.domain {

@@ -1,4 +1,4 @@
-//! What the sources of a station are. A source is a row of configuration, not a case in the code.
+//! The sources of a station. A source is a row of configuration, not a case in the code.
 //!
 //! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
 //! works with.
@@ -73,7 +73,7 @@ pub enum Domain {
     Image,
 }
 
-/// What of a pixel is compared.
+/// The part of a pixel that is compared.
 #[derive(
     Clone,
     Copy,
@@ -120,7 +120,7 @@ pub enum Phase {
 pub struct SourceSpec {
     /// Short name, also that of its files.
     pub id: SourceId,
-    /// For people.
+    /// A name for messages.
     pub what: String,
     /// The physical sensor.
     pub sensor: String,
@@ -128,7 +128,7 @@ pub struct SourceSpec {
     pub phase: Phase,
     /// How samples are drawn.
     pub domain: Domain,
-    /// What of each pixel is compared; says nothing where the domain is no image.
+    /// The part of each pixel that is compared; it has no meaning where the domain is not an image.
     pub colour: Colour,
     /// Number of channels.
     pub channels: usize,
@@ -166,7 +166,7 @@ impl SourceSpec {
 /// The sources of a station, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// For people.
+    /// A name for messages.
     pub name: String,
     sources: BTreeMap<SourceId, SourceSpec>,
 }

@@ -101,7 +101,7 @@ async fn enroll(
     send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
 }
 
-/// What is at which path, for programs that read it.
+/// The description of all paths, for programs.
 async fn open_api() -> Response {
     ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
@@ -133,7 +133,7 @@ async fn health(State(hub): Shared) -> Response {
     (status, Json(Health { status: text })).into_response()
 }
 
-/// What each handler gets.
+/// The argument of each handler.
 pub type Shared = State<Arc<Hub>>;
 
 /// Does what may wait for the disk, on another thread than the server's own.

@@ -46,7 +46,7 @@ const HEADERS: [(HeaderName, &str); 6] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// What every request must pass.
+/// The checks of every request.
 #[derive(Debug)]
 pub struct Guard {
     hub: Arc<Hub>,
@@ -283,7 +283,7 @@ const MOST_CLIENTS: usize = 4096;
 pub struct Rates<K> {
     a_second: f64,
     burst: f64,
-    /// What is left in each, and since when.
+    /// The content of each bucket, and the time at which it had that.
     buckets: HashMap<K, (f64, Instant)>,
 }
 

@@ -34,7 +34,7 @@ const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 /// How often something is sent on a line that is silent.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 
-/// What the handlers of requests share.
+/// State shared by the handlers of requests.
 #[derive(Debug)]
 pub struct Hub {
     inner: Mutex<HubState>,
@@ -49,7 +49,7 @@ pub struct Hub {
     pub checks: Checks,
 }
 
-/// What is behind the lock.
+/// The part behind the lock.
 #[derive(Debug)]
 pub struct HubState {
     pub state: State,
@@ -60,7 +60,7 @@ pub struct HubState {
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
-    /// What the camera sees.
+    /// The view of the camera.
     pub viewfinder: Option<Viewfinder>,
     /// How it was when that was last published.
     camera: Option<CameraView>,
@@ -222,7 +222,7 @@ impl Hub {
         }
     }
 
-    /// What is behind the lock.
+    /// The part behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, HubState> {
         // A panic while it was held left plain figures, usable by themselves.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
@@ -350,7 +350,7 @@ pub struct StateDocument<'a> {
 }
 
 impl<'a> StateDocument<'a> {
-    /// What the parts say now.
+    /// Collects the state now.
     pub fn of(
         state: &'a State,
         enrolls: bool,
@@ -362,7 +362,7 @@ impl<'a> StateDocument<'a> {
     }
 }
 
-/// What one stream carries.
+/// The counts of one stream.
 #[derive(Debug, Serialize)]
 struct StreamView {
     source: SourceId,
@@ -371,14 +371,14 @@ struct StreamView {
     counts: Counts,
 }
 
-/// What all streams carry.
+/// The counts of all streams.
 #[derive(Serialize)]
 pub struct StreamsEvent {
     streams: Vec<StreamView>,
 }
 
 impl StreamsEvent {
-    /// What these meters say now.
+    /// Reads the meters now.
     pub fn of(meters: &[StreamMeter]) -> Self {
         Self { streams: views(meters) }
     }

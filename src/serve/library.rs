@@ -25,7 +25,7 @@ use crate::station::Command;
 /// Most trials of one edit.
 const MOST: usize = 1000;
 
-/// What is below `/api/v1`.
+/// The routes below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/library/trials", get(trials))
@@ -171,9 +171,9 @@ pub struct CheckView {
     pub state: &'static str,
     /// Since when.
     pub unix_ms: u64,
-    /// For people: why it failed.
+    /// The reason why it failed.
     pub problem: Option<String>,
-    /// What was found last.
+    /// The last report.
     pub report: Option<Arc<CheckReport>>,
 }
 

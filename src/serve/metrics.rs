@@ -41,7 +41,7 @@ impl Histogram {
     }
 }
 
-/// What is counted here, since nobody else does.
+/// Figures that are counted here.
 #[derive(Debug)]
 pub struct Metrics {
     scan_s: Histogram,
@@ -59,7 +59,7 @@ impl Default for Metrics {
     }
 }
 
-/// What is counted elsewhere.
+/// Figures that are counted elsewhere.
 pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],

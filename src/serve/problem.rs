@@ -28,17 +28,17 @@ pub enum Problem {
     TooOften,
     #[error("there are too many subscribers already")]
     Readers,
-    #[error("the name {0:?} does not stand for this machine; use 127.0.0.1 or localhost")]
+    #[error("{0:?} is not a name of this machine; use 127.0.0.1 or localhost")]
     Host(String),
-    #[error("orders are taken from this page alone, not from {0:?}")]
+    #[error("commands are accepted from this page only, not from {0:?}")]
     Origin(String),
     #[error("a token is needed: open /?token=…, or send `Authorization: Bearer …`")]
     Token,
-    #[error("the station is busy with the orders before this one")]
+    #[error("the station is busy with earlier commands; try again")]
     Busy,
     #[error("the station has ended")]
     Ended,
-    #[error("this station keeps no scans; start it with --library LIB, a library to keep them in")]
+    #[error("this station keeps no scans; start it with --library LIB")]
     NoLibrary,
 }
 

@@ -60,7 +60,8 @@ impl Server {
             runtime.block_on(async move {
                 let publishing = tokio::spawn(hub::run(hub.clone(), notices, stopped.clone()));
                 accept::serve(listener, hub, &settings, stopped).await;
-                // What was entered before the end is still sent, to subscribers who read at once.
+                // Events that were queued before the end are still sent, to subscribers who read at
+                // once.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
             // An edit or a list of the library may wait for the disk, or for another program.
@@ -73,7 +74,7 @@ impl Server {
         Ok((Self { address, stop, thread: Some(thread) }, reporter))
     }
 
-    /// Where it serves, with the port that was picked.
+    /// The address, with the port that was picked.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -115,7 +116,7 @@ pub enum ServeError {
         /// what the system said
         error: std::io::Error,
     },
-    /// a token that is none
+    /// not a valid token
     #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
     Token,
     /// the system gave no thread, or no means to wait on sockets

@@ -1,4 +1,4 @@
-//! Where and how to serve: address, token, and the limits of clients.
+//! Settings of the server: address, token, and the limits of clients.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -17,17 +17,17 @@ use crate::scene::Scene;
 /// The default port.
 pub const PORT: u16 = 8080;
 
-/// Where and how to serve.
+/// Settings of the server.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Address and port; port 0 picks a free one.
     pub address: SocketAddr,
-    /// What a client must know, where one is set.
+    /// The token that a client must know, where one is set.
     pub token: Option<Token>,
     /// Proxies in front of the server: what they say of a client (`X-Forwarded-For`,
     /// `X-Forwarded-Proto`) is believed, and their connections are not counted.
     pub proxies: Vec<IpAddr>,
-    /// What a client may take.
+    /// The limits of clients.
     pub limits: Limits,
     /// Whether the station keeps scans for a library.
     pub enrolls: bool,
@@ -37,7 +37,7 @@ pub struct Settings {
     pub check: Option<Audit>,
     /// Past scans.
     pub history: Arc<History>,
-    /// What the camera sees, if there is one.
+    /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
 }
 
@@ -59,7 +59,7 @@ impl fmt::Debug for Audit {
 pub struct LibraryFolder {
     /// Its folder.
     pub folder: PathBuf,
-    /// What its sources are.
+    /// The sources of the library.
     pub scene: Scene,
 }
 
@@ -82,7 +82,7 @@ impl Default for Settings {
 /// The largest body of a request, in bytes.
 pub const LARGEST_BODY: usize = 64 << 10;
 
-/// What clients may take.
+/// Limits of clients.
 #[derive(Clone, Debug)]
 pub struct Limits {
     /// Connections at once; one more is closed unread.
@@ -121,7 +121,7 @@ impl Default for Limits {
     }
 }
 
-/// What a client must know. Compared in constant time, and never printed.
+/// The secret that a client must know. It is compared in constant time, and never printed.
 #[derive(Clone)]
 pub struct Token(String);
 

@@ -1,4 +1,4 @@
-//! What is known of the station: one document, kept up to date notice by notice.
+//! The state of the station as one document, brought up to date event by event.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
 
-/// What the operator is to do now.
+/// Advice for the operator.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
     /// For programs.
@@ -29,7 +29,7 @@ pub struct Advice {
     pub what: AdviceKind,
     /// How much longer to drag, in seconds, where that is known.
     pub more_s: Option<f64>,
-    /// For people: the same in a few words.
+    /// The same in a few words.
     pub text: String,
 }
 
@@ -56,7 +56,7 @@ pub struct DeviceView {
     pub device: String,
     /// How it is.
     pub state: DeviceState,
-    /// For people: why, and what to do.
+    /// The reason, and what to do.
     pub detail: String,
     /// Since when.
     pub since_unix_ms: u64,
@@ -70,9 +70,9 @@ pub struct LibraryView {
     pub sources: Vec<SourceId>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
-    /// For people: why scans cannot be named with it, if they cannot.
+    /// The reason why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
-    /// For people: what answers rest on, a line each.
+    /// The basis of its answers, a line each.
     pub remarks: Vec<String>,
 }
 
@@ -99,11 +99,11 @@ impl From<&LibraryState> for LibraryView {
 pub struct WarningView {
     /// When.
     pub unix_ms: u64,
-    /// For people.
+    /// The warning.
     pub text: String,
 }
 
-/// What has come of the session so far.
+/// Counts of the session so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SessionCounts {
     /// Scans that were named, or found to be unknown.
@@ -138,7 +138,7 @@ pub struct State {
     pub scan: Option<u32>,
     /// Its part.
     pub phase: Option<Phase>,
-    /// What to do now.
+    /// The advice for now.
     pub advice: Advice,
     /// How the scan in progress looks so far.
     pub guess: Option<Guess>,
@@ -150,9 +150,9 @@ pub struct State {
     pub library: Option<LibraryView>,
     /// Whether it is being read.
     pub reading: bool,
-    /// What the next scan is to become, if it is to be kept.
+    /// The order for the next scan, if it is to be kept.
     pub enrolling: Option<Enrolling>,
-    /// What has come of it so far.
+    /// Counts of the session so far.
     pub counts: SessionCounts,
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,

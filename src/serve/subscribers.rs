@@ -79,7 +79,7 @@ impl EventFilter {
     /// From names with commas between them. How many were missed is always sent.
     ///
     /// # Errors
-    /// For people: a name that is none.
+    /// If a name is unknown.
     pub fn parse(names: &str) -> Result<Self, String> {
         let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
@@ -105,7 +105,7 @@ pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     Bytes::from(format!("event: {}\ndata: {json}\n\n", kind.name()))
 }
 
-/// What keeps a silent line open, and finds those that are dead.
+/// Keeps a silent line open, and finds those that are dead.
 const KEEP_ALIVE: &[u8] = b":\n\n";
 
 #[derive(Debug, Serialize)]

@@ -15,7 +15,7 @@ const MOST_BINS: usize = 400;
 /// Frames of each stream that are kept for its spectrum.
 pub const RECENT: usize = 4096;
 
-/// What is new in the streams, small enough to draw.
+/// New data of the streams, small enough to draw.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
     pub streams: Vec<Bins>,

@@ -14,9 +14,9 @@ use crate::scene::Phase;
 pub struct Assembled {
     /// The devices.
     pub devices: Vec<Box<dyn Device>>,
-    /// For people: what is configured but unavailable, and why.
+    /// Devices that are configured but unavailable, and the reasons.
     pub left_out: Vec<String>,
-    /// Which device each source comes from.
+    /// The device of each source.
     pub device_of: BTreeMap<String, String>,
     /// Requests a picture with flash during each drag, if there is a flash.
     pub flasher: Option<Flasher>,
@@ -88,7 +88,7 @@ impl Assembled {
 #[cfg(not(all(feature = "microphone", feature = "camera")))]
 fn not_built(feature: &str) -> OpenError {
     OpenError::Unfit(format!(
-        "left out of this build; to have it, build with `--features live` or `--features {feature}`"
+        "not part of this build; build with `--features live` or `--features {feature}`"
     ))
 }
 

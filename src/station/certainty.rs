@@ -11,7 +11,7 @@ const EVEN: f64 = 0.5;
 /// than that many make a weaker test, not a wrong one.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// What is known of an answer.
+/// A scan that was named, as far as its judgement needs it.
 pub(super) struct NamedScan<'a> {
     pub verdict: &'a Verdict,
     pub scan: &'a Scan,
@@ -27,7 +27,7 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
         (ranking.p_value, rejection, named.verdict.is_unknown())
     {
         let reason = format!(
-            "looks like none of {of} surfaces: p = {}, and {} or less is unknown",
+            "matches none of your {of} surfaces (p = {}; unknown at {} or below)",
             digits(p),
             digits(rejection.rate)
         );
@@ -38,7 +38,7 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
         return (AnswerState::Unsure, doubts);
     }
     if rejection.is_none() {
-        let reason = "there is no threshold that tells unknown surfaces from known ones";
+        let reason = "unknown surfaces are not detected";
         return (AnswerState::Nearest, vec![reason.into()]);
     }
     (AnswerState::Named, Vec::new())
@@ -111,7 +111,7 @@ mod tests {
         assert_eq!(judged(&known, 1.0, None), (Named, String::new()));
         let (state, reason) = judged(&verdict(Some(0.004), true), 1.0, None);
         assert_eq!(state, Unknown);
-        assert!(reason.starts_with("looks like none of 2 surfaces: p = 0.004"), "{reason}");
+        assert!(reason.starts_with("matches none of your 2 surfaces (p = 0.004"), "{reason}");
         assert_eq!(judged(&known, 0.2, None), (Unsure, "too short: 0.2 s of 0.9 s".into()));
         assert_eq!(judged(&known, 0.2, Some(0.1)).0, Named, "it was settled");
         assert_eq!(judged(&known, 0.6, None).0, Named, "it is long enough");

@@ -10,7 +10,7 @@ use crate::trial::{Flaw, Series, Signal, flaws};
 pub(super) fn faults(scan: &Scan, scene: &Scene, by_t_star: &[SourceId]) -> Vec<String> {
     let mut faults = scan.spoiled.clone();
     if scan.lost_samples > 0 && faults.is_empty() {
-        faults.push(format!("samples lost in it: {}", scan.lost_samples));
+        faults.push(format!("samples were lost in it: {}", scan.lost_samples));
     }
     for (id, signal) in &scan.trial.signals {
         let Signal::Series(series) = signal else { continue };

@@ -1,4 +1,4 @@
-//! What a station reports, and the commands that it takes.
+//! The events of a station, and its commands.
 
 use std::convert::Infallible;
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ pub struct SurfaceProbability {
     pub probability: f64,
 }
 
-/// What the scan in progress looks like so far.
+/// An early answer for the scan in progress.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Guess {
     /// Number of the scan.
@@ -49,7 +49,7 @@ impl Guess {
     }
 }
 
-/// What became of a scan that was to be kept as a trial of a library.
+/// The outcome of a scan that was to be kept as a trial of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolled {
     /// Number of the scan.
@@ -58,13 +58,13 @@ pub struct Enrolled {
     pub surface: String,
     /// The person who dragged.
     pub user: String,
-    /// What became of it.
+    /// The outcome.
     pub outcome: EnrolledOutcome,
     /// Number of the trial, if it was kept.
     pub trial: Option<u32>,
     /// Its folder, if it was kept.
     pub folder: Option<PathBuf>,
-    /// For people: why it was not kept, or what is not perfect about it, a line each.
+    /// Reasons why it was not kept, or its imperfections, a line each.
     pub remarks: Vec<String>,
     /// The surface that the library before it would have named it, if any.
     pub nearest: Option<String>,
@@ -72,7 +72,7 @@ pub struct Enrolled {
     pub wanted: u32,
 }
 
-/// What the next scan is to become.
+/// The surface and person under which the next scan will be kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Enrolling {
     /// The surface.
@@ -83,13 +83,13 @@ pub struct Enrolling {
     pub wanted: Option<u32>,
 }
 
-/// What became of a scan that was to be kept.
+/// Outcomes of a scan that was to be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EnrolledOutcome {
     /// It is a trial of the library.
     Kept,
-    /// It is no good trial.
+    /// It is not good enough for a trial.
     Refused,
     /// It could not be written, stays in memory, and is tried again.
     Waiting,
@@ -97,7 +97,7 @@ pub enum EnrolledOutcome {
     Lost,
 }
 
-/// What happens in a station.
+/// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
     /// The session has begun, and this is what its streams carry, now and at any time; the first
@@ -112,7 +112,7 @@ pub enum StationEvent {
         /// for people: why, and what to do
         detail: String,
     },
-    /// What is new in the streams.
+    /// New data of the streams.
     Trace(Arc<Trace>),
     /// A scan has begun, or has come to another part.
     Phase {
@@ -131,13 +131,13 @@ pub enum StationEvent {
     Scan(Arc<AnsweredScan>),
     /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
-    /// What the next scan is to become has changed; `None` if it is only named.
+    /// The order for the next scan has changed; `None` if the scan will only be named.
     Enrolling(Option<Enrolling>),
     /// The library is being read; scans wait for it.
     Reading,
     /// Scans are compared with this library from now on.
     Library(LibraryState),
-    /// For people: something was lost, damaged or not understood, and work continues.
+    /// A warning: something was lost, damaged or not understood, and work continues.
     Warning(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
@@ -148,7 +148,7 @@ pub enum StationEvent {
 }
 
 impl StationEvent {
-    /// For people: what it warns of, if it does.
+    /// The text of a warning, if this is one.
     pub fn warning(&self) -> Option<&str> {
         match self {
             Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
@@ -174,7 +174,7 @@ pub enum Command {
         /// how many
         trials: u32,
     },
-    /// End the order in force from the next scan to begin on, but for the station's own.
+    /// End the order in force, unless it is the station's own, from the next scan to begin on.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
     Ping,

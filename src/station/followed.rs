@@ -80,7 +80,7 @@ impl Followed {
     }
 }
 
-/// What `work` gives; `None` if it panicked. One scan must not take the station with it.
+/// The result of `work`; `None` if it panicked. One scan must not take the station with it.
 pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
 }

@@ -16,18 +16,18 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws};
 
-/// What a scan was named.
+/// The result of comparing a scan with a library.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
     /// The library's surfaces, the most alike first.
     pub ranking: Ranking,
     /// The p-value at or below which it would be none of them, where there is such a threshold.
     pub rejection: Option<Rejection>,
-    /// For people: sources that were not compared, and why, a line each.
+    /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
     /// How long the drag should last, in seconds, where that is known.
     pub needed_s: Option<f64>,
-    /// What is not perfect about the scan.
+    /// Imperfections of the scan.
     pub remarks: Vec<Remark>,
 }
 
@@ -165,7 +165,7 @@ impl Recogniser {
                 kind: RemarkKind::Short,
                 source: None,
                 text: format!(
-                    "{:.1} s of drag are short: with this library it takes {needed_s:.1} s",
+                    "the drag was short: {:.1} s, and this library needs {needed_s:.1} s",
                     scan.scan_s
                 ),
             }
@@ -182,8 +182,8 @@ impl Recogniser {
         Ok(Ranked { ranking, flaws: FlawsBySource::new() })
     }
 
-    /// A scan as a query to its model: what came out of the rings and nothing else, but for
-    /// sources with flaws; and, for people, which those are.
+    /// A scan as a query to its model: the data from the rings, without sources that have flaws; and
+    /// a text for each of these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
         let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
@@ -214,7 +214,7 @@ impl Recogniser {
         self.trials.get(key)
     }
 
-    /// What a scan's ranking says.
+    /// Judges a scan by its ranking.
     pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
         let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
@@ -224,7 +224,7 @@ impl Recogniser {
         Verdict { needed_s, rejection, left_out, remarks, ranking }
     }
 
-    /// For people: sources of a scan that the library has and that were not compared.
+    /// Sources of a scan that the library has and that were not compared, with reasons.
     fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
         let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
         let not_compared = held.filter(|id| !ranking.sources.contains(id));
@@ -251,7 +251,7 @@ impl Recogniser {
         self.planned_s.or_else(found)
     }
 
-    /// For people: what scans are compared with.
+    /// The library that scans are compared with.
     pub fn library(&self) -> LibraryState {
         self.library.clone()
     }
@@ -268,9 +268,9 @@ pub struct LibraryState {
     pub sources: Vec<SourceId>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
-    /// For people: why scans cannot be named with it, if they cannot.
+    /// The reason why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
-    /// For people: what answers rest on, a line each.
+    /// The basis of its answers, a line each.
     pub remarks: Vec<String>,
 }
 

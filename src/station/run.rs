@@ -22,7 +22,7 @@ const WRITTEN: Duration = Duration::from_millis(3200);
 /// How long after it listeners may take.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
-/// What scans are named with.
+/// The recogniser of scans, if there is one.
 enum Naming {
     /// The library is being read; scans wait.
     Loading,
@@ -33,7 +33,7 @@ enum Naming {
 
 type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 
-/// What works for a station, once it is started.
+/// The running parts of a station.
 pub(super) struct Parts {
     pub session: Session,
     pub worker: Worker,
@@ -64,7 +64,7 @@ pub(super) struct StationRun<'a> {
     /// The jobs that the worker has.
     in_hand: VecDeque<InHand>,
     orders: Orders,
-    /// What the next scan is to become, as last reported.
+    /// The order for the next scan, as last reported.
     enrolling: Option<Enrolling>,
     /// When the end was ordered.
     ordered: Option<Instant>,
@@ -84,7 +84,7 @@ impl<'a> StationRun<'a> {
             by_t_star,
             waits,
             load,
-            naming: Naming::None("no library was given".into()),
+            naming: Naming::None("no library is set".into()),
             loading: None,
             load_again: false,
             pending: VecDeque::new(),
@@ -200,8 +200,8 @@ impl<'a> StationRun<'a> {
         let enrolled = self.orders.count(enrolment, enrolled);
         let why = enrolled.remarks.last().map_or("", String::as_str);
         let what = match enrolled.outcome {
-            EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
-            EnrolledOutcome::Lost => Some("could not be written, and is lost"),
+            EnrolledOutcome::Waiting => Some("could not be written and will be tried again"),
+            EnrolledOutcome::Lost => Some("could not be written and is lost"),
             EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
         };
         let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
@@ -222,7 +222,7 @@ impl<'a> StationRun<'a> {
     /// Keeps the scans that begin from now on.
     fn enroll(&mut self, keep: Keep) {
         if self.recording.is_none() {
-            return self.warn("there is no library to keep scans in");
+            return self.warn("this scan cannot be kept: no library is set");
         }
         self.orders.give(keep, self.session.next_scan());
         self.report_order();
@@ -285,7 +285,7 @@ impl StationRun<'_> {
     /// Reads the library; meanwhile the one before stays in use, or scans wait.
     pub fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            return self.warn("there is no library to read again");
+            return self.warn("nothing was reloaded: no library is set");
         };
         // One at a time: each takes a thread and the memory of a library.
         if self.loading.is_some() {
@@ -302,7 +302,7 @@ impl StationRun<'_> {
         };
         match std::thread::Builder::new().name("load-library".into()).spawn(work) {
             Ok(_) => self.loading = Some(loaded),
-            Err(error) => self.loaded(Err(format!("no thread to read the library: {error}"))),
+            Err(error) => self.loaded(Err(format!("cannot start a thread to read the library: {error}"))),
         }
     }
 }
@@ -351,7 +351,7 @@ impl StationRun<'_> {
             match job {
                 Job::Progress(_) => {}
                 Job::Kept(kept) => return self.enrolled(&kept.enrolment, kept.enrolled),
-                Job::Scan(scan) => return self.unnamed(scan, "too many wait for it"),
+                Job::Scan(scan) => return self.unnamed(scan, "too many scans were waiting"),
             }
         }
     }
@@ -392,7 +392,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// What a scan in progress is for.
+    /// The purpose of a scan in progress.
     fn purpose(&self, number: u32) -> Purpose {
         match self.orders.covering(number) {
             Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
@@ -433,13 +433,13 @@ impl StationRun<'_> {
 
     /// Reports scans that will not be named, since the end does not wait for them any longer.
     fn give_up_naming(&mut self) {
-        // What it has in hand comes too late from now on.
+        // The results of jobs that the worker has come too late from now on.
         self.worker.done = never();
         let pending: Vec<InHand> = self.pending.drain(..).map(|job| InHand::of(&job)).collect();
         let in_hand: Vec<InHand> = self.in_hand.drain(..).collect();
         let busy = match &self.naming {
             Naming::Loading => "the library was still being read",
-            _ => "there was no time for it",
+            _ => "time had run out",
         };
         for job in in_hand.into_iter().chain(pending) {
             match job {

@@ -28,14 +28,14 @@ const RETRY: Duration = Duration::from_secs(2);
 /// Scans that wait to be written: of 10 s each, 200 MB.
 const MAX_WAITING: usize = 64;
 
-/// Where scans are stored, and what is noted with them.
+/// The library in which scans are stored, and the notes that go with them.
 #[derive(Clone, Debug)]
 pub struct ScanStore {
     /// The library; it need not exist.
     pub folder: PathBuf,
-    /// What its sources are.
+    /// The sources of the library.
     pub scene: Scene,
-    /// Which device each source comes from.
+    /// The device of each source.
     pub devices: BTreeMap<String, String>,
     /// Sources of which a good trial holds enough independent samples.
     pub by_t_star: Vec<SourceId>,
@@ -48,7 +48,7 @@ impl ScanStore {
     }
 }
 
-/// What became of a scan, and the enrolment that it belongs to.
+/// The outcome of a scan, and the enrolment that it belongs to.
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
@@ -98,8 +98,8 @@ impl RecordingThread {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Gives what is still to come, after a last attempt to write what waits. What a disk does not
-    /// take `until` then is lost.
+    /// Gives what is still to come, after a last attempt to write what waits. Data not written
+    /// by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
@@ -116,7 +116,7 @@ impl RecordingThread {
         }
         last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
         let lost = under_way.into_iter().map(|(scan, enrolment)| {
-            let why = "the disk had not taken it when the station was ended";
+            let why = "it was not on disk when the station ended";
             let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, vec![why.into()]);
             StoredScan { enrolment, enrolled, kept: None }
         });
@@ -281,7 +281,7 @@ impl StoreWriter {
     }
 }
 
-/// What became of a scan, but for its number and folder.
+/// The outcome of a scan, without the number and folder of its trial.
 fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<String>) -> Enrolled {
     Enrolled {
         scan,

@@ -10,7 +10,7 @@ use crate::station::event::Guess;
 /// A source that has rested this long, in seconds of drag, will: it asks for nothing.
 const RESTS_S: f64 = 1.0;
 
-/// What a scan in progress is for.
+/// The purpose of a scan in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// To be named.
@@ -19,7 +19,7 @@ pub(super) enum Purpose {
     Keep(Vec<SourceId>),
 }
 
-/// What the sources by which trials are judged ask for, as far as their T* is known by now.
+/// The drag that the judged sources need, as far as their T* is known by now.
 #[derive(Default)]
 pub(super) struct TrialNeed {
     of_source: BTreeMap<SourceId, SourceNeed>,

@@ -13,10 +13,10 @@ pub struct Why {
     pub winner: String,
     /// The second.
     pub runner_up: Option<String>,
-    /// What each source says, the one that says most for the winner first; empty by a method that
+    /// The sources, with the one that favours the winner most first; empty by a method that
     /// cannot take sources apart.
     pub sources: Vec<SourceSays>,
-    /// For people: sources that were not compared, and why, a line each.
+    /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
     /// The p-value, as [`Ranking::p_value`].
     pub p_value: Option<f64>,
@@ -32,7 +32,7 @@ pub struct Why {
     pub ranked: Vec<RankedSurface>,
 }
 
-/// What one source says of the winner and the runner-up.
+/// How one source judges the winner and the runner-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceSays {
     /// The source.

@@ -3,7 +3,7 @@
 
 use super::{Image, Series};
 
-/// What is wrong with one channel of a series.
+/// A flaw of one channel of a series.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Flaw {
     /// Every sample has the same value.
@@ -78,7 +78,7 @@ pub fn is_plain(image: &Image) -> bool {
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }
 
-/// What the flaws of one channel are found by, sample by sample.
+/// Finds the flaws of one channel, sample by sample.
 #[derive(Clone, Debug)]
 struct ChannelFlaws {
     samples: usize,

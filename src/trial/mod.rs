@@ -14,9 +14,9 @@ use crate::scene::SourceId;
 /// One interaction with one surface, all its sources.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// Which surface, whose hand, which repetition.
+    /// Surface, person and number of the repetition.
     pub key: TrialKey,
-    /// What was recorded. Sources may be missing: a comparison uses those that both trials have.
+    /// The recorded signals. Sources may be missing: a comparison uses those that both trials have.
     pub signals: BTreeMap<SourceId, Signal>,
 }
 
@@ -59,7 +59,7 @@ pub const UNLABELLED: &str = "unlabelled";
 pub struct TrialKey {
     /// The label: what a recogniser answers with.
     pub surface: String,
-    /// Who moved the stylus; [`EXPERT`] unless the recording says otherwise.
+    /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
     pub user: String,
     /// Number of the repetition, counted from 1.
     pub number: u32,

@@ -175,7 +175,7 @@ pub fn session() -> Vec<StationEvent> {
         sources: vec![id("ac"), id("mi2")],
         synthetic: false,
         problem: None,
-        remarks: vec!["answers settle when scans end".into()],
+        remarks: vec!["answers come when scans end".into()],
     };
     let device = StationEvent::Device {
         device: "stylus".into(),
@@ -217,7 +217,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         scan,
         surface: surface.map(Into::into),
         state: if known { AnswerState::Named } else { AnswerState::Unknown },
-        reasons: if known { vec![] } else { vec!["looks like none of 2 surfaces".into()] },
+        reasons: if known { vec![] } else { vec!["matches none of your 2 surfaces".into()] },
         truth: None,
         user: None,
         trial: None,

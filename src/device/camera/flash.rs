@@ -13,7 +13,7 @@ pub trait FlashLine: Send {
     fn switch(&mut self, on: bool) -> Result<(), String>;
 }
 
-/// What switches the light.
+/// The switch of the light.
 pub enum Flash {
     /// A line outside the camera.
     Line(Box<dyn FlashLine>),
@@ -63,7 +63,7 @@ pub(super) enum FrameLight {
     Between,
 }
 
-/// What to do about a frame.
+/// The judgement of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlashVerdict {
     pub light: FrameLight,

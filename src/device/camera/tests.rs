@@ -9,7 +9,7 @@ use super::*;
 use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::{ImageTap, Waker, images};
 
-/// What a camera does next.
+/// The next step of a simulated camera.
 enum CameraAct {
     Frame(Frame),
     Hang,

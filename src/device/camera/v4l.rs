@@ -163,7 +163,7 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
             Err(error) => Some(error.to_string()),
         },
     };
-    let unstable = "it has no name that stays; its number may change at the next plug";
+    let unstable = "it has no permanent name; its number may change when it is plugged in again";
     let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
 }

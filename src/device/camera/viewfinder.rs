@@ -1,4 +1,4 @@
-//! What a camera sees, whole, for all who look at it: the picture, the region of it that is
+//! Shows the whole picture of a camera to several readers: the picture, the region of it that is
 //! compared, and the light.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

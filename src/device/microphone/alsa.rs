@@ -167,7 +167,7 @@ fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
 /// Keeps ALSA from writing on stderr on this thread: each look for a device that is absent is many
 /// lines, and what matters comes as an error as well.
 fn hush() {
-    // What is written goes to a buffer, which the next call replaces.
+    // The text goes to a buffer, which the next call replaces.
     let _ = alsa::Output::local_error_handler();
 }
 

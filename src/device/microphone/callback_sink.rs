@@ -83,7 +83,7 @@ pcm! {
     f64, x => x as f32;
 }
 
-/// Which of a device's channels is the microphone.
+/// The channel of a device that is the microphone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pick {
     /// The mean of all channels.

@@ -10,7 +10,7 @@ const PAUSE_S: f64 = 0.2;
 /// How long after such a pause what was merely late has come, in seconds, as a rule.
 const CATCH_UP_S: f64 = 0.25;
 
-/// What lasts from one opening of the microphone to the next.
+/// The state that lasts from one opening of the microphone to the next.
 pub(super) struct Listening<'a> {
     sink: &'a mut SeriesSink,
     pace: Pace,
@@ -21,7 +21,7 @@ pub(super) struct Listening<'a> {
     received: bool,
 }
 
-/// What came before the next frames.
+/// The event before the next frames.
 #[derive(Clone, Copy, PartialEq)]
 enum Before {
     Frames,
@@ -31,7 +31,7 @@ enum Before {
     Loss,
 }
 
-/// What a look at the callback's ring gave.
+/// The result of a look at the callback's ring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
     /// Whether sound was carried.
@@ -83,7 +83,7 @@ impl<'a> Listening<'a> {
     /// Moves on all that waits in the ring. After a pause it waits for what is late, unless this is
     /// the `last` look at this ring.
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
-        // What the ring itself has lost is there as much as what it holds.
+        // Frames that the ring itself lost count like those that it holds.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
         // Only now the time: then whatever holds up this thread makes sound seem late, which can
         // happen, and never early.
@@ -107,10 +107,10 @@ impl<'a> Listening<'a> {
             Before::Pause(_) => self.pace.missing_for_sure(now_s, end),
             Before::Loss => self.pace.missing(now_s, end),
         };
-        // What is missing comes before the frames that followed it.
+        // Missing frames come before the frames that followed them.
         self.sink.skip(missing);
         self.pace.skipped(missing);
-        // What comes after it was counted as lost has its place no more.
+        // Sound that arrives after it was counted as lost has no place any more.
         let late = self.pace.late(now_s, end + missing).min(held);
         self.pace.came_late(late);
         self.pace.arrived(now_s, end + missing - late);
@@ -195,7 +195,7 @@ mod tests {
             self.look(listening);
         }
 
-        /// What was held up comes.
+        /// Sound that was held up arrives.
         fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
             while frames > 0 {
                 let part = if piecewise { frames.min(PERIOD) } else { frames };

@@ -7,7 +7,7 @@ use super::*;
 use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::Stop;
 
-/// What a sound system does next.
+/// The next step of a simulated sound system.
 #[derive(Clone, Copy)]
 enum MicrophoneAct {
     /// 10 ms of this value (and its negative, in turn), in real time.

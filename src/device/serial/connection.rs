@@ -124,7 +124,7 @@ impl Connection<'_> {
             IntakeEvent::Status(new) => {
                 light.confirm(new.light);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
-                    control.warn("its crystal has failed: its rate is good to 1 % only");
+                    control.warn("its crystal has failed: its rate is accurate to 1 % only");
                 }
                 errors.stylus(status.as_ref(), &new);
                 *status = Some(new);
@@ -224,7 +224,7 @@ impl LinkErrors {
         }
     }
 
-    /// What the stylus says it lost itself since its last status; its counts begin at its start.
+    /// Adds the losses that the stylus reports since its last status; its counts begin at its start.
     fn stylus(&mut self, old: Option<&Status>, new: &Status) {
         let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
         self.overruns += u64::from(new.overruns.checked_sub(overruns).unwrap_or(new.overruns));
@@ -242,19 +242,17 @@ impl LinkErrors {
             (2.., Some(last)) => control.warn(format!("{last} (and {} more)", self.hellos - 1)),
             (_, last) => last.into_iter().for_each(|last| control.warn(last)),
         }
-        let mut parts = Vec::new();
-        let mut add = |count: u64, what: &str| {
-            if count > 0 {
-                parts.push(format!("{what}: {count}"));
-            }
-        };
-        add(self.damaged, "damaged frames on the line");
-        add(self.gaps, "gaps in the samples");
-        add(self.missing, "samples missing in the longest gap");
-        add(self.restarts, "restarts of its sample counter");
-        add(self.overflowed, "frames that found no room in a ring");
-        add(self.overruns, "samples that it took too late");
-        add(self.dropped, "samples that found no room in its memory");
+        let counts = [
+            (self.damaged, "frames were damaged on the line"),
+            (self.gaps, "gaps in the samples"),
+            (self.missing, "samples are missing in the longest gap"),
+            (self.restarts, "restarts of its sample counter"),
+            (self.overflowed, "frames did not fit into a ring"),
+            (self.overruns, "samples were taken late"),
+            (self.dropped, "samples did not fit into its memory"),
+        ];
+        let some = counts.into_iter().filter(|(count, _)| *count > 0);
+        let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
         if !parts.is_empty() {
             control.warn(parts.join(", "));
         }
@@ -287,7 +285,7 @@ mod tests {
             })
             .collect();
         assert_eq!(texts[0], "hello 199999 (and 199999 more)");
-        assert_eq!(texts[1], format!("samples that it took too late: {}", 3 * u64::from(u32::MAX)));
+        assert_eq!(texts[1], format!("{} samples were taken late", 3 * u64::from(u32::MAX)));
         assert_eq!(texts.len(), 2);
     }
 }

@@ -16,7 +16,7 @@ const LATEST_S: f64 = 10.0;
 /// After the line was opened reopened, index and arrival times may differ by this much, in seconds.
 const ANEW_S: f64 = 1.0;
 
-/// What a value becomes.
+/// The unit of a stream's values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Value {
@@ -35,11 +35,11 @@ pub struct Wanted {
     pub id: SourceId,
     /// Names of its channels in the stylus's table, in the stream's order; at least one.
     pub channels: Vec<String>,
-    /// What its values become.
+    /// The unit of its values.
     pub value: Value,
 }
 
-/// What came over the line.
+/// Events from the line.
 #[derive(Debug)]
 pub enum IntakeEvent<'a> {
     /// Frames of a stream, interleaved.
@@ -64,7 +64,7 @@ pub enum IntakeEvent<'a> {
         /// whether its channels differ from those of its last hello
         changed: bool,
     },
-    /// What introduced itself cannot be used: why, for people.
+    /// The device that introduced itself cannot be used: the reason.
     Refused(String),
     /// The index restarted: the stylus was reset, or the line lost it for long.
     Restarted,
@@ -80,7 +80,7 @@ struct StreamPlace {
     picks: Vec<(usize, f32)>,
 }
 
-/// What was accepted of a hello.
+/// The accepted part of a hello.
 #[derive(Clone, Debug, PartialEq)]
 struct Table {
     channels: usize,
@@ -137,7 +137,7 @@ impl Intake {
         }
     }
 
-    /// What was not used so far.
+    /// Counts of unused input so far.
     pub fn unused(&self) -> Unused {
         self.unused
     }

@@ -104,18 +104,18 @@ impl PreparedTrial {
         Some(Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) })
     }
 
-    /// Which trial this is.
+    /// The key of the trial.
     pub fn key(&self) -> &TrialKey {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless it was wanted), so that what is drawn for a pair depends neither on names nor on
-    /// order.
+    /// Hash of all raw samples (0 unless it was wanted), so that the draws for a pair depend neither on
+    /// names nor on order.
     pub(super) fn content(&self) -> u64 {
         self.content
     }
 
-    /// Sample rate of a source, if the trial has it and it is no image.
+    /// Sample rate of a source, if the trial has it and it is not an image.
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
         self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
     }

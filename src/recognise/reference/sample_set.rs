@@ -298,7 +298,7 @@ fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
         }
         sum += (d * (n - nearer) as f64).powi(2);
     }
-    // Where squares are too large or too small for a number, f32 is as well.
+    // Squares that overflow or vanish in f64 do so in f32 as well.
     let error = ROUNDING / n as f64 * sum.sqrt();
     if error.is_normal() || distances[n - 1] == 0.0 { error } else { f64::INFINITY }
 }

@@ -31,7 +31,7 @@ const START_SHARE: f64 = 0.0115;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Positions(pub Vec<usize>);
 
-/// What positions are drawn from.
+/// The extent from which positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DomainExtent {
     /// A time series of a number of frames.

@@ -36,7 +36,7 @@ function reasons(why) {
   const parts = [];
   if (why.threshold !== null) {
     parts.push(`p = ${digits(why.p_value)}; ${digits(why.threshold)} or less is unknown (from ${why.threshold_trials} left-out trials)`);
-  } else parts.push("There is no threshold that tells unknown surfaces from known ones.");
+  } else parts.push("Unknown surfaces are not detected.");
   box.append(make("p", parts.join(" ")));
   if (why.sources.length && why.runner_up) {
     const legend = make("p", undefined, "versus");

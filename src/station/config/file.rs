@@ -116,10 +116,10 @@ pub(super) struct OutputsBlock {
 /// The file that holds the defaults.
 pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");
 
-/// Where values of the defaults stand in the file: nowhere.
+/// The place of values of the defaults in the file: none.
 const NOWHERE: Range<usize> = 0..0;
 
-/// What `text` says, and `defaults` where it says nothing. The tables of the file itself (such as
+/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such as
 /// `[stylus]`) are overlaid key by key; any other value replaces the default as a whole. `format`
 /// has no default. Spans are those of `text`.
 ///

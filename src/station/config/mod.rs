@@ -26,7 +26,7 @@ impl StationConfig {
         Self::parse(DEFAULTS, Path::new("configs/stylus.toml")).expect("the defaults parse")
     }
 
-    /// What a file says, and the defaults where it says nothing.
+    /// Reads a file, and takes the defaults where it says nothing.
     ///
     /// # Errors
     /// With the line, if the file cannot be read, is not TOML, has an unknown key, or a value that
@@ -93,9 +93,9 @@ pub enum ConfigError {
 pub struct StationConfig {
     /// The library, if one is named.
     pub library: Option<PathBuf>,
-    /// Where the page is served, unless the command line names another address.
+    /// The address of the page, unless the command line names another one.
     pub serve: SocketAddr,
-    /// What the sources are.
+    /// The sources.
     pub scene: Scene,
     /// The stylus, if there is to be one.
     pub stylus: Option<StylusConfig>,
@@ -111,9 +111,9 @@ pub struct StationConfig {
     pub trials: u32,
     /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
     pub keep_mb: u32,
-    /// Where answers are posted, if anywhere.
+    /// The address to which answers are posted, if any.
     pub http: Option<HttpAddress>,
-    /// Where answers are published by MQTT, if anywhere.
+    /// The broker and topic under which answers are published by MQTT, if any.
     pub mqtt: Option<MqttAddress>,
 }
 
@@ -133,7 +133,7 @@ pub struct StylusConfig {
 pub struct MicrophoneConfig {
     /// Its name.
     pub device: String,
-    /// Which of its channels.
+    /// The channel to use.
     pub pick: Pick,
     /// The stream.
     pub stream: SourceId,

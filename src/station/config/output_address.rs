@@ -1,4 +1,4 @@
-//! Where answers go, as the configuration says it.
+//! Addresses of outputs in the configuration.
 
 use std::str::FromStr;
 

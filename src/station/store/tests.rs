@@ -25,7 +25,7 @@ fn enrolment() -> Enrolment {
 #[test]
 fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     let dir = tempfile::tempdir().unwrap();
-    // Where the library's folder should be lies a file.
+    // A file lies where the library's folder should be.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
     let mut thread =
