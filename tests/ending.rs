@@ -10,7 +10,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use common::id;
-use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, StreamKind, StreamSpec};
+use surfaced::device::{
+    Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
+};
 use surfaced::history::{History, Keeper};
 use surfaced::library::lock::LibraryLock;
 use surfaced::library::{Entry, recording};
@@ -49,7 +51,7 @@ impl Device for Stylus {
         vec![StreamSpec { id: id("ir"), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         for _ in 0..SCANS {
             control.mark(Mark::Begin(Begin::default()));
             let (source, start) = (id("ir"), sinks[0].position());
@@ -258,7 +260,7 @@ impl Device for Stuck {
         Vec::new()
     }
 
-    fn run(&mut self, _: &mut [Sink], _: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, _: &mut [Sink], _: &DeviceLink) -> Result<(), DeviceError> {
         std::thread::sleep(FOR_EVER);
         Ok(())
     }

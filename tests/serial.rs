@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 use common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
-use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};
+use surfaced::device::{
+    Device, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, OpenError,
+};
 use surfaced::ring::{Piece, SeriesTap, Sink, Stop, Waker, series};
 use surfaced_wire::Command;
 
@@ -59,7 +61,7 @@ impl Bench {
             sinks.push(Sink::Series(sink));
             self.taps.push(tap);
         }
-        let control = Control::new(0, self.stop.clone(), sender);
+        let control = DeviceLink::new(0, self.stop.clone(), sender);
         self.thread = Some(std::thread::spawn(move || stylus.run(&mut sinks, &control).unwrap()));
         self
     }
@@ -353,7 +355,7 @@ fn the_light_is_asked_for_until_it_is_on() {
     light.set(true);
     let (sender, _reports) = crossbeam_channel::bounded(1024);
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
+    let control = DeviceLink::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || stylus.run(&mut [], &control).unwrap());
     fake.wait_for_start();
     fake.deaf = 2;

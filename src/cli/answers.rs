@@ -74,7 +74,9 @@ fn on_settling(found: &[Settling]) -> Option<String> {
     let first = found.first()?;
     let ruled: Vec<&Settling> = found.iter().filter(|settling| settling.rule.is_some()).collect();
     if ruled.is_empty() {
-        return Some("answers come when scans end; this library has too few trials to answer earlier".into());
+        return Some(
+            "answers come when scans end; this library has too few trials to answer earlier".into(),
+        );
     }
     let mean_s = ruled.iter().map(|settling| settling.scan_s).sum::<f64>() / ruled.len() as f64;
     let unproven = if found.iter().all(|settling| settling.shown) {

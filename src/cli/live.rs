@@ -281,7 +281,9 @@ pub fn verdict(totals: &Totals) -> Done {
     }
     match totals.lost() {
         0 => Ok(()),
-        lost => Err(Failure::Damaged(format!("samples were lost, within scans or between them: {lost}"))),
+        lost => Err(Failure::Damaged(format!(
+            "samples were lost, within scans or between them: {lost}"
+        ))),
     }
 }
 

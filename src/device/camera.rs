@@ -19,7 +19,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use self::flash::{Cycle, FrameLight};
 use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
@@ -67,7 +67,7 @@ enum CameraEnd {
 struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
-    control: &'a Control,
+    link: &'a DeviceLink,
     cycle: Cycle,
     /// A picture was seen at least once.
     seen: bool,
@@ -139,13 +139,13 @@ impl Device for Camera {
         [Some(&self.plain), flash].into_iter().flatten().map(images).collect()
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
-        control.state(DeviceState::Opening, "");
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
+        link.state(DeviceState::Opening, "");
         let cycle = Cycle::new(self.settle);
         let mut watch = CameraWatch {
             camera: self,
             sinks,
-            control,
+            link,
             cycle,
             seen: false,
             pushed: None,
@@ -153,7 +153,7 @@ impl Device for Camera {
             summed_up: None,
         };
         let mut retry = Retry::new(LONGEST_RETRY);
-        while !control.stopped() {
+        while !link.stopped() {
             let stop = Stop::default();
             let (orders, news) = start_reader(watch.camera.video.clone(), stop.clone())?;
             let end = watch.follow(&orders, &news);
@@ -166,12 +166,12 @@ impl Device for Camera {
             match end {
                 CameraEnd::Stop => break,
                 CameraEnd::Failed(error) => {
-                    retry.failed(error, watch.seen, control)?;
+                    retry.failed(error, watch.seen, link)?;
                 }
                 CameraEnd::Lost(why) => {
                     retry.opened();
-                    control.state(DeviceState::Lost, why);
-                    control.sleep_until(Instant::now() + RETRY);
+                    link.state(DeviceState::Lost, why);
+                    link.sleep_until(Instant::now() + RETRY);
                 }
             }
         }
@@ -183,7 +183,7 @@ impl CameraWatch<'_> {
     /// Makes pictures of what the reader sends, until it ends.
     fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
         let mut last = Instant::now();
-        while !self.control.stopped() {
+        while !self.link.stopped() {
             match news.recv_timeout(LOOK) {
                 Ok(News::Opened) => last = Instant::now(),
                 Ok(News::Failed(error)) => return CameraEnd::Failed(error),
@@ -194,7 +194,7 @@ impl CameraWatch<'_> {
                     if self.frame(&frame, at, orders) {
                         last = Instant::now();
                         self.seen = true;
-                        self.control.state(DeviceState::Streaming, "");
+                        self.link.state(DeviceState::Streaming, "");
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
@@ -205,7 +205,7 @@ impl CameraWatch<'_> {
             if last.elapsed() > STALLED {
                 let why =
                     "no usable frame arrives; if this persists, unplug it and plug it in again";
-                self.control.state(DeviceState::Stalled, why);
+                self.link.state(DeviceState::Stalled, why);
             }
         }
         CameraEnd::Stop
@@ -261,7 +261,7 @@ impl CameraWatch<'_> {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
             let count = self.damaged;
-            self.control.warn(format!("{count} frames were damaged; the last: {error}"));
+            self.link.warn(format!("{count} frames were damaged; the last: {error}"));
             (self.damaged, self.summed_up) = (0, Some(Instant::now()));
         }
     }
@@ -286,7 +286,7 @@ impl CameraWatch<'_> {
     fn no_light(&mut self, why: &str) {
         self.cycle.cancel();
         self.camera.viewfinder.light(FlashState::Failed);
-        self.control.warn(format!("the flash cannot be switched: {why}"));
+        self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
     /// Leaves no light on behind.
@@ -362,7 +362,9 @@ fn start_reader(
                 let _ = send.send(last);
             }
         })
-        .map_err(|error| DeviceError::Failed(format!("cannot start a thread to read the camera: {error}")))?;
+        .map_err(|error| {
+            DeviceError::Failed(format!("cannot start a thread to read the camera: {error}"))
+        })?;
     Ok((orders, news))
 }
 

@@ -29,7 +29,7 @@ pub(crate) use level::{LevelWatch, SoundLevel};
 use lost_sound::Listening;
 
 use super::open::{LONGEST_RETRY, OpenError, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
 
@@ -120,14 +120,14 @@ impl Device for Microphone {
         vec![StreamSpec { id: self.stream.clone(), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let Some(sink) = sinks.first_mut().and_then(Sink::series) else {
             return Err(DeviceError::Failed("a microphone needs the ring of a series".into()));
         };
-        control.state(DeviceState::Opening, "");
+        link.state(DeviceState::Opening, "");
         let (begin, mut listening) = (Instant::now(), Listening::new(sink));
         let mut retry = Retry::new(LONGEST_RETRY);
-        while !control.stopped() {
+        while !link.stopped() {
             let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * f64::from(RATE_HZ)) as usize;
             let (enter, tap) = series(1, buffer, waker.clone());
@@ -136,24 +136,24 @@ impl Device for Microphone {
             let broken = sink.broken();
             let open = match self.sound.open(sink, trouble) {
                 Ok(open) => open,
-                Err(error) => match retry.failed(error, listening.received(), control)? {
+                Err(error) => match retry.failed(error, listening.received(), link)? {
                     true => continue,
                     false => break,
                 },
             };
             retry.opened();
-            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, control);
+            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, link);
             drop(open);
             if broken.get() > 0 {
                 let count = broken.get();
-                control.warn(format!("{count} samples were not numbers and became silence"));
+                link.warn(format!("{count} samples were not numbers and became silence"));
             }
             match end {
                 StreamEnd::Stop => break,
                 StreamEnd::Unfit(why) => return Err(DeviceError::Failed(why)),
                 StreamEnd::Lost(why) => {
-                    control.state(DeviceState::Lost, why);
-                    control.sleep_until(Instant::now() + Duration::from_millis(250));
+                    link.state(DeviceState::Lost, why);
+                    link.sleep_until(Instant::now() + Duration::from_millis(250));
                 }
             }
         }
@@ -167,11 +167,11 @@ impl OpenStream {
         &mut self,
         listening: &mut Listening,
         begin: Instant,
-        control: &Control,
+        link: &DeviceLink,
     ) -> StreamEnd {
         let now_s = || begin.elapsed().as_secs_f64();
         listening.opened(now_s());
-        while !control.stopped() {
+        while !link.stopped() {
             let _ = self.woken.recv_timeout(LOOK);
             // Before the ring is looked at: what follows an overrun is in the ring after it.
             let mut gone = None;
@@ -183,10 +183,10 @@ impl OpenStream {
             }
             let carried = listening.look(&mut self.tap, gone.is_some(), now_s);
             if carried.sound {
-                control.state(DeviceState::Streaming, "");
+                link.state(DeviceState::Streaming, "");
             }
             if let Some(level) = carried.level {
-                control.warn(said_of(level));
+                link.warn(said_of(level));
             }
             if let Some(why) = gone {
                 return StreamEnd::Lost(why);
@@ -204,7 +204,7 @@ impl OpenStream {
             }
             if silent_s > STALLED_S {
                 let why = "open, but no sound arrives; check that nothing has suspended it";
-                control.state(DeviceState::Stalled, why);
+                link.state(DeviceState::Stalled, why);
             }
         }
         StreamEnd::Stop

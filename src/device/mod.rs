@@ -1,12 +1,12 @@
 //! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
 //!
 //! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
-//! one ring a stream, and reports its state and the marks of scans through its [`Control`].
+//! one ring a stream, and reports its state and the marks of scans through its [`DeviceLink`].
 //! Nothing downstream can distinguish a recording from a sensor.
 
 #[doc(hidden)]
 pub mod camera;
-mod control;
+mod link;
 pub(crate) mod list;
 #[doc(hidden)]
 pub mod microphone;
@@ -15,8 +15,8 @@ mod replay;
 #[doc(hidden)]
 pub mod serial;
 
-pub use control::{
-    Begin, Control, DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark, Open,
+pub use link::{
+    Begin, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, Mark, Open,
 };
 pub use open::OpenError;
 pub use replay::{Replay, Speed};
@@ -40,13 +40,13 @@ pub trait Device: Send {
         false
     }
 
-    /// Pushes until there is no more, or `control` says stop; to be looked at every 50 ms or so.
+    /// Pushes until there is no more, or `link` says stop; to be looked at every 50 ms or so.
     /// `sinks` holds one sink a stream. Losing the hardware is no reason to return: a driver
     /// reports its state and tries again.
     ///
     /// # Errors
     /// If it cannot continue at all.
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError>;
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError>;
 }
 
 /// One stream of a device.

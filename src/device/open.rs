@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::{Control, DeviceError, DeviceState};
+use super::{DeviceError, DeviceLink, DeviceState};
 
 /// How long a driver waits before it tries again.
 pub(super) const RETRY: Duration = Duration::from_millis(300);
@@ -69,21 +69,21 @@ impl Retry {
         &mut self,
         error: OpenError,
         was_there: bool,
-        control: &Control,
+        link: &DeviceLink,
     ) -> Result<bool, DeviceError> {
         if !error.may_pass() {
             return Err(DeviceError::Failed(error.to_string()));
         }
         let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
-        control.state(state, error.to_string());
+        link.state(state, error.to_string());
         // The state stays, but the reason is another one: busy instead of absent, say.
         if self.reported.as_ref().is_some_and(|before| *before != error) {
-            control.warn(error.to_string());
+            link.warn(error.to_string());
         }
         self.reported = Some(error);
         let wait = self.wait;
         self.wait = (2 * wait).min(self.longest.max(RETRY));
-        Ok(control.sleep_until(Instant::now() + wait))
+        Ok(link.sleep_until(Instant::now() + wait))
     }
 }
 
@@ -98,11 +98,11 @@ mod tests {
         // Stopped, so that nothing waits.
         let stop = Stop::default();
         stop.request();
-        let control = Control::new(0, stop, send);
+        let link = DeviceLink::new(0, stop, send);
         let waits = |retry: &mut Retry| -> Vec<u64> {
             let wait = |_| {
                 let wait = retry.wait.as_millis() as u64;
-                assert!(!retry.failed(OpenError::Absent("it".into()), false, &control).unwrap());
+                assert!(!retry.failed(OpenError::Absent("it".into()), false, &link).unwrap());
                 wait
             };
             (0..6).map(wait).collect()

@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use super::{Begin, Control, Device, DeviceError, DeviceState, Mark, Open, StreamKind, StreamSpec};
+use super::{
+    Begin, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind, StreamSpec,
+};
 use crate::library::{Entry, LibraryError};
 use crate::ring::{SeriesSink, Sink, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
@@ -110,19 +112,19 @@ impl Device for Replay {
         self.speed == Speed::Max
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         self.check()?;
-        control.state(DeviceState::Opening, "reading the first trial");
+        link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
         for entry in &self.entries {
-            let trial = match next(&loaded, control)? {
+            let trial = match next(&loaded, link)? {
                 Ok(trial) => trial,
                 Err(problem) => {
-                    control.warn(format!("{} is left out: {problem}", entry.key));
+                    link.warn(format!("{} is left out: {problem}", entry.key));
                     continue;
                 }
             };
-            control.state(DeviceState::Streaming, "");
+            link.state(DeviceState::Streaming, "");
             let player = Player {
                 specs: &self.specs,
                 speed: self.speed,
@@ -130,7 +132,7 @@ impl Device for Replay {
                 pause_s: self.pause_s,
                 synthetic: self.synthetic,
                 sinks,
-                control,
+                link,
                 due: Instant::now(),
             };
             player.play(trial)?;
@@ -155,10 +157,9 @@ fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError>
             }
         }
     };
-    std::thread::Builder::new()
-        .name("replay-load".into())
-        .spawn(work)
-        .map_err(|error| DeviceError::Failed(format!("cannot start a thread to read trials: {error}")))?;
+    std::thread::Builder::new().name("replay-load".into()).spawn(work).map_err(|error| {
+        DeviceError::Failed(format!("cannot start a thread to read trials: {error}"))
+    })?;
     Ok(receiver)
 }
 
@@ -168,12 +169,12 @@ fn panicked(entry: &Entry) -> LibraryError {
 }
 
 /// The next trial, once it is read.
-fn next(loaded: &Receiver<LoadedTrial>, control: &Control) -> Result<LoadedTrial, DeviceError> {
+fn next(loaded: &Receiver<LoadedTrial>, link: &DeviceLink) -> Result<LoadedTrial, DeviceError> {
     use crossbeam_channel::RecvTimeoutError::{Disconnected, Timeout};
     loop {
         match loaded.recv_timeout(Duration::from_millis(20)) {
             Ok(trial) => return Ok(trial),
-            Err(Timeout) if control.stopped() => return Err(Stopped.into()),
+            Err(Timeout) if link.stopped() => return Err(Stopped.into()),
             Err(Timeout) => {}
             Err(Disconnected) => {
                 return Err(DeviceError::Failed("the reader of trials ended early".into()));
@@ -220,7 +221,7 @@ struct Player<'a> {
     pub pause_s: f64,
     pub synthetic: bool,
     pub sinks: &'a mut [Sink],
-    pub control: &'a Control,
+    pub link: &'a DeviceLink,
     /// When, at the set speed, what was played so far ends.
     pub due: Instant,
 }
@@ -241,7 +242,7 @@ impl Player<'_> {
     /// If a stop was requested.
     pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
         let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.synthetic };
-        self.control.mark(Mark::Begin(begin));
+        self.link.mark(Mark::Begin(begin));
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
             let mut tracks = Vec::new();
             for index in 0..self.specs.len() {
@@ -265,10 +266,10 @@ impl Player<'_> {
             }
             self.series(tracks)?;
         }
-        self.control.mark(Mark::End { at: Instant::now() });
+        self.link.mark(Mark::End { at: Instant::now() });
         if let Speed::RealTime(factor) = self.speed {
             let pause = Duration::from_secs_f64(self.pause_s / factor);
-            if !self.control.sleep_until(self.due + pause) {
+            if !self.link.sleep_until(self.due + pause) {
                 return Err(Stopped.into());
             }
         }
@@ -280,7 +281,7 @@ impl Player<'_> {
             Signal::Image(_) => "a picture".into(),
             Signal::Series(series) => format!("a series of {} channels", series.channels()),
         };
-        self.control.warn(format!(
+        self.link.warn(format!(
             "{}: source {} is left out: it holds {found}, but the scene says {:?} with {} channels",
             trial.key, spec.id, spec.domain, spec.channels
         ));
@@ -290,19 +291,19 @@ impl Player<'_> {
         let spec = &self.specs[index];
         let (source, stream) = (spec.id.clone(), spec.id.clone());
         let open = Open { source, stream, start, phase: spec.phase, rate_hz, channels };
-        self.control.mark(Mark::Open(open));
+        self.link.mark(Mark::Open(open));
     }
 
     fn close(&self, index: usize) {
         let source = self.specs[index].id.clone();
-        self.control.mark(Mark::Close { source, end: self.sinks[index].position() });
+        self.link.mark(Mark::Close { source, end: self.sinks[index].position() });
     }
 
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
             if self.speed == Speed::Max {
-                sink.push_waiting(image.into(), self.control.stop())?;
+                sink.push_waiting(image.into(), self.link.stop())?;
             } else {
                 sink.push(image.into());
             }
@@ -326,9 +327,9 @@ impl Player<'_> {
                 let longest =
                     tracks.iter().map(|track| track.series.duration_s()).fold(0.0, f64::max);
                 self.due = from + Duration::from_secs_f64(played_s.min(longest) / factor);
-                self.control.sleep_until(self.due);
+                self.link.sleep_until(self.due);
             }
-            if self.control.stopped() {
+            if self.link.stopped() {
                 return Err(Stopped.into());
             }
             let mut still = Vec::with_capacity(tracks.len());
@@ -365,7 +366,7 @@ impl Player<'_> {
     }
 
     fn push_frames(&mut self, index: usize, samples: &[f32]) -> Result<(), Stopped> {
-        let stop = self.control.stop();
+        let stop = self.link.stop();
         let Some(sink) = self.sinks[index].series() else { return Ok(()) };
         let sink: &mut SeriesSink = sink;
         match self.speed {

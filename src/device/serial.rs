@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use self::connection::{Connection, ConnectionEnd, LinkErrors};
 use super::camera::FlashLine;
 use super::open::{RETRY, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
 use crate::scene::SourceId;
 
@@ -103,15 +103,15 @@ impl Device for Stylus {
         self.wanted.iter().map(spec).collect()
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
         let begin = Instant::now();
         let (mut was_there, mut retry) = (false, Retry::new(RETRY));
-        while !control.stopped() {
+        while !link.stopped() {
             match self.port.open() {
                 Ok((port, path)) => {
                     retry.opened();
-                    control.state(DeviceState::Opening, path.clone());
+                    link.state(DeviceState::Opening, path.clone());
                     intake.reopened();
                     let now = Instant::now();
                     let mut connection = Connection {
@@ -119,7 +119,7 @@ impl Device for Stylus {
                         path,
                         intake: &mut intake,
                         sinks,
-                        control,
+                        link,
                         light: &self.light,
                         begin,
                         samples_at: now,
@@ -130,21 +130,21 @@ impl Device for Stylus {
                         errors: LinkErrors::new(now),
                     };
                     let end = connection.run();
-                    connection.errors.report(control);
+                    connection.errors.report(link);
                     match end {
                         ConnectionEnd::Stop => return Ok(()),
                         ConnectionEnd::Lost(why) => {
                             was_there = true;
-                            control.state(DeviceState::Lost, why);
+                            link.state(DeviceState::Lost, why);
                         }
                     }
                 }
                 Err(error) => {
-                    retry.failed(error, was_there, control)?;
+                    retry.failed(error, was_there, link)?;
                     continue;
                 }
             }
-            control.sleep_until(Instant::now() + RETRY);
+            link.sleep_until(Instant::now() + RETRY);
         }
         Ok(())
     }

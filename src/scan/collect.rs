@@ -155,9 +155,9 @@ impl Collector {
                 let marks = detector.command(command, &self.streams);
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
-            None => {
-                self.event_queue.warn("the command was ignored: a recording sets the begin and end of its scans".into())
-            }
+            None => self.event_queue.warn(
+                "the command was ignored: a recording sets the begin and end of its scans".into(),
+            ),
         }
     }
 

@@ -201,8 +201,7 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
     }
     let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
     if gone > 0 {
-        spoiled =
-            Some(format!("{source}: {:.1} ms of it are missing", ms(gone)));
+        spoiled = Some(format!("{source}: {:.1} ms of it are missing", ms(gone)));
     } else if worst as f64 > BRIDGED_S * cut.rate_hz {
         spoiled = Some(format!(
             "{source}: a gap of {:.1} ms, longer than the {:.0} ms that can be bridged",

@@ -16,7 +16,7 @@ use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Totals};
 use crate::device::{
-    Control, Device, DeviceError, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
+    Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
 };
 use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
@@ -148,10 +148,10 @@ impl Session {
         };
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
-            let control = Control::new(index, session.stop.clone(), report.clone());
+            let link = DeviceLink::new(index, session.stop.clone(), report.clone());
             let report = report.clone();
             // If there is no thread, dropping the session stops those that run.
-            let thread = spawn(&name, move || run(device, sinks, &control, index, &report))?;
+            let thread = spawn(&name, move || run(device, sinks, &link, index, &report))?;
             session.devices.push((name, thread));
         }
         Ok(session)
@@ -278,11 +278,11 @@ fn spawn<T: Send + 'static>(
 fn run(
     mut device: Box<dyn Device>,
     mut sinks: Vec<Sink>,
-    control: &Control,
+    link: &DeviceLink,
     index: usize,
     reports: &Sender<DeviceReport>,
 ) {
-    let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, control)));
+    let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, link)));
     let result = ran.unwrap_or_else(|panic| {
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
         Err(DeviceError::Failed(problem))

@@ -302,7 +302,9 @@ impl StationRun<'_> {
         };
         match std::thread::Builder::new().name("load-library".into()).spawn(work) {
             Ok(_) => self.loading = Some(loaded),
-            Err(error) => self.loaded(Err(format!("cannot start a thread to read the library: {error}"))),
+            Err(error) => {
+                self.loaded(Err(format!("cannot start a thread to read the library: {error}")))
+            }
         }
     }
 }

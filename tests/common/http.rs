@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 use serde_json::Value;
-use surfaced::device::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use surfaced::device::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use surfaced::recognise::RankedSurface;
 use surfaced::ring::Sink;
 use surfaced::scan::{Event, Options, Session};
@@ -156,7 +156,7 @@ impl Device for Stylus {
         true
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         let sink = sinks[0].series().unwrap();
         sink.push_waiting(&vec![0.5; 3 * 50_000], control.stop())?;
         Ok(())

@@ -102,7 +102,7 @@ fn start(mut camera: Camera) -> RunningCamera {
     }
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
+    let control = DeviceLink::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || camera.run(&mut sinks, &control));
     RunningCamera { taps, reports, stop, thread }
 }

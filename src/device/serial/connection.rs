@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
 use super::{Intake, IntakeEvent, Light, Port};
-use crate::device::{Control, DeviceState};
+use crate::device::{DeviceLink, DeviceState};
 use crate::ring::Sink;
 
 /// No samples for this long is a stall, and the stylus is commanded to start.
@@ -33,7 +33,7 @@ pub(super) struct Connection<'a> {
     pub path: String,
     pub intake: &'a mut Intake,
     pub sinks: &'a mut [Sink],
-    pub control: &'a Control,
+    pub link: &'a DeviceLink,
     pub light: &'a Light,
     pub begin: Instant,
     /// When samples last came.
@@ -51,7 +51,7 @@ impl Connection<'_> {
     pub fn run(&mut self) -> ConnectionEnd {
         let mut buffer = vec![0; BUFFER];
         loop {
-            if self.control.stopped() {
+            if self.link.stopped() {
                 self.stop_stylus(&mut buffer);
                 return ConnectionEnd::Stop;
             }
@@ -71,14 +71,14 @@ impl Connection<'_> {
                 self.send(Command::Start);
             }
             if silent >= STALLED {
-                self.control.state(DeviceState::Stalled, self.why_silent());
+                self.link.state(DeviceState::Stalled, self.why_silent());
             }
             if silent >= GIVE_UP {
                 return ConnectionEnd::Lost(format!("{}; reopening the line", self.why_silent()));
             }
             self.update_light(now);
             if now - self.errors.since >= REPORT_EVERY {
-                self.errors.report(self.control);
+                self.errors.report(self.link);
             }
         }
     }
@@ -96,7 +96,7 @@ impl Connection<'_> {
         };
         let now = Instant::now();
         let now_s = (now - self.begin).as_secs_f64();
-        let Self { intake, sinks, control, light, status, refused, errors, .. } = self;
+        let Self { intake, sinks, link, light, status, refused, errors, .. } = self;
         let any = intake.feed(&buffer[..n], now_s, |event| match event {
             IntakeEvent::Frames { stream, samples } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
@@ -124,7 +124,7 @@ impl Connection<'_> {
             IntakeEvent::Status(new) => {
                 light.confirm(new.light);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
-                    control.warn("its crystal has failed: its rate is accurate to 1 % only");
+                    link.warn("its crystal has failed: its rate is accurate to 1 % only");
                 }
                 errors.stylus(status.as_ref(), &new);
                 *status = Some(new);
@@ -140,7 +140,7 @@ impl Connection<'_> {
         });
         if any {
             self.samples_at = now;
-            self.control.state(DeviceState::Streaming, "");
+            self.link.state(DeviceState::Streaming, "");
         }
         Ok(())
     }
@@ -237,10 +237,10 @@ impl LinkErrors {
     }
 
     /// Reports what there is, summed up.
-    pub fn report(&mut self, control: &Control) {
+    pub fn report(&mut self, link: &DeviceLink) {
         match (self.hellos, self.last_hello.take()) {
-            (2.., Some(last)) => control.warn(format!("{last} (and {} more)", self.hellos - 1)),
-            (_, last) => last.into_iter().for_each(|last| control.warn(last)),
+            (2.., Some(last)) => link.warn(format!("{last} (and {} more)", self.hellos - 1)),
+            (_, last) => last.into_iter().for_each(|last| link.warn(last)),
         }
         let counts = [
             (self.damaged, "frames were damaged on the line"),
@@ -254,7 +254,7 @@ impl LinkErrors {
         let some = counts.into_iter().filter(|(count, _)| *count > 0);
         let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
         if !parts.is_empty() {
-            control.warn(parts.join(", "));
+            link.warn(parts.join(", "));
         }
         *self = Self::new(Instant::now());
     }
@@ -269,14 +269,14 @@ mod tests {
     #[test]
     fn errors_of_the_line_are_summed_up_whatever_their_number() {
         let (send, reports) = crossbeam_channel::unbounded();
-        let control = Control::new(0, Stop::default(), send);
+        let link = DeviceLink::new(0, Stop::default(), send);
         let mut errors = LinkErrors::new(Instant::now());
         (0..200_000).for_each(|n| errors.hello(format!("hello {n}")));
         let status = |overruns| Status { overruns, ..Status::default() };
         for _ in 0..3 {
             errors.stylus(None, &status(u32::MAX));
         }
-        errors.report(&control);
+        errors.report(&link);
         let texts: Vec<String> = reports
             .try_iter()
             .map(|report| match report.kind {

@@ -67,14 +67,14 @@ pub enum DeviceReportKind {
 
 /// A device's line to its session.
 #[derive(Debug)]
-pub struct Control {
+pub struct DeviceLink {
     device: usize,
     stop: Stop,
     reports: Sender<DeviceReport>,
     last: RefCell<Option<DeviceState>>,
 }
 
-impl Control {
+impl DeviceLink {
     /// A line for device number `device`.
     pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
@@ -211,10 +211,10 @@ mod tests {
     #[test]
     fn a_state_is_reported_once_a_change() {
         let (sender, reports) = crossbeam_channel::bounded(8);
-        let control = Control::new(0, Stop::default(), sender);
-        control.state(DeviceState::Opening, "");
-        control.state(DeviceState::Streaming, "");
-        control.state(DeviceState::Streaming, "");
+        let link = DeviceLink::new(0, Stop::default(), sender);
+        link.state(DeviceState::Opening, "");
+        link.state(DeviceState::Streaming, "");
+        link.state(DeviceState::Streaming, "");
         assert_eq!(reports.len(), 2);
     }
 
@@ -222,8 +222,8 @@ mod tests {
     fn a_session_that_is_gone_stops_the_device() {
         let (sender, reports) = crossbeam_channel::bounded(8);
         drop(reports);
-        let control = Control::new(0, Stop::default(), sender);
-        control.mark(Mark::End { at: Instant::now() });
-        assert!(control.stopped());
+        let link = DeviceLink::new(0, Stop::default(), sender);
+        link.mark(Mark::End { at: Instant::now() });
+        assert!(link.stopped());
     }
 }
