@@ -9,6 +9,7 @@ mod lanes;
 mod length_scale;
 mod line;
 mod mmd;
+mod padded_points;
 mod pearson3;
 mod permutation_moments;
 mod simd;
@@ -21,7 +22,9 @@ pub use mmd::{kernel_sum, mmd2_biased};
 #[doc(hidden)] // For the project's own tests and tools.
 pub use hsic::{centred, kernel_matrix, permuted, quantile_index};
 #[doc(hidden)]
-pub use lanes::{InstructionSet, PaddedPoints, lane_scale, lane_self_sum_with, lane_sum_with};
+pub use lanes::{InstructionSet, lane_self_sum_with, lane_sum_with};
+#[doc(hidden)]
+pub use padded_points::{PaddedPoints, lane_scale};
 
 pub(crate) use f64_sums::{F64Points, f64_self_sum, f64_sum};
 pub(crate) use hsic::FEWEST_PAIRS;

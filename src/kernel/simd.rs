@@ -9,7 +9,7 @@
 
 use std::arch::x86_64::*;
 
-use super::lanes::LANES;
+use super::padded_points::LANES;
 
 /// Largest squared distance, in the units of this module, that needs no care: 2^(−2016/16) still is
 /// a normal number.

@@ -68,20 +68,6 @@ impl Scene {
         parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
     }
 
-    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
-    ///
-    /// # Errors
-    /// With line and column, if the text is not TOML, has an unknown key, or describes an
-    /// impossible source.
-    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        parse(text)
-    }
-
-    /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
-    pub fn to_toml(&self) -> String {
-        write(self, false)
-    }
-
     /// The scene as the `library.toml` of a library, in the form that
     /// [`LibraryToml::parse`] reads.
     pub fn to_library_toml(&self, synthetic: bool) -> String {
@@ -110,7 +96,8 @@ impl LibraryToml {
     /// one that is of another domain than theirs is described anew.
     ///
     /// # Errors
-    /// As [`Scene::from_toml`].
+    /// With line and column, if the text is not TOML, has an unknown key, or describes an impossible
+    /// source.
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
@@ -320,20 +307,20 @@ mod tests {
     #[test]
     fn a_scene_survives_being_written() {
         let scene = Scene::lmt108();
-        assert_eq!(Scene::from_toml(&scene.to_toml()).unwrap(), scene);
+        assert_eq!(parse(&scene.to_library_toml(false)).unwrap(), scene);
     }
 
     #[test]
     fn an_unknown_key_is_refused_with_its_line() {
         let text = "format = 1\n[sources.pac]\ndomain = \"time\"\nalign = true\n";
-        let error = Scene::from_toml(text).unwrap_err().to_string();
+        let error = parse(text).unwrap_err().to_string();
         assert!(error.contains("line 4") && error.contains("align"), "{error}");
     }
 
     #[test]
     fn an_impossible_band_is_refused_with_its_line() {
         let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [9, 1]\n";
-        let error = Scene::from_toml(text).unwrap_err().to_string();
+        let error = parse(text).unwrap_err().to_string();
         assert!(error.contains("line 2") && error.contains("low < high"), "{error}");
     }
 
@@ -351,7 +338,7 @@ mod tests {
             ("score_offset = inf", "score_offset"),
         ] {
             let text = format!("format = 1\n\n[sources.pac]\ndomain = \"time\"\n{line}\n");
-            let error = Scene::from_toml(&text).unwrap_err().to_string();
+            let error = parse(&text).unwrap_err().to_string();
             assert!(error.contains("line 3") && error.contains(part), "{line}: {error}");
         }
     }
@@ -382,11 +369,11 @@ mod tests {
     #[test]
     fn a_band_above_half_the_rate_is_refused() {
         let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [1500, 3000]\n";
-        let scene = Scene::from_toml(text).unwrap();
+        let scene = parse(text).unwrap();
         let spec = scene.get("pac").unwrap();
         assert!(spec.check_rate(6000.0).is_ok());
         assert!(spec.check_rate(2000.0).unwrap_err().contains("lower its upper end to 1000"));
-        let error = Scene::from_toml(&format!("{text}rate_hz = 2000\n")).unwrap_err().to_string();
+        let error = parse(&format!("{text}rate_hz = 2000\n")).unwrap_err().to_string();
         assert!(error.contains("above half"), "{error}");
     }
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
-use super::problem::Problem;
+use super::request::{Problem, Shared};
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
 use super::{library, metrics, order, scans};
@@ -131,28 +131,6 @@ async fn health(State(hub): Shared) -> Response {
         true => (StatusCode::SERVICE_UNAVAILABLE, "ended"),
     };
     (status, Json(Health { status: text })).into_response()
-}
-
-/// The argument of each handler.
-pub type Shared = State<Arc<Hub>>;
-
-/// Does what may wait for the disk, on another thread than the server's own.
-pub async fn aside<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
-) -> Result<T, Problem> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
-}
-
-/// The body of a request as JSON; an empty one as `{}`.
-pub fn body<T: serde::de::DeserializeOwned>(
-    body: Result<Bytes, BytesRejection>,
-    expected: &str,
-) -> Result<T, Problem> {
-    let body = body?;
-    let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
-    serde_json::from_slice(text)
-        .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
 }
 
 /// (path, content type, text) of each file.

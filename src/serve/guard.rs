@@ -20,7 +20,7 @@ use rand::rngs::SysRng;
 
 use super::client::{Client, neighbourhood};
 use super::hub::Hub;
-use super::problem::Problem;
+use super::request::Problem;
 use super::settings::{Limits, Settings, Token};
 
 /// The cookie that holds the token.

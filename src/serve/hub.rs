@@ -13,13 +13,13 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
-use super::library::{CheckView, Checks};
 use super::metrics::{Elsewhere, Metrics};
-use super::settings::{LibraryFolder, Settings};
+use super::settings::{Audit, LibraryFolder, Settings};
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
+use crate::evaluate::CheckReport;
 use crate::history::{History, Precision};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
@@ -391,4 +391,39 @@ fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
         counts: meter.counts(),
     };
     meters.iter().map(view).collect()
+}
+
+/// How the audit is.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckView {
+    /// `none`, `running`, `done` or `failed`.
+    pub state: &'static str,
+    /// Since when.
+    pub unix_ms: u64,
+    /// The reason why it failed.
+    pub problem: Option<String>,
+    /// The last report.
+    pub report: Option<Arc<CheckReport>>,
+}
+
+/// Audits, one at a time.
+#[derive(Debug)]
+pub struct Checks {
+    /// Does one.
+    pub audit: Option<Audit>,
+    view: Mutex<CheckView>,
+}
+
+impl Checks {
+    /// None has run yet.
+    pub fn new(audit: Option<Audit>) -> Self {
+        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
+        Self { audit, view: Mutex::new(view) }
+    }
+
+    /// How the last one is.
+    pub fn lock(&self) -> MutexGuard<'_, CheckView> {
+        // Each change is one assignment.
+        self.view.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }

@@ -1,6 +1,6 @@
 //! The library over HTTP: its trials, edits of them, and its audit.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Bytes;
@@ -11,13 +11,10 @@ use axum::response::Json;
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::api::{Shared, aside, body};
-use super::hub::Hub;
+use super::hub::{CheckView, Hub};
 use super::label;
-use super::problem::Problem;
-use super::settings::Audit;
+use super::request::{Problem, Shared, aside, body};
 use super::state::unix_ms;
-use crate::evaluate::CheckReport;
 use crate::library::LibraryError;
 use crate::record::edit::{self, Editor, ListedTrial, Step};
 use crate::station::Command;
@@ -162,39 +159,4 @@ async fn begin_check(State(hub): Shared) -> Result<(StatusCode, Json<CheckView>)
     let started = std::thread::Builder::new().name("check".into()).spawn(work);
     started.map_err(|error| Problem::Failed(error.to_string()))?;
     Ok((StatusCode::OK, Json(view)))
-}
-
-/// How the audit is.
-#[derive(Clone, Debug, Serialize)]
-pub struct CheckView {
-    /// `none`, `running`, `done` or `failed`.
-    pub state: &'static str,
-    /// Since when.
-    pub unix_ms: u64,
-    /// The reason why it failed.
-    pub problem: Option<String>,
-    /// The last report.
-    pub report: Option<Arc<CheckReport>>,
-}
-
-/// Audits, one at a time.
-#[derive(Debug)]
-pub struct Checks {
-    /// Does one.
-    pub audit: Option<Audit>,
-    view: Mutex<CheckView>,
-}
-
-impl Checks {
-    /// None has run yet.
-    pub fn new(audit: Option<Audit>) -> Self {
-        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
-        Self { audit, view: Mutex::new(view) }
-    }
-
-    /// How the last one is.
-    pub fn lock(&self) -> MutexGuard<'_, CheckView> {
-        // Each change is one assignment.
-        self.view.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }

@@ -22,7 +22,7 @@ mod label;
 mod library;
 mod metrics;
 mod order;
-mod problem;
+mod request;
 mod scans;
 mod server;
 mod settings;
@@ -30,6 +30,6 @@ mod state;
 mod subscribers;
 mod trace;
 
-pub use server::{Reporter, ServeError, Server};
+pub use server::{Reporter, Server};
 pub(crate) use settings::{Audit, PORT};
-pub use settings::{LibraryFolder, Limits, Settings, Token};
+pub use settings::{LibraryFolder, Limits, ServeError, Settings, Token};

@@ -12,10 +12,9 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::api::{Shared, aside, body};
 use super::hub::Hub;
 use super::label;
-use super::problem::Problem;
+use super::request::{Problem, Shared, aside, body};
 use super::settings::LibraryFolder;
 use crate::history::{
     Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,

@@ -11,7 +11,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::accept;
 use super::hub::{self, Hub};
-use super::settings::Settings;
+use super::settings::{ServeError, Settings};
 use crate::station::{Command, Listener, StationEvent};
 
 /// A server at work; dropping it ends it.
@@ -97,31 +97,6 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.end();
     }
-}
-
-/// Why nothing can be served.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// an address that others reach, without a token
-    #[error(
-        "{0} can be reached from other machines; give a token in the environment variable \
-         SURFACED_TOKEN, or serve on 127.0.0.1"
-    )]
-    Open(SocketAddr),
-    /// the address is taken, or not this machine's
-    #[error("{address}: {error}; name another address or port, such as 127.0.0.1:0 for a free one")]
-    Bind {
-        /// where
-        address: SocketAddr,
-        /// what the system said
-        error: std::io::Error,
-    },
-    /// not a valid token
-    #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
-    Token,
-    /// the system gave no thread, or no means to wait on sockets
-    #[error("cannot serve: {0}")]
-    System(std::io::Error),
 }
 
 /// Notices under way.

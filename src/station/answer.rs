@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use super::recogniser::Recogniser;
+use super::recogniser::{Recogniser, Remark};
 use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
@@ -165,33 +165,6 @@ fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);
     let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
     (format!("{date}.{:03}-{scan:02}", unix_ms % 1000), unix_ms)
-}
-
-/// Something that is not perfect about a scan; in JSON, its text.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(into = "String")]
-pub struct Remark {
-    /// The kind of imperfection.
-    pub kind: RemarkKind,
-    /// The source that it is about, if it is about one.
-    pub source: Option<SourceId>,
-    /// The text for messages.
-    pub text: String,
-}
-
-/// The kinds of remark about a scan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum RemarkKind {
-    /// A channel has a flaw.
-    Flaw,
-    /// The drag is shorter than the library asks for.
-    Short,
-}
-
-impl From<Remark> for String {
-    fn from(remark: Remark) -> Self {
-        remark.text
-    }
 }
 
 #[cfg(test)]

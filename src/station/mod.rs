@@ -21,14 +21,14 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Remark, RemarkKind, Unnamed};
+pub use answer::{Answer, AnswerState, AnsweredScan, Unnamed};
 pub use assemble::{Assembled, assemble};
 pub use event::{
     Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
     SurfaceProbability,
 };
 pub use orders::Keep;
-pub use recogniser::{LibraryState, Load, Recogniser, Verdict};
+pub use recogniser::{LibraryState, Load, Recogniser, Remark, RemarkKind, Verdict};
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::answer::{Remark, RemarkKind};
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
@@ -290,5 +289,32 @@ impl LibraryState {
             problem: None,
             remarks: Vec::new(),
         }
+    }
+}
+
+/// Something that is not perfect about a scan; in JSON, its text.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub struct Remark {
+    /// The kind of imperfection.
+    pub kind: RemarkKind,
+    /// The source that it is about, if it is about one.
+    pub source: Option<SourceId>,
+    /// The text for messages.
+    pub text: String,
+}
+
+/// The kinds of remark about a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RemarkKind {
+    /// A channel has a flaw.
+    Flaw,
+    /// The drag is shorter than the library asks for.
+    Short,
+}
+
+impl From<Remark> for String {
+    fn from(remark: Remark) -> Self {
+        remark.text
     }
 }

@@ -28,7 +28,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use self::sampling::Sampler;
+use self::model::Sampler;
 use super::checks::check_surfaces;
 use super::error::RecogniseError;
 use super::method::{Method, Model};

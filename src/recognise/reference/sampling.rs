@@ -1,20 +1,11 @@
 //! Draws the samples of a source (method §2, step 1; the paper's Fig. 4).
 
-use std::sync::Arc;
-
 use rand::seq::index;
 use rand::{Rng, RngExt};
-use rayon::prelude::*;
 
-use super::domain::DomainSamples;
-use super::prepared_trial::{PreparedTrial, SampledSource};
-use super::sample_set::SampleSet;
-use super::{PositionMode, ReferenceOptions};
-use crate::library::Entry;
-use crate::recognise::error::RecogniseError;
-use crate::scene::{Scene, SourceId, SourceSpec};
+use crate::scene::SourceId;
 use crate::seed;
-use crate::trial::{Image, Signal, Trial};
+use crate::trial::Image;
 
 /// Rows of the grid of pixels that is drawn from an image.
 pub const IMAGE_ROWS: usize = 25;
@@ -99,73 +90,6 @@ pub fn image_grid(a0: usize, b0: usize) -> Positions {
         })
     });
     Positions(pixels.collect())
-}
-
-/// A scene, and how its sources are sampled.
-#[derive(Clone, Debug)]
-pub struct Sampler {
-    pub scene: Scene,
-    pub options: ReferenceOptions,
-}
-
-impl Sampler {
-    /// A trial, sampled; `tabulate` prepares it for many comparisons.
-    pub fn sampled(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        tabulate: bool,
-    ) -> Result<PreparedTrial, RecogniseError> {
-        let per_pair = self.options.positions == PositionMode::PerPair;
-        PreparedTrial::new(entry, trial, &self.scene, per_pair, |spec, signal, frames| {
-            self.cut(spec, signal, frames, tabulate)
-        })
-    }
-
-    fn cut(
-        &self,
-        spec: &SourceSpec,
-        signal: &Signal,
-        frames: usize,
-        tabulate: bool,
-    ) -> SampledSource {
-        let domain = DomainSamples::new(spec, signal, frames);
-        if self.options.positions == PositionMode::PerPair {
-            return SampledSource { sets: Vec::new(), domain: Some(domain) };
-        }
-        let draw = |repetition| {
-            let at = self.positions(spec, domain.extent(), repetition, None);
-            let mut set = SampleSet::new(&domain.at(&at), spec.sigma);
-            if tabulate {
-                set.tabulate();
-            }
-            set
-        };
-        let sets = (0..self.options.repetitions).into_par_iter().map(draw).collect();
-        SampledSource { sets, domain: None }
-    }
-
-    /// A source of a trial, cut to `frames`.
-    pub fn cut_of(
-        &self,
-        trial: &PreparedTrial,
-        spec: &SourceSpec,
-        frames: usize,
-    ) -> Result<Arc<SampledSource>, RecogniseError> {
-        trial.at_length(&spec.id, frames, |signal| self.cut(spec, signal, frames, false))
-    }
-
-    /// The positions of one repetition; `pair` as in [`keyed_positions`].
-    pub fn positions(
-        &self,
-        spec: &SourceSpec,
-        extent: DomainExtent,
-        repetition: usize,
-        pair: Option<(u64, u64)>,
-    ) -> Positions {
-        let ReferenceOptions { samples, seed, .. } = self.options;
-        keyed_positions(&spec.id, extent, samples, seed, repetition, pair)
-    }
 }
 
 #[cfg(test)]
