@@ -68,6 +68,15 @@ impl Scene {
         parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
     }
 
+    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
+    ///
+    /// # Errors
+    /// With line and column, if the text is not TOML, has an unknown key, or describes an
+    /// impossible source.
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        parse(text)
+    }
+
     /// The scene as the `library.toml` of a library, in the form that
     /// [`LibraryToml::parse`] reads.
     pub fn to_library_toml(&self, synthetic: bool) -> String {
@@ -96,8 +105,7 @@ impl LibraryToml {
     /// one that is of another domain than theirs is described anew.
     ///
     /// # Errors
-    /// With line and column, if the text is not TOML, has an unknown key, or describes an impossible
-    /// source.
+    /// As [`Scene::from_toml`].
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
