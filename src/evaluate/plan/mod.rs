@@ -22,7 +22,7 @@
 //! # What it finds
 //! For a target of 99 %, one source is enough in every library that was tried with a camera or a
 //! microphone. Without its camera, the synthetic scene of 108 surfaces needs several sources;
-//! `tests/plan.rs` says how well they do.
+//! `tests/it/plan.rs` says how well they do.
 
 mod file;
 mod method;

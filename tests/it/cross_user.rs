@@ -1,9 +1,7 @@
 //! Scans by other people than the library's, on the real recordings across users; skipped, with a
 //! word, where these are absent.
 
-mod common;
-
-use common::shared;
+use crate::common::shared;
 use surfaced::dataset;
 use surfaced::evaluate::{self, Evaluation, Fold, Protocol};
 use surfaced::library::Entry;

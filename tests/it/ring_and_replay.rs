@@ -1,12 +1,10 @@
 //! From recordings through rings back to scans: nothing is changed, and what is lost is said.
 
-mod common;
-
 use std::sync::Arc;
 use std::time::Duration;
 
-use common::id;
-use common::replayed::{listen, picture, replay, same_signals, series, trial, whole_trial};
+use crate::common::id;
+use crate::common::replayed::{listen, picture, replay, same_signals, series, trial, whole_trial};
 use proptest::prelude::*;
 use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, Replay};
 use surfaced::device::{Speed, StreamKind, StreamSpec};

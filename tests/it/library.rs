@@ -1,8 +1,6 @@
 //! The recording format, version 1: what is written is read, and what is wrong is said.
 
-mod common;
-
-use common::{id, open, picture, says, series, temp, trial, write_file, write_wav};
+use crate::common::{self, id, open, picture, says, series, temp, trial, write_file, write_wav};
 use proptest::prelude::*;
 use surfaced::library::{About, ScanMarks, recording};
 use surfaced::record::{TrialOptions, write_library_toml, write_trial};

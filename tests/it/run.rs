@@ -1,16 +1,13 @@
 //! `surfaced run`, `enroll` and `record` as processes, with a stylus on a pseudo-terminal.
 
-#[path = "common/bench.rs"]
-mod bench;
-mod common;
-
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
+use crate::bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
+use crate::common;
 use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};

@@ -1,12 +1,10 @@
 //! Every method on numbers made to hurt: identical and nearly constant trials, 1e±30, heavy tails,
 //! duplicates, one outlier. (The kernel's own sums on such samples: `recognise::score`.)
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use common::id;
+use crate::common::id;
 use proptest::prelude::*;
 use surfaced::library::Entry;
 use surfaced::recognise::{

@@ -1,9 +1,8 @@
 //! What must not matter: the order of the library, the number of threads, the chunks in the rings.
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common;
 use proptest::prelude::*;
 use surfaced::device::Replay;
 use surfaced::library::Entry;

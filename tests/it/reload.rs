@@ -1,12 +1,10 @@
 //! Commands to read the library again, faster than it can be read.
 
-mod common;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use common::id;
+use crate::common::id;
 use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
 use surfaced::scan::Options;

@@ -1,14 +1,12 @@
 //! A trained model that is kept beside its library: it answers as a new one does, and is used only
 //! where nothing has changed.
 
-mod common;
-
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::common::id;
 use assert_cmd::Command;
-use common::id;
 use surfaced::dataset;
 use surfaced::library::Entry;
 use surfaced::recognise::{

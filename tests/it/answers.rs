@@ -1,13 +1,11 @@
 //! Answers during a scan, when they are settled, and scans of surfaces that are not in the
 //! library: on the real sounds where they are there, and on made ones.
 
-mod common;
-
 use std::process::Output;
 use std::sync::Arc;
 
+use crate::common::{id, real_sounds};
 use assert_cmd::Command;
-use common::{id, real_sounds};
 use serde_json::Value;
 use surfaced::dataset::synth;
 use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};

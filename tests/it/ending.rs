@@ -1,15 +1,13 @@
 //! An end takes less than five seconds, whatever happens; nothing recorded is lost, and every scan
 //! without an answer is reported.
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use common::id;
+use crate::common::id;
 use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, StreamKind, StreamSpec};
 use surfaced::history::{History, Keeper};
 use surfaced::library::lock::LibraryLock;

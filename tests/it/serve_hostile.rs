@@ -1,13 +1,12 @@
 //! Clients that mean no good, or are broken: refused, bounded, and nobody else notices.
 
-mod common;
-
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use common::http::{Events, SOON, Served, answer, serve, session};
+use crate::common;
+use crate::common::http::{Events, SOON, Served, answer, serve, session};
 use serde_json::Value;
 use surfaced::serve::{Server, Settings, Token};
 use surfaced::station::{LibraryState, StationEvent};

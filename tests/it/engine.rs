@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
+
+use crate::common;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::library::Entry;
 use surfaced::recognise::{
@@ -11,8 +13,6 @@ use surfaced::recognise::{
 };
 use surfaced::scene::Scene;
 use surfaced::trial::{EXPERT, Trial};
-
-mod common;
 
 /// Small enough to be sampled in a moment: short drags, few samples.
 fn options() -> ReferenceOptions {

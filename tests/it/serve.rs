@@ -1,11 +1,9 @@
 //! The interface for programs: what its page promises is what a server answers.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::http::{Events, Served, answer, serve, session};
-use common::id;
+use crate::common::http::{Events, Served, answer, serve, session};
+use crate::common::{self, id};
 use serde_json::{Value, json};
 use surfaced::device::DeviceState;
 use surfaced::scan::{Fresh, Totals, Trace};
@@ -40,7 +38,7 @@ fn timeless(mut value: Value) -> Value {
 /// The requests of the page and the answers that it shows: indented blocks that begin with
 /// `$ curl`, each followed by its answer.
 fn documented() -> Vec<(String, String)> {
-    let section = include_str!("../src/serve/README.md");
+    let section = include_str!("../../src/serve/README.md");
     let mut samples: Vec<(String, String)> = Vec::new();
     let mut within = false;
     for line in section.lines() {

@@ -1,14 +1,12 @@
 //! The README and the pages that it links to: what they show can be typed, and does what they say.
 
-mod common;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use common::http::Client;
-use common::{write_file, write_wav};
+use crate::common::http::Client;
+use crate::common::{self, write_file, write_wav};
 use surfaced::library::About;
 use surfaced::scene::{LibraryToml, Scene};
 use surfaced::station::config::StationConfig;
@@ -21,18 +19,20 @@ const SHOWN: [(&str, &str); 8] = [
     ("surface = ", "a file, read below"),
     ("[outputs]", "a file, read by the configuration's own tests"),
     ("drag for at least", "what the command above it prints for LMT108"),
-    ("$ curl ", "requests with their answers, made by tests/serve.rs"),
+    ("$ curl ", "requests with their answers, made by tests/it/serve.rs"),
     ("python", "examples, run by tools/python/run in .ci/run"),
 ];
 
 /// Commands, by how they begin, that are not run here, and why.
-const ELSEWHERE: [(&str, &str); 21] = [
-    ("surfaced enroll steel ", "needs a stylus; tests/run.rs has one on a pseudo-terminal"),
-    ("surfaced run --library my-library ", "needs a stylus; tests/run.rs has one"),
+const ELSEWHERE: [(&str, &str); 23] = [
+    ("surfaced enroll steel ", "needs a stylus; tests/it/run.rs has one on a pseudo-terminal"),
+    ("surfaced run --library my-library ", "needs a stylus; tests/it/run.rs has one"),
     ("surfaced eval LMT_108_", "needs the recordings; a test below runs it where they are"),
-    ("surfaced replay LMT_108_", "takes as long as the recordings; tests/ring_and_replay.rs"),
-    ("surfaced stress my-library ", "takes minutes; tests/stress.rs"),
-    ("surfaced eval merge ", "needs what a cluster wrote; tests/paper.rs"),
+    ("surfaced replay LMT_108_", "takes as long as the recordings; tests/it/ring_and_replay.rs"),
+    ("surfaced stress my-library ", "takes minutes; tests/it/stress.rs"),
+    ("surfaced eval merge ", "needs what a cluster wrote; tests/it/paper.rs"),
+    ("surfaced export ", "needs the feature mcap; tests/mcap.rs"),
+    ("surfaced import ", "the same"),
     ("DATA=", "needs a cluster"),
     ("cargo build --release", "builds; .ci/run does"),
     ("cargo test", "runs this very test"),
@@ -164,7 +164,7 @@ fn first_recordings(folder: &Path) {
     }
     record(&folder.join("new/1.wav"), 44_100, 7, 99);
     // What a station would have kept: an answer that the page of the interface shows.
-    let page = blocks(include_str!("../src/serve/README.md")).join("\n\n");
+    let page = blocks(include_str!("../../src/serve/README.md")).join("\n\n");
     let rest = page.split_once("$ curl http://127.0.0.1:8080/api/v1/scans/1\n").unwrap().1;
     let answer = rest.split("\n\n").next().unwrap();
     let answer: serde_json::Value = serde_json::from_str(answer).unwrap();
@@ -204,7 +204,7 @@ fn every_command_of_the_pages_works_or_says_why_it_is_not_run() {
     assert_eq!(list.matches("right").count(), 10, "{list}");
     let scans = std::fs::read_to_string(folder.path().join("scans.csv")).unwrap();
     assert!(scans.lines().count() == 2 && scans.contains("oak"), "{scans}");
-    for written in ["plan.toml", "chart.svg", "chart.json", "duration.svg", "my-library.mcap"] {
+    for written in ["plan.toml", "chart.svg", "chart.json", "duration.svg"] {
         assert!(folder.path().join(written).exists(), "{written}");
     }
     assert!(outputs.len() >= 12, "{:?}", outputs.keys());
@@ -213,7 +213,7 @@ fn every_command_of_the_pages_works_or_says_why_it_is_not_run() {
 #[test]
 fn the_page_that_the_readme_promises_opens() {
     let folder = tempfile::tempdir().unwrap();
-    let all = commands(include_str!("../README.md"));
+    let all = commands(include_str!("../../README.md"));
     let command = all.iter().find(|command| command.contains("--serve")).unwrap();
     // Another port, since that of the README may be taken here.
     let command = command.replace("--serve", "--serve=127.0.0.1:0");
@@ -234,7 +234,7 @@ fn lmt108_as_a_newcomer_has_it_is_evaluated_without_options() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path().join("LMT_108_SurfaceMaterials_Database");
     std::os::unix::fs::symlink(data, here).unwrap();
-    let all = commands(include_str!("../README.md"));
+    let all = commands(include_str!("../../README.md"));
     let eval = all.iter().find(|command| command.starts_with("surfaced eval LMT_108")).unwrap();
     let shown = String::from_utf8(succeeds(folder.path(), eval).stdout).unwrap();
     assert!(shown.contains("leave-one-trial-out · embedding · mi2"), "{shown}");
@@ -243,7 +243,7 @@ fn lmt108_as_a_newcomer_has_it_is_evaluated_without_options() {
 #[test]
 fn files_of_the_pages_are_read() {
     let (mut libraries, mut trials, mut stations) = (0, 0, 0);
-    for block in blocks(include_str!("../src/library/README.md")) {
+    for block in blocks(include_str!("../../src/library/README.md")) {
         if block.starts_with("format = 1") {
             LibraryToml::parse(&block, &Scene::lmt108()).unwrap();
             libraries += 1;
@@ -256,8 +256,8 @@ fn files_of_the_pages_are_read() {
         }
     }
     let mut outputs = 0;
-    let tables = include_str!("../configs/README.md").to_string();
-    for block in blocks(&(tables + include_str!("../src/serve/README.md"))) {
+    let tables = include_str!("../../configs/README.md").to_string();
+    for block in blocks(&(tables + include_str!("../../src/serve/README.md"))) {
         if block.starts_with("format = 1") {
             StationConfig::parse(&block, Path::new("station.toml")).unwrap();
             stations += 1;
@@ -292,7 +292,7 @@ fn links_and_files_of_the_pages_and_workflows_are_there() {
         words.for_each(|word| exists(word, &path));
     }
     let version = env!("CARGO_PKG_VERSION");
-    let readme = include_str!("../README.md");
+    let readme = include_str!("../../README.md");
     for file in [format!("surfaced_{version}-1_amd64.deb"), format!("surfaced-v{version}-x86_64")] {
         assert!(readme.contains(&file), "the README names {file}");
     }
@@ -312,7 +312,7 @@ fn exists(word: &str, page: &Path) {
 #[test]
 fn the_embedded_scene_explains_itself() {
     let folder = tempfile::tempdir().unwrap();
-    let all = commands(include_str!("../README.md"));
+    let all = commands(include_str!("../../README.md"));
     let output = succeeds(folder.path(), &all[0]);
     let said = String::from_utf8_lossy(&output.stderr);
     let shown = String::from_utf8_lossy(&output.stdout);

@@ -1,10 +1,8 @@
 //! The LMT108 database in its own layout: a small one made here, and the real one if it is there.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{shared, shared_lmt108, write_file, write_wav};
+use crate::common::{self, shared, shared_lmt108, write_file, write_wav};
 use surfaced::dataset;
 use surfaced::library::Library;
 use surfaced::scene::Scene;
@@ -172,11 +170,7 @@ fn two_copies_and_empty_ones_are_refused_clearly() {
     let dir = tempfile::tempdir().unwrap();
     let error = || dataset::open(dir.path(), &Scene::lmt108()).unwrap_err().to_string();
     std::fs::create_dir_all(dir.path().join("matlab/DataLMT108/Library")).unwrap();
-    assert!(
-        error().contains("processed form of LMT108, but without a single trial"),
-        "{}",
-        error()
-    );
+    assert!(error().contains("`tools/python/from_mat FOLDER LIBRARY`"), "{}", error());
     std::fs::create_dir_all(dir.path().join("raw/SoundScans")).unwrap();
     assert!(error().contains("more than one copy of the LMT108 database (`matlab`, `raw`)"));
     std::fs::remove_dir_all(dir.path().join("matlab")).unwrap();

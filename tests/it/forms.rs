@@ -1,11 +1,9 @@
 //! Recordings in the forms that people have them: FLAC, files without trial folders, stereo, names
 //! in capitals, other rates.
 
-mod common;
-
 use std::path::Path;
 
-use common::{id, open, real_sounds, says, temp, write_file, write_wav};
+use crate::common::{self, id, open, real_sounds, says, temp, write_file, write_wav};
 use realfft::RealFftPlanner;
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;

@@ -1,18 +1,14 @@
 //! `--serve` of the program as a process: a live station, with a stylus on a pseudo-terminal, at
 //! which a program enrols what it then has named; and a replay.
 
-#[path = "common/bench.rs"]
-mod bench;
-mod common;
-
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use bench::{Bench, CHANNELS, SCANNED, Surfaced, synthetic, trial};
-use common::http::Client;
-use common::stylus::Fake;
+use crate::bench::{Bench, CHANNELS, SCANNED, Surfaced, opened, synthetic, trial};
+use crate::common::http::Client;
+use crate::common::stylus::Fake;
 use serde_json::{Value, json};
 
 /// Where a station serves, as it said.
@@ -143,7 +139,7 @@ fn an_enrolment_on_the_page_interrupts_a_recording_from_the_next_scan_on_and_doe
     }
     record.signal("TERM");
     assert_eq!(record.end(&mut fake).code(), Some(0), "{}", record.said());
-    let kept = bench::opened(&path);
+    let kept = opened(&path);
     let kept: Vec<_> =
         kept.entries.iter().map(|e| (e.key.surface.as_str(), e.key.number)).collect();
     assert_eq!(kept, [("oak", 1), ("unlabelled", 1), ("unlabelled", 2)]);

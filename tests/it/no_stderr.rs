@@ -1,10 +1,6 @@
 //! A program whose stderr is closed, full or unread continues, and exits as it should; so does one
 //! that is to outlive its terminal.
 
-#[path = "common/bench.rs"]
-mod bench;
-mod common;
-
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::os::fd::OwnedFd;
@@ -12,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use bench::{Bench, SCANNED, synthetic, trial};
+use crate::bench::{Bench, SCANNED, synthetic, trial};
 
 /// A pipe that nobody reads any more.
 fn closed() -> Stdio {

@@ -1,13 +1,11 @@
 //! The plan of a scene: one cheap source where that is enough, more where it is not; a file that
 //! says so, and a replay that keeps to it.
 
-mod common;
-
 use std::path::Path;
 use std::process::Output;
 
+use crate::common::id;
 use assert_cmd::Command;
-use common::id;
 use serde_json::Value;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::evaluate::plan::{Plan, PlanOptions, Planned, search};

@@ -3,11 +3,9 @@
 //! Bounds on accuracy lie below what was measured with all ten folds (README): they catch what
 //! breaks, not what wavers.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{id, picture, real_sounds, series};
+use crate::common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{

@@ -1,12 +1,10 @@
-//! `surfaced eval --paper` on miniatures of LMT108 in both of its forms, whole and in shards.
-
-mod common;
+//! `surfaced eval --paper` on miniatures of LMT108, whole and in shards.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use crate::common::{write_file, write_wav};
 use assert_cmd::Command;
-use common::{write_file, write_wav};
 use serde_json::Value;
 use surfaced::dataset::synth::{self, Parameters};
 use surfaced::trial::{EXPERT, Image, Signal};
@@ -22,11 +20,6 @@ fn done(args: &[&str]) -> Output {
     let output = eval(args);
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     output
-}
-
-fn processed() -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/processed");
-    root.to_str().unwrap().into()
 }
 
 /// A synthetic scene in the database's own layout: 3 surfaces, 2 expert trials, 2 users.
@@ -128,14 +121,15 @@ fn the_tables_run_on_the_database_s_own_files_and_agree_with_eval() {
 }
 
 #[test]
-fn shards_of_the_processed_form_join_to_the_same_bytes_and_a_killed_run_resumes() {
+fn shards_join_to_the_same_bytes_and_a_killed_run_resumes() {
     let dir = tempfile::tempdir().unwrap();
     let folder = |name: &str| -> (PathBuf, String) {
         let path = dir.path().join(name);
         let text = path.to_str().unwrap().to_string();
         (path, text)
     };
-    let data = processed();
+    let (tree_at, data) = folder("LMT");
+    tree(&tree_at);
     let ((whole, whole_text), (shards, shards_text), (merged, merged_text)) =
         (folder("whole"), folder("shards"), folder("merged"));
     let stdout =
@@ -213,7 +207,8 @@ fn shards_that_are_killed_at_random_end_in_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let text = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
     let (data, whole, shards, merged) =
-        (processed(), text("whole"), text("shards"), text("merged"));
+        (text("LMT"), text("whole"), text("shards"), text("merged"));
+    tree(Path::new(&data));
     done(&[&[&data, "--paper", "--out", &whole], &QUICK[..]].concat());
     for (seed, number) in ["1/2", "2/2"].into_iter().enumerate() {
         let args = [&data, "--paper", "--out", &shards, "--shard", number];

@@ -1,10 +1,8 @@
 //! Files that cannot be used: each with the message that a person sees.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{open, picture, says, temp, write_file, write_wav};
+use crate::common::{open, picture, says, temp, write_file, write_wav};
 use surfaced::trial::Signal;
 
 /// What is said when a library is opened and its first trial is read.

@@ -1,10 +1,9 @@
 //! `surfaced stress` and the comparison classifiers, as commands.
 
-mod common;
-
 use std::path::Path;
 use std::process::Output;
 
+use crate::common;
 use assert_cmd::Command;
 use serde_json::Value;
 use surfaced::dataset::synth;

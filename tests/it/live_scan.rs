@@ -1,10 +1,8 @@
 //! Scans found in live streams that carry no marks, by two devices whose clocks disagree.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::id;
+use crate::common::id;
 use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
 use surfaced::scan::detect::{DetectorConfig, SensorKind};

@@ -1,12 +1,10 @@
 //! The stylus's driver against a stylus on a pseudo-terminal that misbehaves in every way.
 
-mod common;
-
 use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use common::stylus::{Fake, NAMES, RATE_HZ, value};
+use crate::common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
 use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};

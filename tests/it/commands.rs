@@ -1,10 +1,9 @@
 //! The commands as a person or a script meets them: exit codes, messages, JSON.
 
-mod common;
-
 use std::path::Path;
 use std::process::Output;
 
+use crate::common;
 use assert_cmd::Command;
 use serde_json::Value;
 

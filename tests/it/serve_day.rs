@@ -1,11 +1,9 @@
 //! What the operator of a day gets from the server beside names: scans that have none, and the camera.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::http::{Events, answer, serve};
-use common::id;
+use crate::common::http::{Events, answer, serve};
+use crate::common::id;
 use serde_json::{Value, json};
 use surfaced::device::camera::{FlashState, Rgb, Turn, Viewfinder};
 use surfaced::station::{Answer, AnswerState, StationEvent, Unnamed};

@@ -1,18 +1,16 @@
 //! The OpenAPI document describes the paths that the router has, and no others.
 
-mod common;
-
 use std::collections::BTreeSet;
 
-use common::http::serve;
+use crate::common::http::serve;
 use serde_json::Value;
 
 /// The routes below `/api/v1`, as the source says: (method, path).
 fn routes() -> BTreeSet<(String, String)> {
     let sources = [
-        include_str!("../src/serve/api.rs"),
-        include_str!("../src/serve/scans.rs"),
-        include_str!("../src/serve/shelf.rs"),
+        include_str!("../../src/serve/api.rs"),
+        include_str!("../../src/serve/scans.rs"),
+        include_str!("../../src/serve/shelf.rs"),
     ];
     let mut routes: BTreeSet<(String, String)> = BTreeSet::new();
     for source in sources {
