@@ -25,7 +25,7 @@
 //!
 //! ```text
 //! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
-//!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
+//!                                                                  └► record ─► library ◄─ dataset (lmt108 · synth)
 //! duration (HSIC, T*) stands on library + kernel, evaluate (protocols, chart, stress, plan) on recognise and
 //! duration; station joins scan, recognise, duration and record, and reads its own configuration; history
 //! (past scans) and outputs (HTTP, MQTT) stand on station; cli and serve (the page, the interface for
