@@ -1,4 +1,4 @@
-//! `surfaced chart`: what it measures, writes, and draws again.
+//! `surfaced chart`: what it measures and writes.
 
 use std::path::Path;
 use std::process::Output;
@@ -19,7 +19,7 @@ fn read(path: &Path) -> Value {
 }
 
 #[test]
-fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
+fn a_chart_has_every_method_and_its_controls() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
     let (data, svg, json_path) = (at("scene"), at("chart.svg"), at("chart.json"));
@@ -30,7 +30,7 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
     assert!(output.status.success() && output.stdout.is_empty(), "{}", stderr(&output));
     assert!(stderr(&output).contains("to go)"), "it says how far it is");
 
-    let mut chart = read(Path::new(&json_path));
+    let chart = read(Path::new(&json_path));
     assert_eq!(chart["synthetic"], true);
     assert_eq!((&chart["surfaces"], &chart["library_trials"]), (&json!(3), &json!(9)));
     assert_eq!(chart["sources"], json!(["ir", "mi2"]));
@@ -51,57 +51,33 @@ fn a_chart_has_every_method_and_its_controls_and_is_drawn_again_with_peers() {
         let user = &point["users"][0];
         assert_eq!((&user["name"], &user["accuracy"]), (&json!("user1"), &point["accuracy"]));
     }
-
-    let mut peer = points[0].clone();
-    for (key, value) in [("method", json!("other")), ("peer", json!(true))] {
-        peer[key] = value;
-    }
-    chart["points"].as_array_mut().unwrap().push(peer);
-    std::fs::write(&json_path, chart.to_string()).unwrap();
-    assert!(surfaced(&["chart", &json_path, "--out", &svg]).status.success());
     let picture = std::fs::read_to_string(&svg).unwrap();
-    assert!(picture.contains("other (a peer)") && picture.contains("SYNTHETIC"));
-    assert_eq!(read(Path::new(&json_path)), chart, "what was joined stays");
+    assert!(picture.contains("negative control") && picture.contains("SYNTHETIC"));
 }
 
 #[test]
-fn several_charts_are_drawn_side_by_side() {
+fn a_brief_chart_has_one_setting_of_each_method_and_all_of_the_drag() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    let (data, svg) = (at("scene"), at("both.svg"));
+    let data = at("scene");
     let synth = ["synth", &data, "--surfaces", "3", "--trials", "2", "--users", "1"];
     assert!(surfaced(&[&synth[..], &["--seconds", "0.8"]].concat()).status.success());
-    let protocols = ["expert-vs-users", "all-vs-one-user"];
-    let charts = protocols.map(|protocol| at(&format!("{protocol}.svg")));
-    for (protocol, out) in protocols.iter().zip(&charts) {
-        let said = ["chart", &data, "--sources", "ir", "--brief", "--protocol", protocol];
-        let output = surfaced(&[&said[..], &["--out", out]].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-    }
-    let json = charts.map(|out| out.replace(".svg", ".json"));
-    let chart = read(Path::new(&json[0]));
+    let said = ["chart", &data, "--sources", "ir", "--brief", "--out", &at("brief.svg")];
+    let output = surfaced(&said);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let chart = read(&dir.path().join("brief.json"));
     let points = chart["points"].as_array().unwrap();
-    // One setting of each method, all of the drag, and nothing of a spectrum to control.
+    // Nothing of a spectrum to control.
     assert_eq!(points.len(), 4);
     assert!(points.iter().all(|point| point["query_seconds"].is_null()));
-
-    let output = surfaced(&["chart", &json[0], &json[1], "--out", &svg]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let picture = std::fs::read_to_string(&svg).unwrap();
-    for protocol in protocols {
-        assert!(picture.contains(protocol), "{protocol}");
-    }
-    let output = surfaced(&["chart", &json[0], &data, "--out", &svg]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("chart these recordings first"), "{}", stderr(&output));
 }
 
 #[test]
-fn what_is_no_chart_is_refused() {
+fn an_earlier_chart_is_refused_with_what_draws_it() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("chart.json");
     std::fs::write(&path, "{}").unwrap();
     let output = surfaced(&["chart", path.to_str().unwrap(), "--out", "never.svg"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("chart.json: missing field"), "{}", stderr(&output));
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("tools/peers/run --draw"), "{}", stderr(&output));
 }
