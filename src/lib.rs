@@ -56,6 +56,10 @@
 
 #![warn(missing_docs)]
 
+// For the processes that unit tests, other tests and tools share (tests/common/simulate.rs).
+#[cfg(test)]
+extern crate self as surfaced;
+
 #[doc(hidden)]
 pub mod cli;
 pub mod dataset;

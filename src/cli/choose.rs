@@ -2,12 +2,45 @@
 
 use std::collections::BTreeSet;
 
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+
 use super::Failure;
-use super::protocol::ProtocolArg;
 use crate::evaluate::{self, EvaluateError, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
+
+/// A protocol on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProtocolArg(pub Protocol);
+
+impl ValueEnum for ProtocolArg {
+    fn value_variants<'a>() -> &'a [Self] {
+        &const {
+            let [a, b, c, d] = Protocol::ALL;
+            [Self(a), Self(b), Self(c), Self(d)]
+        }
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self.0 {
+            Protocol::ExpertVsUsers => {
+                "The expert's trials are the library; each other user is a fold of queries (1 vs 10)"
+            }
+            Protocol::LeaveOneTrialOut => {
+                "Fold k: trial k of every surface against the same person's other trials (1 vs 1)"
+            }
+            Protocol::AllVsOneUser => {
+                "Each user is a fold; the library is everybody else (10 vs 1)"
+            }
+            Protocol::RandomHalves => {
+                "50 folds: a random half of a person's trials of each surface against the other half"
+            }
+        };
+        Some(PossibleValue::new(self.0.name()).help(help))
+    }
+}
 
 /// What a measurement works with.
 pub(super) struct Choice {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::protocol::ProtocolArg;
+use super::choose::ProtocolArg;
 use super::{Done, Failure, SourceArgs, shown};
 
 /// What a figure is measured on, and where it goes.

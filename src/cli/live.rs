@@ -10,7 +10,7 @@ use super::answers::AnswerArgs;
 use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::plan::Comparing;
+use super::method::Comparing;
 use super::serve::ServeArgs;
 use super::supervisor::Supervisor;
 use super::terminal::Terminal;

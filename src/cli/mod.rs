@@ -31,7 +31,6 @@ mod method;
 mod paper;
 mod parse;
 mod plan;
-mod protocol;
 mod replay;
 mod run;
 mod samples;

@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::answers::AnswerArgs;
-use super::choose::{Choice, choose, within};
+use super::choose::{Choice, ProtocolArg, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::plan::{Comparing, ComparingArgs};
-use super::protocol::ProtocolArg;
+use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::show::quoted;
 use super::tally::Tally;

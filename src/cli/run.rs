@@ -2,7 +2,7 @@
 
 use super::answers::AnswerArgs;
 use super::live::{StationArgs, StationWork, check, given, library_of, load, verdict, work};
-use super::plan::ComparingArgs;
+use super::method::ComparingArgs;
 use super::{Done, Failure, shown};
 use crate::station::assemble;
 

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::common::simulate;
 use assert_cmd::Command;
 use ndarray::Array2;
-use surfaced::duration::simulate;
 use surfaced::kernel::{
     Threshold, centred, kernel_matrix, length_scale, permuted, quantile_index, test_independence,
 };

@@ -1,16 +1,15 @@
 //! Processes whose correlation time is known, to hold T* against.
 
-use rand::Rng;
+#![allow(dead_code)] // Not every test and tool uses all of it.
 
-use crate::seed::box_muller;
-use crate::trial::{Series, SignalError};
+use rand::Rng;
+use surfaced::trial::{Series, SignalError};
 
 /// A number of the standard normal distribution (Box and Muller 1958).
 pub fn normal(rng: &mut impl Rng) -> f64 {
     // The half keeps the logarithm finite.
     let u = (f64::from(rng.next_u32()) + 0.5) / 4_294_967_296.0;
-    let v = uniform(rng);
-    box_muller(u, v)
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
 }
 
 /// A number from 0 up to 1.
