@@ -25,7 +25,7 @@
 //!
 //! ```text
 //! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
-//!                                                                  └► record ─► library ◄─ dataset (lmt108 · mat · synth)
+//!                                                                  └► record ─► library ◄─ dataset (lmt108 · synth)
 //! duration (HSIC, T*) stands on library + kernel, evaluate (protocols, chart, stress, plan) on recognise and
 //! duration; station joins scan, recognise, duration and record, and reads its own configuration; history
 //! (past scans) and outputs (HTTP, MQTT) stand on station; cli and serve (the page, the interface for
@@ -55,6 +55,10 @@
 //! format, and JSON below `/api/v1`, only ever gain fields.
 
 #![warn(missing_docs)]
+
+// For the processes that unit tests, other tests and tools share (tests/common/simulate.rs).
+#[cfg(test)]
+extern crate self as surfaced;
 
 #[doc(hidden)]
 pub mod cli;

@@ -32,17 +32,12 @@ pub(crate) fn uniform(rng: &mut impl Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A number from the standard normal distribution, from two independent uniform ones: `u` in
-/// (0, 1], `v` in [0, 1) (Box and Muller 1958).
-pub(crate) fn box_muller(u: f64, v: f64) -> f64 {
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-}
-
-/// A number from the standard normal distribution.
+/// A number from the standard normal distribution, from two independent uniform ones (Box and
+/// Muller 1958).
 pub fn normal(rng: &mut impl Rng) -> f64 {
     // 1 − u lies in (0, 1], so the logarithm is finite.
     let u = 1.0 - uniform(rng);
-    box_muller(u, uniform(rng))
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
 //! Recordings as MCAP: every sample is there for other tools, and every file comes back.
+#![cfg(feature = "mcap")]
 
 mod common;
 

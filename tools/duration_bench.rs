@@ -5,10 +5,13 @@
 //! At the optimisation level of that profile, 3: below it the compiler makes no vectors of what is
 //! written lane by lane, and `pooled` takes several times as long.
 
+#[path = "../tests/common/simulate.rs"]
+mod simulate;
+
 use rustix::time::{ClockId, clock_gettime};
 use surfaced::duration::{
     Algorithm1Settings, CORRELATION, OnlineDuration, OnlineSettings, Rule, Search, Trials, VALUES,
-    at_needed_rate, simulate,
+    at_needed_rate,
 };
 use surfaced::kernel::Threshold;
 use surfaced::seed;

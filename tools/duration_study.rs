@@ -10,6 +10,8 @@
 mod halves;
 #[path = "duration_study_promise.rs"]
 mod promise;
+#[path = "../tests/common/simulate.rs"]
+mod simulate;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use surfaced::duration::{
     Algorithm1Settings, CORRELATION, PooledAnswer, PooledEstimate, Rule, Search, Trials, VALUES,
-    at_needed_rate, simulate,
+    at_needed_rate,
 };
 use surfaced::kernel::Threshold;
 use surfaced::seed;

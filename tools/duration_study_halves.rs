@@ -12,7 +12,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use surfaced::duration::{
     Algorithm1Settings, CORRELATION, Estimator, PooledSettings, Question, Rule, SourceDuration,
-    VALUES, at_needed_rate, report, simulate,
+    VALUES, at_needed_rate, report,
 };
 use surfaced::kernel::Threshold;
 use surfaced::library::Library;
@@ -20,7 +20,7 @@ use surfaced::recognise::LibraryShape;
 use surfaced::scene::Scene;
 use surfaced::seed;
 
-use super::Failure;
+use super::{Failure, simulate};
 
 /// T* of odd trials against that of even ones, by the three rules.
 pub fn halves(folder: &Path) -> Result<(), Failure> {

@@ -1,31 +1,26 @@
 //! `surfaced chart`: every method, accuracy against latency and against scan time.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, earlier, is_earlier, json, write};
+use super::figure::{FigureArgs, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, show, shown};
-use crate::evaluate::chart::{
-    Chart, Charting, Comparer, brief, charted, drag_s, figure, measure, side_by_side,
-};
+use crate::evaluate::chart::{Chart, Charting, Comparer, brief, charted, drag_s, figure, measure};
 use crate::scene::SourceId;
 
 /// Chart accuracy against latency and scan time, for every method
 ///
 /// Each point is measured in this run, beside two negative controls: what the band below 80 Hz
-/// and loudness alone give away. JSON is written beside the picture. An earlier run's JSON in place
-/// of recordings is drawn again, with whatever was joined to it since; those of several runs are drawn
-/// side by side, accuracy against latency, with one table of numbers.
+/// and loudness alone give away. JSON is written beside the picture.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
-                        mi2 --out chart.svg\n  surfaced chart chart.json --out chart.svg\n  surfaced chart sounds.json users.json --out both.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
+                        mi2 --out chart.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
 pub struct Args {
-    /// Recordings (a library, or the LMT108 database), or the JSON of an earlier chart, or of several
-    #[arg(required = true, value_name = "LIB")]
-    lib: Vec<PathBuf>,
+    /// Recordings (a library, or the LMT108 database)
+    lib: PathBuf,
     #[command(flatten)]
     figure: FigureArgs,
     /// Use this many surfaces at most, evenly spread over their names
@@ -39,36 +34,21 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
-    let [lib] = &args.lib[..] else { return drawn_side_by_side(args) };
-    let drawn_again = is_earlier(lib);
-    let chart: Chart = if drawn_again { earlier(lib, "chart")? } else { measured(args, lib)? };
+    if is_earlier(&args.lib) {
+        return Err(Failure::Usage(format!(
+            "{}: expected recordings; earlier charts are drawn by `tools/peers/run --draw`",
+            shown(&args.lib)
+        )));
+    }
+    let chart = measured(args)?;
     show::wrote(&keep(args, &chart)?);
     if args.figure.json {
         show::json(&chart);
-    } else if !drawn_again {
-        let lib = quoted(lib);
+    } else {
+        let lib = quoted(&args.lib);
         show::next(&format!(
             "surfaced plan {lib} chooses the cheapest setting that is good enough"
         ));
-    }
-    Ok(())
-}
-
-/// Draws several earlier charts as one picture.
-fn drawn_side_by_side(args: &Args) -> Done {
-    if let Some(other) = args.lib.iter().find(|path| !is_earlier(path)) {
-        return Err(Failure::Usage(format!(
-            "{}: several charts are drawn side by side from the JSON of each; chart these \
-             recordings first, alone",
-            shown(other)
-        )));
-    }
-    let charts = args.lib.iter().map(|path| earlier(path, "chart"));
-    let charts: Vec<Chart> = charts.collect::<Result<_, _>>()?;
-    write(&args.figure.out, &side_by_side(&charts)?)?;
-    show::wrote(std::slice::from_ref(&args.figure.out));
-    if args.figure.json {
-        show::json(&charts);
     }
     Ok(())
 }
@@ -77,15 +57,12 @@ fn drawn_side_by_side(args: &Args) -> Done {
 fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
     let (out, beside) = (args.figure.out.clone(), args.figure.beside());
     write(&out, &figure(chart)?)?;
-    if args.lib.contains(&beside) {
-        return Ok(vec![out]);
-    }
     write(&beside, &json(chart)?)?;
     Ok(vec![out, beside])
 }
 
-fn measured(args: &Args, lib: &Path) -> Result<Chart, Failure> {
-    let library = super::open(lib)?;
+fn measured(args: &Args) -> Result<Chart, Failure> {
+    let library = super::open(&args.lib)?;
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let mut choice = choose(&library, scene, args.figure.protocol)?;
     if let Some(most) = args.surfaces {

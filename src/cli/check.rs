@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::plan::{Comparing, ComparingArgs};
+use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::evaluate::{CheckReport, check};

@@ -1,8 +1,8 @@
 //! `surfaced eval`: accuracy by protocol.
 
-mod features;
 mod report;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use self::report::{EvalAnswer, EvalReport};
@@ -12,15 +12,16 @@ use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, paper, show};
-use crate::dataset::table;
+use crate::dataset::table::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
     UnknownOutcome, enrol,
 };
 use crate::library::lock::LibraryLock;
+use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{Method, MethodName, RecogniseError};
-use crate::scene::Scene;
+use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
 /// Measure how well a method names surfaces
@@ -36,7 +37,7 @@ use crate::trial::TrialKey;
 pub struct Args {
     #[command(subcommand)]
     then: Option<Then>,
-    /// Recordings: a library, or the LMT108 database in either of its forms; or feature tables
+    /// Recordings: a library, or the LMT108 database; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
     /// How queries and library are split (default: the first of these that fits)
@@ -158,14 +159,14 @@ fn advise(data: &Path, report: &EvalReport) {
     }
 }
 
-fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<EvalReport, Failure> {
+fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure> {
     if args.paper {
         return Err(Failure::Usage("--paper needs recordings; these are feature tables".into()));
     }
     if args.query_seconds.is_some() {
         return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
     }
-    let trials = features::vectors(tables, &args.sources.sources)?;
+    let trials = vectors(tables, &args.sources.sources)?;
     let data = EvalData {
         name: &tables.name,
         synthetic: false,
@@ -175,6 +176,40 @@ fn on_tables(args: &Args, tables: &table::FeatureTables) -> Result<EvalReport, F
         cache: None,
     };
     evaluated(args, data)
+}
+
+/// The trials, with the chosen ones of the tables; with all if none is chosen.
+///
+/// # Errors
+/// Wrong usage, if there is no such table.
+fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Result<Vec<FeatureVector>, Failure> {
+    if let Some(unknown) = chosen.iter().find(|id| !tables.sources.contains(id)) {
+        let known: Vec<_> = tables.sources.iter().map(SourceId::as_str).collect();
+        return Err(Failure::Usage(format!("no table {unknown}; there are {}", known.join(", "))));
+    }
+    let wanted = |id: &SourceId| chosen.is_empty() || chosen.contains(id);
+    let vector = |(key, sources): (&TrialKey, _)| FeatureVector {
+        key: key.clone(),
+        sources: features(sources, &wanted),
+    };
+    let trials = tables.trials.iter().map(vector).filter(|trial| !trial.sources.is_empty());
+    let trials: Vec<FeatureVector> = trials.collect();
+    say!(
+        "{}: feature tables {}, {} trials",
+        tables.name,
+        tables.sources.iter().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
+        trials.len()
+    );
+    Ok(trials)
+}
+
+fn features(
+    of_trial: &BTreeMap<SourceId, Vec<f64>>,
+    wanted: &dyn Fn(&SourceId) -> bool,
+) -> BTreeMap<SourceId, SourceFeatures> {
+    let kept = of_trial.iter().filter(|(id, _)| wanted(id));
+    kept.map(|(id, values)| (id.clone(), SourceFeatures { values: values.clone(), rate_hz: 0.0 }))
+        .collect()
 }
 
 fn evaluated(args: &Args, data: EvalData<'_>) -> Result<EvalReport, Failure> {

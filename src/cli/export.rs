@@ -2,10 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::show::quoted;
-use super::{Done, show, shown};
-use crate::record::mcap;
-use crate::scene::Scene;
+use super::Done;
 
 /// Write a recording as MCAP, which Foxglove and other tools open
 ///
@@ -34,22 +31,48 @@ pub struct ImportArgs {
 }
 
 /// Runs `surfaced export`.
+#[cfg(feature = "mcap")]
 pub fn export(args: &ExportArgs) -> Done {
-    let library = mcap::open(&args.recording, &Scene::lmt108())?;
+    use super::{show, shown};
+    use crate::record::mcap;
+    let library = mcap::open(&args.recording, &crate::scene::Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
     say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.out));
-    let out = quoted(&args.out);
+    let out = show::quoted(&args.out);
     show::next(&format!("open it in Foxglove, or surfaced import {out} FOLDER"));
     Ok(())
 }
 
 /// Runs `surfaced import`.
+#[cfg(feature = "mcap")]
 pub fn import(args: &ImportArgs) -> Done {
-    let trials = mcap::import(&args.mcap, &args.library)?;
+    use super::{show, shown};
+    let trials = crate::record::mcap::import(&args.mcap, &args.library)?;
     match trials {
         0 => say!("wrote {}", shown(&args.library)),
         trials => say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.library)),
     }
-    show::next(&format!("surfaced eval {}", quoted(&args.library)));
+    show::next(&format!("surfaced eval {}", show::quoted(&args.library)));
     Ok(())
+}
+
+/// Refuses `surfaced export`: this build has no MCAP.
+#[cfg(not(feature = "mcap"))]
+pub fn export(_: &ExportArgs) -> Done {
+    Err(left_out())
+}
+
+/// Refuses `surfaced import`: this build has no MCAP.
+#[cfg(not(feature = "mcap"))]
+pub fn import(_: &ImportArgs) -> Done {
+    Err(left_out())
+}
+
+#[cfg(not(feature = "mcap"))]
+fn left_out() -> super::Failure {
+    super::Failure::Usage(
+        "this build cannot read or write MCAP; install surfaced from a release, or build it with \
+         `cargo install --locked --path . --features mcap`"
+            .into(),
+    )
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde::Serialize;
 
-use super::plan::ComparingArgs;
+use super::method::ComparingArgs;
 use super::{Done, Failure, check, show};
 use crate::evaluate::{TrialCheck, TrialVerdict};
 use crate::library::lock::LibraryLock;

@@ -12,7 +12,7 @@ use super::answers::AnswerArgs;
 use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::plan::{Comparing, ComparingArgs};
+use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::terminal::Terminal;
 use super::{Done, Failure, shown};

@@ -1,13 +1,17 @@
-//! Options that choose a method and its settings.
+//! How trials are compared: the method and its settings, or a plan that names them.
+
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
-use super::Failure;
+use super::{Failure, SourceArgs};
+use crate::evaluate::plan::Plan;
 use crate::recognise::{
     EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, PositionMode, ReferenceOptions, STAGES,
     SumPrecision, TreeOptions,
 };
+use crate::scene::Scene;
 
 impl ValueEnum for MethodName {
     fn value_variants<'a>() -> &'a [Self] {
@@ -159,4 +163,81 @@ pub fn options_of(method: &MethodSpec) -> String {
         }
     }
     options
+}
+
+/// How to compare, or a plan that says so, for commands that name scans.
+#[derive(clap::Args)]
+pub struct ComparingArgs {
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    method: MethodArgs,
+    /// Compare as this plan says, which `surfaced plan` has written
+    #[arg(long, value_name = "FILE", conflicts_with_all = [
+        "sources", "method", "n", "repetitions", "positions", "neighbours",
+        "halving"
+    ])]
+    plan: Option<PathBuf>,
+}
+
+impl ComparingArgs {
+    /// What the plan says, if there is one, or else the other arguments; says so.
+    ///
+    /// # Errors
+    /// Wrong usage, if the plan cannot be read.
+    pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
+        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
+        let Some(path) = &self.plan else {
+            let method = self.method.spec()?;
+            return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
+        };
+        let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
+        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
+        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
+        say!(
+            "plan for {}: {} by {}{used}",
+            plan.library,
+            names.join(" + "),
+            plan.method.name().as_str()
+        );
+        let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
+        Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
+    }
+}
+
+/// How scans are compared.
+#[derive(Clone)]
+pub struct Comparing {
+    /// The plan that says so, if one does.
+    pub plan: Option<Plan>,
+    sources: SourceArgs,
+    /// The method.
+    pub method: MethodSpec,
+    /// Whether prepared trials are kept beside the library.
+    cache: bool,
+    /// How much of each drag is used, in seconds, if not all of it.
+    pub query_seconds: Option<f64>,
+}
+
+impl Comparing {
+    /// Where prepared trials of a folder are kept, if they are.
+    pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
+        self.cache.then(|| folder.to_path_buf())
+    }
+
+    /// How long the plan lets scans last, in seconds, if there is one that says so.
+    pub fn planned_s(&self) -> Option<f64> {
+        self.plan.as_ref()?.scan_s
+    }
+
+    /// The scene with the sources that are compared.
+    ///
+    /// # Errors
+    /// Wrong usage, if the scene lacks one.
+    pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        match &self.plan {
+            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
+            None => self.sources.narrow(scene),
+        }
+    }
 }

@@ -1,23 +1,20 @@
 //! `surfaced plan`: the cheapest setting that names a library's surfaces well enough.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::choose::choose;
 use super::common::share;
 use super::figure::write;
-use super::method::MethodArgs;
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, say, show};
 use crate::evaluate::Protocol;
-use crate::evaluate::plan::{Plan, PlanOptions, Planned, search};
+use crate::evaluate::plan::{PlanOptions, Planned, search};
 use crate::library::Library;
-use crate::recognise::MethodSpec;
-use crate::scene::Scene;
 
 /// Find the cheapest setting that names this library's surfaces well enough
 ///
-/// Tries sources, scan times and methods by cross-validation inside the library, and writes what
-/// it found as a file that `surfaced replay --plan` takes.
+/// Tries sources and scan times by cross-validation inside the library, and writes the result as a
+/// file that `surfaced replay --plan` takes.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  surfaced plan my-library --target 0.99 --out plan.toml\n\nTime: 10 s for LMT108's 200 dragging sounds, on two cores; minutes with eight sources"
@@ -41,83 +38,6 @@ pub struct Args {
     json: bool,
 }
 
-/// How to compare, or a plan that says so, for commands that name scans.
-#[derive(clap::Args)]
-pub struct ComparingArgs {
-    #[command(flatten)]
-    sources: SourceArgs,
-    #[command(flatten)]
-    method: MethodArgs,
-    /// Compare as this plan says, which `surfaced plan` has written
-    #[arg(long, value_name = "FILE", conflicts_with_all = [
-        "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving"
-    ])]
-    plan: Option<PathBuf>,
-}
-
-impl ComparingArgs {
-    /// What the plan says, if there is one, or else the other arguments; says so.
-    ///
-    /// # Errors
-    /// Wrong usage, if the plan cannot be read.
-    pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
-        let Some(path) = &self.plan else {
-            let method = self.method.spec()?;
-            return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
-        };
-        let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
-        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
-        let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        say!(
-            "plan for {}: {} by {}{used}",
-            plan.library,
-            names.join(" + "),
-            plan.method.name().as_str()
-        );
-        let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
-        Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
-    }
-}
-
-/// How scans are compared.
-#[derive(Clone)]
-pub struct Comparing {
-    /// The plan that says so, if one does.
-    pub plan: Option<Plan>,
-    sources: SourceArgs,
-    /// The method.
-    pub method: MethodSpec,
-    /// Whether prepared trials are kept beside the library.
-    cache: bool,
-    /// How much of each drag is used, in seconds, if not all of it.
-    pub query_seconds: Option<f64>,
-}
-
-impl Comparing {
-    /// Where prepared trials of a folder are kept, if they are.
-    pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
-        self.cache.then(|| folder.to_path_buf())
-    }
-
-    /// How long the plan lets scans last, in seconds, if there is one that says so.
-    pub fn planned_s(&self) -> Option<f64> {
-        self.plan.as_ref()?.scan_s
-    }
-
-    /// The scene with the sources that are compared.
-    ///
-    /// # Errors
-    /// Wrong usage, if the scene lacks one.
-    pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
-        match &self.plan {
-            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
-            None => self.sources.narrow(scene),
-        }
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
@@ -126,7 +46,7 @@ pub fn run(args: &Args) -> Done {
     let protocol = chosen.protocol;
     let library = Library { scene: chosen.scene, entries: chosen.entries, ..library };
     let steps = show::Steps::new();
-    let options = PlanOptions { target: args.target, protocol, cache: None };
+    let options = PlanOptions { target: args.target, protocol };
     let planned = search(&library, options, &|step, done, of| steps.show(step, done, of))?;
     drop(steps);
     let text = planned.plan.to_toml();
@@ -171,9 +91,6 @@ fn print(planned: &Planned) {
     result!();
     for step in &planned.steps {
         result!("{step}");
-    }
-    for warning in &planned.warnings {
-        say!("warning: {warning}");
     }
     let e = &planned.plan.expected;
     let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();

@@ -8,7 +8,7 @@ use super::answers::AnswerArgs;
 use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::plan::{Comparing, ComparingArgs};
+use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::show::{self, quoted};
 use super::tally::Tally;

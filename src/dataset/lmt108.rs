@@ -226,7 +226,7 @@ fn source_files(
 }
 
 /// What was found and what is missing, a line each, for people.
-pub(super) fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
+fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
     let surfaces: BTreeSet<_> = entries.iter().map(|(key, _)| key.surface.as_str()).collect();
     let experts = entries.iter().filter(|(key, _)| key.user == EXPERT).count();
     let (mut found, mut missing, mut gaps) = (Vec::new(), Vec::new(), Vec::new());

@@ -1,7 +1,6 @@
 //! Collections of recordings in the forms that others gave them.
 
 mod lmt108;
-mod mat;
 pub mod synth;
 pub(crate) mod table;
 
@@ -16,7 +15,6 @@ use crate::scene::Scene;
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
 ///   its folders, here or one folder further down),
-/// - its authors' processed form (`DataLMT108/` or `surfaceList_LMT108train.mat`, likewise),
 /// - a single WAV or FLAC file: one trial, whose surface nobody knows,
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
@@ -25,7 +23,7 @@ use crate::scene::Scene;
 ///
 /// # Errors
 /// If the folder cannot be read, holds no recordings, or holds some that contradict their
-/// description.
+/// description; if it holds LMT108 in its authors' processed form, which a script converts.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     open_usable(path, defaults)?.whole()
 }
@@ -48,7 +46,7 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
         for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
             // What cannot be listed here is reported where it is needed.
             let inner = files::list(&item.path).unwrap_or_default();
-            if lmt108::is_root(&inner) || mat::is_root(&inner) {
+            if lmt108::is_root(&inner) || is_processed(&inner) {
                 found.push((item, inner));
             }
         }
@@ -81,5 +79,21 @@ fn open_lmt108(
     if lmt108::is_root(listed) {
         return Some(lmt108::open(path, listed, defaults));
     }
-    mat::is_root(listed).then(|| mat::open(path, listed, defaults))
+    is_processed(listed).then(|| {
+        let problem = "LMT108 in its authors' processed form (MATLAB files); convert it with \
+                       `tools/python/from_mat FOLDER LIBRARY`, and name that library";
+        Err(LibraryError::file(path, problem))
+    })
+}
+
+/// Whether a folder with these things in it is the root of the authors' processed form of LMT108, or
+/// its `DataLMT108`.
+fn is_processed(listed: &[Listed]) -> bool {
+    let has = |name: &str, is_dir: bool| {
+        listed.iter().any(|item| item.is_dir == is_dir && item.name.eq_ignore_ascii_case(name))
+    };
+    let lists = ["surfaceList_LMT108train.mat", "surfaceList_LMT108test.mat"];
+    has("DataLMT108", true)
+        || lists.iter().any(|list| has(list, false))
+        || (has("Library", true) && has("TestingSet", true))
 }

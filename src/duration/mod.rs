@@ -11,7 +11,7 @@
 //!
 //! [`report()`] computes T* for the surfaces and sources of a library, [`OnlineDuration`] for the
 //! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into the seconds to
-//! drag, `figure` draws it, and `simulate` has processes whose T* is known.
+//! drag, and `figure` draws it.
 //!
 //! # What T* means
 //! Two samples T* apart depend on each other no more than those of a Gaussian process with a
@@ -42,15 +42,16 @@ mod need;
 mod online;
 mod pooled;
 mod report;
-#[doc(hidden)]
-pub mod simulate;
+#[cfg(test)]
+#[path = "../../tests/common/simulate.rs"]
+pub(crate) mod simulate;
 mod trials;
 
 pub use algorithm1::{
     Algorithm1Settings, CurvePoint, Estimate, Rule, Search, SearchOutcome, t_star,
 };
 pub(crate) use figure::{AccuracyCurve, figure};
-pub(crate) use need::{SAMPLES, ScanNeed, worth};
+pub(crate) use need::{SAMPLES, ScanNeed};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};
 #[doc(hidden)]
 pub use pooled::{CORRELATION, VALUES, at_needed_rate};

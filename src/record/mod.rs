@@ -6,6 +6,7 @@
 mod date;
 pub mod edit;
 mod folder_name;
+#[cfg(feature = "mcap")]
 pub mod mcap;
 mod wav;
 

@@ -5,6 +5,7 @@
 pub mod http;
 pub mod replayed;
 pub mod scripted;
+pub mod simulate;
 pub mod sound;
 pub mod stylus;
 

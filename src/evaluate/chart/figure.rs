@@ -1,7 +1,6 @@
 //! The chart as a picture: accuracy against latency and against scan time.
 
-use super::legend::{colours, legend_rows, lettered};
-use super::panel::{latency_panel, time_panel};
+use super::panel::{colours, latency_panel, legend, lettered, time_panel};
 use super::point::{Chart, ChartPoint, front};
 use crate::draw::{Area, Drawn, FigureError, put, svg};
 
@@ -14,8 +13,7 @@ const MARGIN: i32 = 24;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
 /// right. Bars are 95 % intervals, ticks are users, the thick line is the Pareto front, whose points are
-/// numbered and listed below, dashed lines with letters are negative controls, squares are programs
-/// of others, and hollow points use only some of the sources.
+/// numbered and listed below, dashed lines with letters are negative controls, and hollow points use only some of the sources.
 ///
 /// # Errors
 /// If there are no points.
@@ -29,11 +27,7 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     let fronts = [front(&whole, |p| p.query_ms_p50), front(&chart.timed(), |p| chart.scan_s(p))];
     let longest = fronts.iter().map(Vec::len).max().unwrap_or(0) as i32;
     let controls = chart.controls().count() as i32;
-    let rows = legend_rows(chart, &colours, WIDTH as i32 - 2 * MARGIN).len() as i32
-        + controls
-        + longest
-        + 1;
-    let below = rows * LINE + 24 + MARGIN;
+    let below = (controls + longest + 2) * LINE + 24 + MARGIN;
     svg((WIDTH, HEAD + PANEL + below as u32), |root| {
         head(root, chart)?;
         let (_, rest) = root.split_vertically(HEAD);
@@ -42,14 +36,8 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
         latency_panel(&left, chart, &whole, &colours)?;
         time_panel(&right, chart, &colours)?;
         let mut top = (HEAD + PANEL) as i32 + 8;
-        for row in legend_rows(chart, &colours, WIDTH as i32 - 2 * MARGIN) {
-            let mut x = MARGIN;
-            for key in row {
-                key.draw(root, (x, top))?;
-                x += key.width();
-            }
-            top += LINE;
-        }
+        legend(root, chart, &colours, (MARGIN, top))?;
+        top += LINE;
         for (letter, control) in lettered(chart) {
             let text = format!("{letter}  negative control, {}", line(chart, control));
             put(root, text, (MARGIN, top), 13)?;
@@ -89,7 +77,7 @@ fn line(chart: &Chart, point: &ChartPoint) -> String {
     )
 }
 
-pub(super) fn three_digits(x: f64) -> String {
+fn three_digits(x: f64) -> String {
     let decimals = (2 - x.max(1e-3).log10().floor() as i32).clamp(0, 3) as usize;
     format!("{x:.decimals$}")
 }
@@ -133,14 +121,12 @@ mod tests {
         points.push(ChartPoint { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
         let control = ChartPoint { control: true, ..point("control", 2.0, 0.5) };
         points.push(ChartPoint { setting: "loudness alone".into(), ..control });
-        points.push(ChartPoint { peer: true, ..point("MiniRocket", 9.0, 0.98) });
         let chart = chart(points);
         let svg = figure(&chart).unwrap();
         for text in [
             "reference",
             "embedding, some sources",
             "negative control, loudness alone: 50.0 %",
-            "MiniRocket (a peer)",
             "SYNTHETIC",
             "first 0.5 s",
             "a &lt;scene&gt;",

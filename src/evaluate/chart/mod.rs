@@ -1,22 +1,80 @@
 //! Accuracy against latency and against scan time, method by method.
 //!
 //! ```text
-//! charted (settings, subsets of sources, controls) ─► measure ─► Chart of points ─► figure (panels, legend)
-//!                                                      several Charts of points ─► side_by_side
+//! charted (settings, subsets of sources, controls) ─► measure ─► Chart of points ─► figure
 //! ```
 
 mod figure;
-mod legend;
-mod measure;
 mod panel;
 mod point;
 mod settings;
-mod side_by_side;
 
 pub use figure::figure;
-pub use measure::{Charting, drag_s, measure};
 pub use point::Chart;
 #[cfg(test)]
 pub use settings::settings;
 pub use settings::{Comparer, brief, charted};
-pub use side_by_side::side_by_side;
+
+use point::ChartPoint;
+use settings::Charted;
+
+use crate::evaluate::{
+    EvaluateError, Evaluation, Fold, LeftOutSources, Loudness, Measured, Protocol,
+};
+use crate::library::Entry;
+use crate::recognise::{Method, RecogniseError};
+use crate::scene::{Scene, SourceId};
+
+/// What a chart is measured on.
+#[derive(Clone, Copy)]
+pub struct Charting<'a> {
+    /// The trials.
+    pub entries: &'a [Entry],
+    /// How they are split.
+    pub protocol: Protocol,
+    /// Queries and libraries.
+    pub folds: &'a [Fold],
+}
+
+/// The points of one run, a point for each scan time; `name` is what the chart calls its setting.
+/// None for loudness where no source has a spectrum. With them, the sources that were left out.
+///
+/// # Errors
+/// If a trial cannot be read or compared.
+pub fn measure(
+    on: Charting<'_>,
+    charted: &Charted,
+    name: &str,
+) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
+    let scene = &charted.scene;
+    let method: Box<dyn Method> = match &charted.what {
+        Comparer::Method(method) | Comparer::Control(method, _) => method.build(scene),
+        Comparer::Loudness(_) => match Loudness::new(scene) {
+            Some(loudness) => Box::new(loudness),
+            None => return Ok(Default::default()),
+        },
+    };
+    let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
+    let measured = run.measure_lengths(&charted.seconds)?;
+    let point = |(seconds, measured): (&Option<f64>, &Measured)| {
+        ChartPoint::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
+    };
+    let points = charted.seconds.iter().zip(&measured).map(point).collect();
+    let mut left_out = LeftOutSources::new();
+    for (remark, trials) in measured.into_iter().flat_map(|measured| measured.left_out) {
+        left_out.entry(remark).or_default().extend(trials);
+    }
+    Ok((points, left_out))
+}
+
+/// The longest drag of the first trial that has one, in seconds.
+///
+/// # Errors
+/// If that trial cannot be read.
+pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
+    let is_drag = |id: &SourceId| scene.is_dragged(id);
+    let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {
+        return Ok(None);
+    };
+    Ok(entry.load()?.longest_s(is_drag))
+}

@@ -1,4 +1,4 @@
-//! The two panels of a chart.
+//! The two panels of a chart, and how points and lines look.
 
 use std::collections::BTreeMap;
 
@@ -6,13 +6,59 @@ use plotters::coord::ranged1d::Ranged;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-use super::legend::{Colours, PointMark, lettered};
 use super::point::{Chart, ChartPoint, front};
-use crate::draw::{Area, Drawn, drawing, put};
+use crate::draw::{Area, COLOURS, Drawn, drawing, put};
 
 const GREY: RGBColor = RGBColor(120, 120, 120);
 
-pub(super) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
+/// The colour of each method.
+pub(super) type Colours<'a> = BTreeMap<&'a str, RGBColor>;
+
+/// Methods in their order in the chart, each with its colour.
+pub(super) fn colours(chart: &Chart) -> Colours<'_> {
+    let mut methods: Vec<&str> = Vec::new();
+    for point in chart.methods() {
+        if !methods.contains(&point.method.as_str()) {
+            methods.push(&point.method);
+        }
+    }
+    methods.into_iter().zip(COLOURS.into_iter().cycle()).collect()
+}
+
+/// The controls, each with the letter of its line.
+pub(super) fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
+    ('a'..='z').map(String::from).zip(chart.controls())
+}
+
+/// Draws a point; `hollow` if it uses only some of the sources.
+fn mark(area: &Area<'_>, at: (i32, i32), colour: RGBColor, hollow: bool) -> Drawn {
+    let style = if hollow { colour.stroke_width(2) } else { colour.filled() };
+    area.draw(&Circle::new(at, 5, style)).map_err(drawing)
+}
+
+/// A row that names the marks, with its upper left corner at `(x, top)`.
+pub(super) fn legend(
+    area: &Area<'_>,
+    chart: &Chart,
+    colours: &Colours<'_>,
+    (mut x, top): (i32, i32),
+) -> Drawn {
+    let mut named: Vec<String> = Vec::new();
+    for point in chart.methods() {
+        let hollow = chart.is_subset(point);
+        let name = format!("{}{}", point.method, if hollow { ", some sources" } else { "" });
+        if !named.contains(&name) {
+            mark(area, (x + 6, top + 7), colours[point.method.as_str()], hollow)?;
+            put(area, name.as_str(), (x + 18, top), 13)?;
+            // About the width of the text.
+            x += name.chars().count() as i32 * 7 + 40;
+            named.push(name);
+        }
+    }
+    Ok(())
+}
+
+type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// The accuracies that an axis shows, controls included.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> std::ops::Range<f64> {
@@ -81,12 +127,12 @@ fn builder<'a, 'b>(area: &'a Area<'b>) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
     builder
 }
 
-pub(super) fn percent(y: f64) -> String {
+fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
 /// Where a value lies in an area.
-pub(super) fn place<X: Ranged<ValueType = f64>>(
+fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
     x: f64,
@@ -97,7 +143,7 @@ pub(super) fn place<X: Ranged<ValueType = f64>>(
 }
 
 /// Dashed lines, each with its letter.
-pub(super) fn controls<X: Ranged<ValueType = f64>>(
+fn controls<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
     chart: &Chart,
@@ -115,7 +161,7 @@ pub(super) fn controls<X: Ranged<ValueType = f64>>(
 }
 
 /// A point's interval, and a tick for each user's share.
-pub(super) fn bar<X: Ranged<ValueType = f64>>(
+fn bar<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
     point: &ChartPoint,
@@ -149,8 +195,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     for point in points {
         let colour = colours[point.method.as_str()];
         bar(area, panel, point, x(point), colour)?;
-        let key = PointMark { colour, square: point.peer, hollow: chart.is_subset(point) };
-        key.draw(area, place(area, panel, x(point), point.accuracy))?;
+        mark(area, place(area, panel, x(point), point.accuracy), colour, chart.is_subset(point))?;
     }
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in front.iter().enumerate() {

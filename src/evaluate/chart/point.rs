@@ -5,7 +5,7 @@ use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_o
 use crate::scene::SourceId;
 
 /// One setting of one method, measured.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ChartPoint {
     /// The method.
     pub method: String,
@@ -22,7 +22,7 @@ pub struct ChartPoint {
     /// Upper end of that interval.
     pub accuracy_high: f64,
     /// Each user's share, where queries and library are split by user.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub users: Vec<FoldAccuracy>,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
@@ -30,11 +30,9 @@ pub struct ChartPoint {
     pub query_ms_p99: f64,
     /// Number of queries.
     pub queries: usize,
-    /// A program of others, measured by `tools/peers`.
-    #[serde(default)]
+    /// False: only points that `tools/peers` adds to the JSON are programs of others.
     pub peer: bool,
     /// Not a method but a negative control: what a room and a session give away.
-    #[serde(default)]
     pub control: bool,
 }
 
@@ -85,34 +83,25 @@ impl ChartPoint {
     }
 }
 
-/// Indices of the points that no other point beats in both `cost` (smaller is better) and
-/// accuracy, by ascending cost.
-pub fn pareto(points: &[ChartPoint], cost: impl Fn(&ChartPoint) -> f64) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| {
-        let (a, b) = (&points[a], &points[b]);
-        cost(a).total_cmp(&cost(b)).then(b.accuracy.total_cmp(&a.accuracy))
-    });
-    let mut best = f64::NEG_INFINITY;
-    order.retain(|&i| {
-        let better = points[i].accuracy > best;
-        best = best.max(points[i].accuracy);
-        better
-    });
-    order
-}
-
-/// As [`pareto`], the points themselves.
+/// The points that no other point beats in both `cost` (smaller is better) and accuracy, by
+/// ascending cost.
 pub(super) fn front<'a>(
     points: &[&'a ChartPoint],
     cost: impl Fn(&ChartPoint) -> f64,
 ) -> Vec<&'a ChartPoint> {
-    let owned: Vec<ChartPoint> = points.iter().map(|&p| p.clone()).collect();
-    pareto(&owned, cost).into_iter().map(|i| points[i]).collect()
+    let mut front = points.to_vec();
+    front.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(b.accuracy.total_cmp(&a.accuracy)));
+    let mut best = f64::NEG_INFINITY;
+    front.retain(|point| {
+        let better = point.accuracy > best;
+        best = best.max(point.accuracy);
+        better
+    });
+    front
 }
 
 /// A whole chart, as JSON holds it.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Chart {
     /// What was measured on.
     pub data: String,
@@ -135,7 +124,7 @@ pub struct Chart {
 }
 
 impl Chart {
-    /// The points that are no controls.
+    /// All points except the controls.
     pub fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| !point.control)
     }
@@ -170,9 +159,9 @@ impl Chart {
         }
     }
 
-    /// Whether a point of ours used but some of the sources.
+    /// Whether a point used only some of the sources.
     pub fn is_subset(&self, point: &ChartPoint) -> bool {
-        !point.peer && point.sources.len() < self.sources.len()
+        point.sources.len() < self.sources.len()
     }
 
     /// Scan time of a point: the part of the drag that it used.
@@ -226,7 +215,10 @@ pub(super) mod tests {
             point("slowest and best", 20.0, 0.95),
             point("slow and bad", 30.0, 0.1),
         ];
-        assert_eq!(pareto(&points, |p| p.query_ms_p50), [2, 1, 3]);
+        let shown: Vec<&ChartPoint> = points.iter().collect();
+        let names = front(&shown, |p| p.query_ms_p50).into_iter().map(|p| p.method.as_str());
+        let names: Vec<&str> = names.collect();
+        assert_eq!(names, ["fastest", "fast and good", "slowest and best"]);
     }
 
     #[test]

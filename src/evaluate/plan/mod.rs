@@ -1,16 +1,14 @@
 //! The plan of a scene: the cheapest setting that names its surfaces well enough.
 //!
 //! A scene of five surfaces does not need what one of a hundred needs. [`search()`] cross-validates
-//! inside the library (nothing else is looked at) and gives a [`Plan`]: sources, method, n, R and
-//! scan time. Cheapest means: fewest sources, then least scan time, then fewest samples to work
+//! inside the library (nothing else is looked at) and gives a [`Plan`]: sources, method and scan
+//! time. Cheapest means: fewest sources, then least scan time, then fewest samples to work
 //! through; these are counted, not timed, so that the same library gives the same plan. Sources are
 //! searched with `embedding`, whose distances add up over sources, so that every subset is known
 //! once each source is. The scan time is that of the countdown and of `surfaced duration`: the
 //! earliest by which left-out trials of the library reach the target; where the folds miss it by
-//! then, or the trials are too few to say, whole scans are taken. A setting of `reference` takes its place where it reaches
-//! the target in at most a quarter of the time. Where `embedding` misses the target with all that
-//! there is, `reference` at n = 400, R = 10 is tried, and the better of the two is taken. That of
-//! the cheaper setting is the only choice that is timed.
+//! then, or the trials are too few to say, whole scans are taken. Plans of version 0.2 that name
+//! `reference` are still read.
 //!
 //! Uncertainty: what is compared with the target is the median of the posterior of the accuracy
 //! under Jeffreys' prior, which asks for a little more than the target itself. Where there are too
@@ -22,13 +20,11 @@
 //! # What it finds
 //! For a target of 99 %, one source is enough in every library that was tried with a camera or a
 //! microphone. Without its camera, the synthetic scene of 108 surfaces needs several sources;
-//! `tests/plan.rs` says how well they do.
+//! `tests/it/plan.rs` says how well they do.
 
 mod file;
-mod method;
 mod search;
 mod study;
-mod worth;
 
 pub use file::Plan;
 pub use search::{PlanOptions, Planned, search};

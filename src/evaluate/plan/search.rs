@@ -1,28 +1,24 @@
 //! The search for the cheapest setting.
 
-use std::path::Path;
-
 use serde::Serialize;
 
 use super::file::{Expected, Plan};
-use super::method::{ChoosingMethod, Trying, needed_s};
 use super::study::Study;
-use super::worth::too_close;
-use crate::evaluate::{EvaluateError, Outcome, ProgressFn, Protocol, folds, wilson_interval};
+use crate::evaluate::{
+    EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, folds, wilson_interval,
+};
 use crate::library::{Entry, Library};
-use crate::recognise::{can_show, reaches};
-use crate::scene::{Phase, SourceId};
+use crate::recognise::{Goal, MethodName, MethodSpec, can_show, reaches, ready_model};
+use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::TrialKey;
 
 /// What a plan must reach, and by which folds.
 #[derive(Clone, Copy, Debug)]
-pub struct PlanOptions<'a> {
+pub struct PlanOptions {
     /// The accuracy to reach, a fraction.
     pub target: f64,
     /// How queries and library are split.
     pub protocol: Protocol,
-    /// The folder whose trials are kept prepared, if they are.
-    pub cache: Option<&'a Path>,
 }
 
 /// One source, what it costs and what it can do alone.
@@ -47,10 +43,8 @@ pub struct Planned {
     pub plan: Plan,
     /// All sources, the cheapest first.
     pub sources: Vec<SourceCost>,
-    /// For people: what was done, a line each.
+    /// The steps of the search, a line each.
     pub steps: Vec<String>,
-    /// For people: sources of which it compares more samples than its scans are worth, a line each.
-    pub warnings: Vec<String>,
 }
 
 /// Sources, by their places in the study, and the queries that their whole scans name right.
@@ -76,7 +70,7 @@ struct PlanSearch<'a> {
 /// If the library is too small to be cross-validated, or a trial cannot be read or compared.
 pub fn search(
     library: &Library,
-    options: PlanOptions<'_>,
+    options: PlanOptions,
     progress: ProgressFn<'_>,
 ) -> Result<Planned, EvaluateError> {
     let entries: Vec<Entry> =
@@ -89,31 +83,66 @@ pub fn search(
     };
     let needed_s = |sources: &[usize]| -> Option<f64> {
         let scene = library.scene.clone().only(&ids(sources)).ok()?;
-        let on = Trying::new(&scene, &entries, &folds, options.cache);
-        needed_s(on, options.target, progress)
+        let on = Trying { scene: &scene, entries: &entries, folds: &folds, scan_s: None };
+        on.needed_s(options.target, progress)
     };
     let mut search = PlanSearch::new(&study, options.target, &needed_s);
     let choice = search.choose();
     let scene = library.scene.clone().only(&ids(&choice.sources))?;
-    let whole = Trying::new(&scene, &entries, &folds, options.cache);
-    let (on, embedded) = search.shortened(&choice, whole, progress)?;
-    let mut steps = Vec::new();
-    let reaches = |right| search.reaches(right);
-    let choosing = ChoosingMethod { on, reaches: &reaches, steps: &mut steps, progress };
-    let (method, outcome) = choosing.choose(embedded)?;
-    search.steps.extend(steps);
+    let whole = Trying { scene: &scene, entries: &entries, folds: &folds, scan_s: None };
+    let (on, outcome) = search.shortened(&choice, whole, progress)?;
     let expected = search.expected(&outcome, &choice, on.scan_s, options.protocol);
     let plan = Plan {
         library: library.name.clone(),
         synthetic: library.synthetic,
         sources: ids(&choice.sources),
-        method,
+        method: MethodName::Embedding.into(),
         scan_s: on.scan_s,
         expected,
     };
-    let warnings = too_close(library, &plan);
     let sources = search.costs();
-    Ok(Planned { plan, sources, steps: search.steps, warnings })
+    Ok(Planned { plan, sources, steps: search.steps })
+}
+
+/// A setting of `embedding` to try.
+#[derive(Clone, Copy)]
+struct Trying<'a> {
+    scene: &'a Scene,
+    entries: &'a [Entry],
+    folds: &'a [Fold],
+    /// How much of each drag is used, in seconds; `None` for all of it.
+    scan_s: Option<f64>,
+}
+
+impl Trying<'_> {
+    /// Names all queries as `surfaced eval` would.
+    fn outcome(self, progress: ProgressFn<'_>) -> Result<Outcome, EvaluateError> {
+        let entries: Vec<Entry> =
+            self.entries.iter().map(|entry| entry.clone().within(self.scene)).collect();
+        let has_any = |i: &usize| !entries[*i].sources.is_empty();
+        let folds = self.folds.iter().map(|fold| Fold {
+            name: fold.name.clone(),
+            library: fold.library.iter().copied().filter(has_any).collect(),
+            queries: fold.queries.iter().copied().filter(has_any).collect(),
+        });
+        let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
+        let on = Evaluation::new(self.scene, &entries, &folds);
+        let evaluation = Evaluation { query_seconds: self.scan_s, progress, ..on };
+        let method = MethodSpec::from(MethodName::Embedding).build(self.scene);
+        Ok(evaluation.prepare(&*method)?.measure()?.outcome)
+    }
+
+    /// How long scans must last for an accuracy, in seconds, by the left-out trials of the library;
+    /// `None` where that is not known.
+    fn needed_s(self, target: f64, progress: ProgressFn<'_>) -> Option<f64> {
+        let within = self.entries.iter().map(|entry| entry.clone().within(self.scene));
+        let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
+        let method = MethodSpec::from(MethodName::Embedding).build(self.scene);
+        let all = (0..entries.len()).collect();
+        let step = |done, of| progress("finding the scan time", done, of);
+        let ready = ready_model(&*method, &entries, &all, None, &step).ok()?;
+        ready.model.left_out_accuracy()?.scan_time(Goal::Accuracy(target)).scan_s()
+    }
 }
 
 impl<'a> PlanSearch<'a> {
@@ -171,7 +200,7 @@ impl<'a> PlanSearch<'a> {
         costs.into_iter().min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
     }
 
-    /// Scans as long as left-out trials ask for, and what `embedding` makes of them; whole scans
+    /// Scans as long as left-out trials ask for, and their outcome; whole scans
     /// where the target is missed, or nothing shorter is known to be enough.
     fn shortened<'t>(
         &mut self,
@@ -184,7 +213,7 @@ impl<'a> PlanSearch<'a> {
         let needed_s = if wanted { (self.needed_s)(&choice.sources) } else { None };
         if let Some(scan_s) = needed_s.filter(|scan_s| *scan_s < whole_s - 1e-9) {
             let on = Trying { scan_s: Some(scan_s), ..whole };
-            let outcome = on.embedded(progress)?;
+            let outcome = on.outcome(progress)?;
             let right = outcome.right();
             let enough = self.reaches(right);
             let what = if enough { "is enough" } else { "is not enough here" };
@@ -196,7 +225,7 @@ impl<'a> PlanSearch<'a> {
                 return Ok((on, outcome));
             }
         }
-        Ok((whole, whole.embedded(progress)?))
+        Ok((whole, whole.outcome(progress)?))
     }
 
     /// Adds, one at a time, the source that helps most (of equals the cheapest), until the target

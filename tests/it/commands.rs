@@ -1,0 +1,320 @@
+//! The commands as a person or a script meets them: exit codes, messages, JSON.
+
+use std::path::Path;
+use std::process::Output;
+
+use crate::common;
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn surfaced(args: &[&str]) -> Output {
+    Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
+}
+
+fn json(args: &[&str]) -> Value {
+    let output = surfaced(args);
+    assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[track_caller]
+fn refused(args: &[&str], code: i32, parts: &[&str]) {
+    let output = surfaced(args);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {said}");
+    assert!(output.stdout.is_empty(), "nothing but JSON belongs on stdout");
+    for part in parts {
+        assert!(said.contains(part), "{args:?}: expected `{part}` in: {said}");
+    }
+}
+
+/// A small synthetic dataset: 3 surfaces, 2 expert trials, 2 users.
+fn scene() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("scene");
+    let args = ["--surfaces", "3", "--trials", "2", "--users", "2", "--seconds", "0.3"];
+    let output = surfaced(&[&["synth", out.to_str().unwrap()], &args[..]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    dir
+}
+
+fn path(dir: &tempfile::TempDir) -> String {
+    dir.path().join("scene").to_str().unwrap().into()
+}
+
+fn golden(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    path.to_str().unwrap().into()
+}
+
+fn golden_cases(name: &str) -> Vec<Vec<String>> {
+    let text = std::fs::read_to_string(golden(name)).unwrap();
+    text.lines().skip(1).map(|line| line.split(',').map(String::from).collect()).collect()
+}
+
+#[test]
+fn golden_scores_come_out_of_the_command_line() {
+    let score = |case: &str, id: &str, more: &[&str]| {
+        let (z, y) = (golden(&format!("{case}_{id}_z.csv")), golden(&format!("{case}_{id}_y.csv")));
+        json(&[&["compare", "--samples", &z, &y, "--json"], more].concat())
+    };
+    let agrees = |ours: &Value, golden: &str| {
+        let (ours, golden) = (ours.as_f64().unwrap(), golden.parse::<f64>().unwrap());
+        assert!((ours - golden).abs() <= 1e-9 * golden.max(1e-2), "{ours} but golden {golden}");
+    };
+    for case in golden_cases("mmd_cases.csv") {
+        let align: &[&str] = if case[3] == "1" { &["--align-mean"] } else { &[] };
+        let result = score("mmd", &case[0], align);
+        assert_eq!(result["dims"].to_string(), case[1]);
+        agrees(&result["sigma"], &case[4]);
+        agrees(&result["score"], &case[5]);
+        assert_eq!(result["n"].to_string(), case[2]);
+        let n_mmd2 = result["mmd2"].as_f64().unwrap() * 400.0;
+        assert!((result["score"].as_f64().unwrap() / n_mmd2 - 1.0).abs() < 1e-12);
+    }
+    for case in golden_cases("metal_cases.csv") {
+        agrees(&score("metal", &case[0], &["--sigma", "1"])["score"], &case[1]);
+    }
+}
+
+#[test]
+fn an_evaluation_prints_what_was_promised() {
+    let dir = scene();
+    for (protocol, queries, folds) in
+        [("expert-vs-users", 6, 2), ("leave-one-trial-out", 6, 2), ("all-vs-one-user", 6, 2)]
+    {
+        let report = json(&["eval", &path(&dir), "--protocol", protocol, "--json", "--n", "50"]);
+        assert_eq!(report["queries"], queries, "{protocol}");
+        assert_eq!(report["classes"], 3);
+        assert_eq!(report["folds"].as_array().unwrap().len(), folds);
+        assert_eq!(report["synthetic"], true);
+        assert_eq!(report["confusion"]["labels"].as_array().unwrap().len(), 3);
+        for fraction in
+            ["accuracy", "accuracy_mean", "accuracy_low", "accuracy_high", "precision_mean"]
+        {
+            assert!((0.0..=1.0).contains(&report[fraction].as_f64().unwrap()), "{fraction}");
+        }
+        assert!(report["query_ms_p50"].as_f64() <= report["query_ms_p99"].as_f64());
+    }
+}
+
+#[test]
+fn an_evaluation_chooses_a_protocol_and_says_which() {
+    let dir = scene();
+    let output = surfaced(&["eval", &path(&dir), "--method", "knn", "--sources", "mi2"]);
+    let said = stderr(&output);
+    assert!(said.contains("protocol: expert-vs-users"), "{said}");
+    assert!(said.contains("next: surfaced chart "), "{said}");
+    let shown = String::from_utf8(output.stdout).unwrap();
+    assert!(shown.contains(" of 6 queries; 95 % interval "), "{shown}");
+    assert!(shown.contains("mean over 2 users: "), "{shown}");
+    let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "1"];
+    refused(&knn, 1, &["no user has more than 1 trial(s)"]);
+    let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();
+    refused(&within, 2, &["--enrolled goes with expert-vs-users"]);
+}
+
+/// Everything but what a clock measured.
+fn timeless(mut value: Value) -> Value {
+    if let Some(map) = value.as_object_mut() {
+        map.retain(|key, _| !key.ends_with("_ms") && !key.starts_with("query_ms"));
+    }
+    value
+}
+
+#[test]
+fn one_seed_prints_one_document_whatever_the_threads() {
+    let dir = scene();
+    let data = path(&dir);
+    let run = |threads: &str, seed: &str| {
+        let mut command = Command::cargo_bin("surfaced").unwrap();
+        let args = ["eval", &data, "--protocol", "expert-vs-users", "--json", "--seed", seed];
+        let output = command.args(args).args(["--n", "60"]).env("RAYON_NUM_THREADS", threads);
+        timeless(serde_json::from_slice(&output.output().unwrap().stdout).unwrap())
+    };
+    assert_eq!(run("1", "5"), run("2", "5"));
+    let margins = |seed| run("2", seed)["predictions"].to_string();
+    assert_ne!(margins("5"), margins("6"), "the seed matters");
+}
+
+fn lines(args: &[&str]) -> Vec<Value> {
+    let output = surfaced(args);
+    assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// (surface, user, trial, answer) of each scan, sorted.
+fn replayed(args: &[&str]) -> Vec<[String; 4]> {
+    let of = |line: &Value| ["truth", "user", "trial", "surface"].map(|key| line[key].to_string());
+    let mut answers: Vec<_> = lines(args).iter().map(of).collect();
+    answers.sort();
+    answers
+}
+
+fn evaluated(args: &[&str]) -> Vec<[String; 4]> {
+    let of = |p: &Value| ["truth", "user", "trial", "answer"].map(|key| p[key].to_string());
+    let mut answers: Vec<_> =
+        json(args)["predictions"].as_array().unwrap().iter().map(of).collect();
+    answers.sort();
+    answers
+}
+
+#[test]
+fn replay_gives_the_labels_of_eval_on_the_real_sounds() {
+    let Some(data) = common::shared_lmt108() else { return };
+    let data = data.to_str().unwrap();
+    // Few samples, so that the test is quick and mistakes are many: labels must agree in each.
+    for positions in ["shared", "per-pair"] {
+        let same = [data, "--sources", "mi2", "--positions", positions, "--json"];
+        let few = ["--n", "60", "--repetitions", "1", "--protocol", "leave-one-trial-out"];
+        let settings = [&same[..], &few[..]].concat();
+        let by_replay = replayed(&[&["replay"], &settings[..]].concat());
+        let by_eval = evaluated(&[&["eval"], &settings[..]].concat());
+        assert_eq!(by_replay.len(), 200);
+        assert_eq!(by_replay, by_eval);
+    }
+}
+
+#[test]
+fn a_line_of_replay_holds_what_was_promised() {
+    let dir = scene();
+    let all = lines(&["replay", &path(&dir), "--json", "--n", "50"]);
+    assert_eq!(all.len(), 6, "users against the expert");
+    for line in all {
+        assert_eq!(line["ranked"].as_array().unwrap().len(), 3);
+        assert_eq!(line["lost_samples"], 0);
+        assert_eq!(line["synthetic"], true);
+        assert_eq!(line["ranked"][0]["surface"], line["surface"]);
+        assert!(line["margin"].as_f64().unwrap() >= 0.0);
+        assert!(line["latency_ms"].as_f64().unwrap() > 0.0);
+        assert!((line["scan_s"].as_f64().unwrap() - 0.3).abs() < 0.01);
+        assert_eq!(line["sources"].as_array().unwrap().len(), 8);
+    }
+}
+
+#[test]
+fn trials_are_compared_source_by_source() {
+    let dir = scene();
+    let trial = |name: &str| dir.path().join("scene").join(name).to_str().unwrap().to_string();
+    let (a, b) = (trial("Synth001Mesh/expert-01"), trial("Synth002Stone/user1-01"));
+    let report = json(&["compare", &a, &b, "--json", "--permutations", "50"]);
+    let sources = report["sources"].as_array().unwrap();
+    assert_eq!(sources.len(), 8);
+    let product: f64 = sources.iter().map(|s| s["score"].as_f64().unwrap()).product();
+    assert!((report["ds"].as_f64().unwrap() / product - 1.0).abs() < 1e-9);
+    let itself = json(&["compare", &a, &a, "--json", "--permutations", "50"]);
+    assert!(itself["sources"].as_array().unwrap().iter().all(|s| s["p_value"] == 1.0));
+}
+
+#[test]
+fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
+    let dir = scene();
+    let data = path(&dir);
+    let eval = |more: &[&'static str]| {
+        let head = ["eval", data.as_str(), "--protocol", "expert-vs-users"];
+        let args: Vec<&str> = head.into_iter().chain(more.iter().copied()).collect();
+        surfaced(&args)
+    };
+    let said = |output: Output| (output.status.code(), stderr(&output));
+    let (code, text) = said(eval(&["--sources", "mi9"]));
+    assert!(code == Some(2) && text.contains("mi9") && text.contains("ac, ca1"), "{text}");
+    let (code, text) = said(eval(&["--n", "0"]));
+    assert!(code == Some(2) && text.contains("1 or more"), "{text}");
+    let (code, text) = said(eval(&["--query-seconds", "0"]));
+    assert!(code == Some(2) && text.contains("positive number of seconds"), "{text}");
+    refused(&["replay", &data, "--library", &data], 2, &["meet itself"]);
+    let mixed = ["replay", &data, "--method", "embedding", "--n", "50"];
+    refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
+    let mixed = ["replay", &data, "--halving", "--method", "svm"];
+    refused(&mixed, 2, &["goes with --method reference alone, not with svm"]);
+}
+
+#[test]
+fn bad_data_end_with_code_one_and_say_what_to_do() {
+    let dir = scene();
+    let data = path(&dir);
+    refused(&["eval", "/no/such/place", "--protocol", "expert-vs-users"], 1, &["/no/such/place"]);
+    refused(&["synth", &data], 1, &["not empty"]);
+    refused(&["compare", "nowhere", "nowhere"], 1, &["no such trial", "DATA:SURFACE:NUMBER"]);
+    let one = format!("{data}:Synth009:1");
+    refused(&["compare", &one, &one], 1, &["no trial 1 of `Synth009`", "Synth001Mesh"]);
+
+    let write = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_string()
+    };
+    let good = write("good.csv", "1,2\n3,4\n");
+    let samples = |other: &str, parts: &[&str]| {
+        refused(&["compare", "--samples", &good, other], 1, parts);
+    };
+    samples(&write("nan.csv", "1,2\n3,NaN\n"), &["nan.csv", "line 2", "`NaN`"]);
+    samples(&write("ragged.csv", "1,2\n3\n"), &["line 2", "1 column, but 2"]);
+    samples(&write("empty.csv", ""), &["no samples"]);
+    samples(&write("narrow.csv", "1\n2\n"), &["2 columns", "has 1"]);
+}
+
+#[test]
+fn a_library_of_one_class_or_one_trial_is_refused() {
+    let dir = scene();
+    let one_class = dir.path().join("one-class");
+    let from = dir.path().join("scene/Synth001Mesh");
+    for trial in ["expert-01", "expert-02"] {
+        let to = one_class.join("Synth001Mesh").join(trial);
+        std::fs::create_dir_all(&to).unwrap();
+        for file in std::fs::read_dir(from.join(trial)).unwrap() {
+            let file = file.unwrap().path();
+            std::fs::copy(&file, to.join(file.file_name().unwrap())).unwrap();
+        }
+    }
+    let (data, one) = (path(&dir), one_class.to_str().unwrap().to_string());
+    refused(
+        &["replay", &data, "--library", &one],
+        1,
+        &["2 trial(s) of 1 surface(s)", "at least two surfaces"],
+    );
+    refused(
+        &["eval", &one, "--protocol", "leave-one-trial-out"],
+        1,
+        &["needs at least two surfaces", "2 trial(s) of 1 surface(s)"],
+    );
+}
+
+#[test]
+fn a_stuck_sensor_is_reported() {
+    let dir = scene();
+    let file = dir.path().join("scene/Synth001Mesh/user1-01/ir.wav");
+    common::write_wav(&file, 10_000, 1, &[500; 3000]);
+    let output = surfaced(&["replay", &path(&dir), "--n", "50"]);
+    assert_eq!(output.status.code(), Some(0));
+    let said = stderr(&output);
+    assert!(said.contains("ir: channel 1 is stuck at 0.015258789; check its cable"), "{said}");
+}
+
+#[test]
+fn a_scan_of_eleven_milliseconds_or_of_silence_is_not_named() {
+    let (_dir, path) = common::temp();
+    let sound = |pitch: f32, frames: usize| -> Vec<i16> {
+        let wave = |i: usize| (i as f32 * pitch).sin() + 0.3 * ((i * i % 977) as f32 * 0.7).sin();
+        (0..frames).map(|i| (9000.0 * wave(i)) as i16).collect()
+    };
+    for (surface, pitch) in [("oak", 0.3), ("beech", 0.05)] {
+        for trial in 1..=3 {
+            let samples = sound(pitch, 44_100 + 100 * trial);
+            let wav = path.join(format!("library/{surface}/{trial}/mi2.wav"));
+            common::write_wav(&wav, 44_100, 1, &samples);
+        }
+    }
+    for (name, samples) in [("short", sound(0.3, 485)), ("silent", vec![0; 44_100])] {
+        let new = path.join(name);
+        common::write_wav(&new.join("new/1/mi2.wav"), 44_100, 1, &samples);
+        let (new, library) = (new.to_str().unwrap(), path.join("library"));
+        let args = ["replay", new, "--library", library.to_str().unwrap()];
+        refused(&args, 3, &["too little to name"]);
+    }
+}

@@ -1,0 +1,307 @@
+//! An end takes less than five seconds, whatever happens; nothing recorded is lost, and every scan
+//! without an answer is reported.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use crate::common::id;
+use surfaced::device::{
+    Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
+};
+use surfaced::history::{History, Keeper};
+use surfaced::library::lock::LibraryLock;
+use surfaced::library::{Entry, recording};
+use surfaced::outputs::{HttpOutput, MqttOutput};
+use surfaced::recognise::features::FeatureVector;
+use surfaced::recognise::{
+    Evidence, Follow, FollowOptions, Model, Prepared, RankedSurface, Ranking, RecogniseError,
+};
+use surfaced::ring::Sink;
+use surfaced::scan::Options;
+use surfaced::scene::{Phase, Scene};
+use surfaced::serve::{LibraryFolder, Server, Settings};
+use surfaced::station::{
+    Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
+    Station, StationEvent,
+};
+use surfaced::trial::{Trial, TrialKey};
+
+/// An end may take this long.
+const LIMIT: Duration = Duration::from_secs(5);
+/// Scans that the stylus makes.
+const SCANS: u32 = 3;
+/// What never ends, as far as a test can see.
+const FOR_EVER: Duration = Duration::from_secs(600);
+
+/// Makes some scans, and rests until the end.
+struct Stylus;
+
+impl Device for Stylus {
+    fn name(&self) -> &str {
+        "stylus"
+    }
+
+    fn streams(&self) -> Vec<StreamSpec> {
+        let kind = StreamKind::Series { channels: 1, rate_hz: 10_000.0 };
+        vec![StreamSpec { id: id("ir"), kind }]
+    }
+
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
+        for _ in 0..SCANS {
+            control.mark(Mark::Begin(Begin::default()));
+            let (source, start) = (id("ir"), sinks[0].position());
+            control.mark(Mark::Open(Open {
+                source: source.clone(),
+                stream: source.clone(),
+                start,
+                phase: Phase::Drag,
+                rate_hz: 10_000.0,
+                channels: 1,
+            }));
+            sinks[0].series().unwrap().push(&[0.25; 2000]);
+            control.mark(Mark::Close { source, end: sinks[0].position() });
+            control.mark(Mark::End { at: Instant::now() });
+        }
+        while !control.stopped() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Ok(())
+    }
+}
+
+/// Orders the end after the last scan, and notes what is reported.
+struct Ends {
+    commands: crossbeam_channel::Sender<Command>,
+    ordered: Arc<Mutex<Option<Instant>>>,
+    events: Arc<Mutex<Vec<StationEvent>>>,
+}
+
+impl Listener for Ends {
+    fn on_event(&mut self, event: &StationEvent) {
+        if let StationEvent::Phase { scan: SCANS, phase: None } = event {
+            *self.ordered.lock().unwrap() = Some(Instant::now());
+            self.commands.send(Command::Quit).unwrap();
+        }
+        self.events.lock().unwrap().push(event.clone());
+    }
+}
+
+/// Runs a station, checks that it ends in time, and gives the numbers of scans that were said not
+/// to be named.
+fn unnamed(station: impl FnOnce(Station<'static>) -> Station<'static>) -> Vec<u32> {
+    let options = Options { progress_every_s: Some(0.1), ..Options::default() };
+    let station = station(Station::new(vec![Box::new(Stylus)], options));
+    let (ordered, events) = (Arc::default(), Arc::<Mutex<Vec<StationEvent>>>::default());
+    let commands = station.commands();
+    let ends = Ends { commands, ordered: Arc::clone(&ordered), events: events.clone() };
+    station.listener(ends).run().unwrap();
+    let took = ordered.lock().unwrap().unwrap().elapsed();
+    assert!(took < LIMIT, "the end took {took:?}");
+    let events = events.lock().unwrap();
+    assert!(matches!(events.last(), Some(StationEvent::Finished(_))));
+    let number = |event: &StationEvent| match event {
+        StationEvent::Warning(text) if text.contains("was not named") => {
+            text.split(' ').nth(1)?.parse().ok()
+        }
+        _ => None,
+    };
+    events.iter().filter_map(number).collect()
+}
+
+#[test]
+fn of_a_station_whose_library_is_still_being_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let keep =
+        Keep { surface: "oak".into(), user: "anna".into(), trials: Some(1), good_only: false };
+    let load = || {
+        std::thread::sleep(FOR_EVER);
+        Err("no library".to_string())
+    };
+    let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
+    let left = unnamed(|station| station.load(Arc::new(load)).store(store).keep(keep));
+    assert_eq!(left, [2, 3]);
+    let kept = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(kept.entries.len(), 1);
+    assert_eq!(kept.entries[0].load().unwrap().signals.len(), 1);
+}
+
+#[test]
+fn of_a_station_whose_disk_takes_no_scan() {
+    let dir = tempfile::tempdir().unwrap();
+    // Where the library's folder should be lies a file.
+    let folder = dir.path().join("library");
+    std::fs::write(&folder, "").unwrap();
+    let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
+    let (lost, listener) = Became::new(EnrolledOutcome::Lost);
+    let store = ScanStore::new(folder, Scene::lmt108());
+    assert_eq!(unnamed(|s| s.store(store).keep(keep).listener(listener)), Vec::<u32>::new());
+    assert_eq!(*lost.lock().unwrap(), [1, 2, 3]);
+}
+
+/// Notes the scans of which this became.
+struct Became(EnrolledOutcome, Arc<Mutex<Vec<u32>>>);
+
+impl Became {
+    fn new(outcome: EnrolledOutcome) -> (Arc<Mutex<Vec<u32>>>, Self) {
+        let scans = Arc::<Mutex<Vec<u32>>>::default();
+        (scans.clone(), Self(outcome, scans))
+    }
+}
+
+impl Listener for Became {
+    fn on_event(&mut self, event: &StationEvent) {
+        if let StationEvent::Enrolled(Enrolled { scan, outcome, .. }) = event
+            && *outcome == self.0
+        {
+            self.1.lock().unwrap().push(*scan);
+        }
+    }
+}
+
+/// Takes for ever in one of its parts.
+#[derive(Clone, Copy)]
+struct Slow(&'static str);
+
+impl Slow {
+    fn reach(self, part: &str) {
+        if self.0 == part {
+            std::thread::sleep(FOR_EVER);
+        }
+    }
+}
+
+impl Model for Slow {
+    fn explain(&self, _: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        self.reach("explain");
+        Ok(None)
+    }
+
+    fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
+        self.reach("prepare");
+        let (key, sources) = (entry.key.clone(), BTreeMap::new());
+        Ok(Prepared::Features(Arc::new(FeatureVector { key, sources })))
+    }
+
+    fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
+        self.reach("rank");
+        Ok(Ranking {
+            ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
+            margin: 0.0,
+            sources: Vec::new(),
+            nearest: TrialKey::new("oak", "", 1),
+            confidence: None,
+            p_value: None,
+        })
+    }
+
+    // It calibrates itself when the first scan is followed.
+    fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
+        self.reach("follow");
+        None
+    }
+}
+
+#[test]
+fn of_a_station_that_classifies_or_calibrates() {
+    for part in ["prepare", "rank", "follow"] {
+        let by = Recogniser::new(Arc::new(Slow(part)), Scene::lmt108(), LibraryState::default());
+        assert_eq!(unnamed(|station| station.recogniser(Arc::new(by))), [1, 2, 3], "{part}");
+    }
+}
+
+fn by(slow_part: &'static str) -> Arc<Recogniser> {
+    let model = Arc::new(Slow(slow_part));
+    Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()))
+}
+
+#[test]
+fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
+    let folder = tempfile::tempdir().unwrap();
+    let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
+    let (kept, listener) = Became::new(EnrolledOutcome::Kept);
+    let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
+    let station = |station: Station<'static>| {
+        station.recogniser(by("rank")).store(store).keep(keep).listener(listener)
+    };
+    assert_eq!(unnamed(station), Vec::<u32>::new());
+    assert_eq!(*kept.lock().unwrap(), [1, 2, 3]);
+    let library = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(library.entries.len(), 3);
+}
+
+#[test]
+fn of_a_station_whose_history_cannot_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = Arc::new(History::open(folder.path(), 1 << 30).unwrap());
+    let keeper = Keeper::start(history, Scene::lmt108(), BTreeMap::new()).unwrap();
+    let station = |station: Station<'static>| station.recogniser(by("explain")).listener(keeper);
+    assert_eq!(unnamed(station), Vec::<u32>::new());
+    // As it is on disk, with the signals of every scan.
+    let extent = History::read(folder.path()).unwrap().extent();
+    assert_eq!((extent.scans, extent.with_signals), (3, 3));
+    let kept = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(kept.entries.len(), 3);
+}
+
+/// Never ends.
+struct Stuck;
+
+impl Device for Stuck {
+    fn name(&self) -> &str {
+        "stuck"
+    }
+
+    fn streams(&self) -> Vec<StreamSpec> {
+        Vec::new()
+    }
+
+    fn run(&mut self, _: &mut [Sink], _: &DeviceLink) -> Result<(), DeviceError> {
+        std::thread::sleep(FOR_EVER);
+        Ok(())
+    }
+}
+
+#[test]
+fn of_a_station_in_which_everything_hangs_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = Arc::new(History::open(&folder.path().join(".history"), 1 << 30).unwrap());
+    // They take connections, and never answer.
+    let mute = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
+    let [http, mqtt] = [0, 1].map(|at| mute[at].local_addr().unwrap());
+    let address = format!("http://{http}/answers").parse().unwrap();
+    let http = HttpOutput::start(address).unwrap();
+    let mqtt = MqttOutput::start(format!("mqtt://{mqtt}/answers").parse().unwrap()).unwrap();
+    let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
+    let library = LibraryFolder { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
+    let settings = Settings {
+        address: "127.0.0.1:0".parse().unwrap(),
+        library: Some(library),
+        ..Settings::default()
+    };
+    let devices: Vec<Box<dyn Device>> = vec![Box::new(Stylus), Box::new(Stuck)];
+    let station = Station::new(devices, Options::default());
+    let (server, reporter) = Server::start(&settings, station.commands()).unwrap();
+    // Its edit waits for another program, which reads the library all the time.
+    let _read = LibraryLock::for_reading(folder.path());
+    let mut client = TcpStream::connect(server.address()).unwrap();
+    let body = "{\"surface\":\"oak\",\"to\":\"ash\"}";
+    write!(
+        client,
+        "POST /api/v1/library/rename HTTP/1.1\r\nHost: localhost\r\n\
+         Content-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    )
+    .unwrap();
+    let (ordered, events) = (Arc::default(), Arc::default());
+    let ends = Ends { commands: station.commands(), ordered: Arc::clone(&ordered), events };
+    let station = station.recogniser(by("explain")).listener(reporter).listener(keeper);
+    station.listener(http).listener(mqtt).listener(ends).run().unwrap();
+    drop(server);
+    let took = ordered.lock().unwrap().unwrap().elapsed();
+    assert!(took < LIMIT, "the end took {took:?}");
+    assert!(took > Duration::from_secs(2), "the device had its two seconds: {took:?}");
+    assert_eq!(history.extent().with_signals, 3);
+}

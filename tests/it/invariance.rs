@@ -1,0 +1,73 @@
+//! What must not matter: the order of the library, the number of threads, the chunks in the rings.
+
+use std::sync::Arc;
+
+use crate::common;
+use proptest::prelude::*;
+use surfaced::device::Replay;
+use surfaced::library::Entry;
+use surfaced::recognise::{
+    LibraryShape, Method, PositionMode, Ranking, Reference, ReferenceOptions,
+};
+use surfaced::scan::{Event, Options, Session};
+use surfaced::scene::Scene;
+use surfaced::trial::Trial;
+
+fn reference(positions: PositionMode) -> Reference {
+    let options =
+        ReferenceOptions { samples: 40, repetitions: 2, positions, ..ReferenceOptions::default() };
+    Reference::new(Scene::lmt108(), options)
+}
+
+fn library() -> Vec<Entry> {
+    let surfaces = ["ash", "cedar", "elm", "juniper"];
+    let trials = surfaces.iter().flat_map(|s| (1..=2).map(|n| common::trial(s, "expert", n)));
+    trials.map(Entry::in_memory).collect()
+}
+
+/// Plays a trial through the rings in chunks of `chunk_s` and gives what came out.
+fn played(trial: &Trial, chunk_s: f64) -> Trial {
+    let device = Replay::new(&Scene::lmt108(), vec![Entry::in_memory(trial.clone())]);
+    let session =
+        Session::start(vec![Box::new(device.chunk_s(chunk_s))], Options::default()).unwrap();
+    let scan = session.events().iter().find_map(|event| match event {
+        Event::Scan(scan) => Some(scan.trial),
+        _ => None,
+    });
+    session.stop().unwrap();
+    scan.unwrap()
+}
+
+fn name(method: &Reference, library: &[Entry], query: &Trial, threads: usize) -> Ranking {
+    let work = || {
+        let shape = Arc::new(LibraryShape::of(&library.iter().collect::<Vec<_>>()).unwrap());
+        let prepared = library.iter().map(|entry| {
+            let trial = entry.load().unwrap();
+            method.prepare(entry, &trial, &shape).unwrap()
+        });
+        let model = method.fit(prepared.collect(), &shape).unwrap();
+        let query = model.prepare(&Entry::in_memory(query.clone()), query).unwrap();
+        model.rank(&query).unwrap()
+    };
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn neither_order_nor_threads_nor_chunks_change_a_score(
+        order in Just((0..8).collect::<Vec<usize>>()).prop_shuffle(),
+        threads in 1usize..4,
+        chunk_s in 1e-4f64..0.05,
+        per_pair in any::<bool>(),
+    ) {
+        let positions = if per_pair { PositionMode::PerPair } else { PositionMode::Shared };
+        let (method, library) = (reference(positions), library());
+        let query = common::trial("larch", "user1", 5);
+        let plain = name(&method, &library, &query, 1);
+        let shuffled: Vec<Entry> = order.iter().map(|&i| library[i].clone()).collect();
+        let other = name(&method, &shuffled, &played(&query, chunk_s), threads);
+        prop_assert_eq!(plain, other);
+    }
+}

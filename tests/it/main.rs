@@ -1,0 +1,41 @@
+//! The tests of the library and of the program, but those that need a process or a service of their
+//! own, which lie beside this folder.
+
+#[path = "../common/bench.rs"]
+mod bench;
+#[path = "../common/mod.rs"]
+mod common;
+
+mod answers;
+mod bad_input;
+mod chart;
+mod commands;
+mod cross_user;
+mod curate;
+mod duration;
+mod ending;
+mod engine;
+mod forms;
+mod golden;
+mod hostile_numbers;
+mod hsic_golden;
+mod invariance;
+mod library;
+mod live_scan;
+mod lmt108;
+mod methods;
+mod no_stderr;
+mod openapi;
+mod pages;
+mod paper;
+mod plan;
+mod ready_model;
+mod reload;
+mod ring_and_replay;
+mod run;
+mod run_serve;
+mod serial;
+mod serve;
+mod serve_day;
+mod serve_hostile;
+mod stress;
