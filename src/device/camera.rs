@@ -1,6 +1,6 @@
 //! The camera: upright pictures of 320 × 480 pixels, without and with flash.
 //!
-//! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
+//! Reading a camera may block for ever, if it hangs. So a separate thread reads, and
 //! the device's thread watches over it, judges the light of each frame, and makes pictures. When
 //! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
 //! needs V4L2 is behind `Video`; the crate's feature `camera` brings the real one.
@@ -34,11 +34,11 @@ pub(crate) use upright::upright;
 pub(crate) use v4l::{V4l, cameras};
 pub(crate) use viewfinder::CameraView;
 
-/// How often the device's thread looks around, at least.
+/// The longest time between two looks of the device's thread.
 const LOOK: Duration = Duration::from_millis(50);
 /// No picture for this long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
-/// How long a stop waits for the reader to give the camera back.
+/// The time that the reader has at a stop to give the camera back.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
@@ -56,7 +56,7 @@ pub struct Camera {
     name: String,
 }
 
-/// Why a reader is followed no more.
+/// The reason why a reader has ended.
 enum CameraEnd {
     Stop,
     Failed(OpenError),
@@ -180,7 +180,7 @@ impl Device for Camera {
 }
 
 impl CameraWatch<'_> {
-    /// Makes pictures of what the reader sends, until it ends.
+    /// Makes pictures of the reader's frames, until it ends.
     fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
         let mut last = Instant::now();
         while !self.link.stopped() {
@@ -229,7 +229,7 @@ impl CameraWatch<'_> {
                 self.pushed = Some(at);
             }
             if index == 1 && !good {
-                // The frame with flash was damaged: once more.
+                // The frame with flash was damaged: take another one.
                 self.camera.shutter.flash();
             }
         }
@@ -289,7 +289,7 @@ impl CameraWatch<'_> {
         self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
-    /// Leaves no light on behind.
+    /// Switches the light off, if it is on.
     fn light_off(&mut self, orders: &Sender<ControlRequest>) {
         if self.cycle.lit() {
             self.switch(false, orders);
@@ -315,7 +315,7 @@ pub trait Video: Send + Sync {
 
 /// The frames of an open camera.
 pub trait Frames {
-    /// The next frame; waits for it, for ever if need be.
+    /// The next frame; waits for it without limit.
     ///
     /// # Errors
     /// If there will be no more: why, for people.
@@ -377,7 +377,7 @@ fn read(
 ) -> Option<News> {
     send.send(News::Opened).ok()?;
     loop {
-        // Orders come first, and also after a request to stop: the last one puts out the light.
+        // Orders come first, and also after a request to stop: the last one switches the light off.
         for ControlRequest { control, value } in ordered.try_iter() {
             let obeyed = frames.control(control, value);
             let _ = send.send(News::Obeyed(obeyed));

@@ -1,4 +1,5 @@
-//! A device's line to its session: the request to stop, and reports of states, marks and warnings.
+//! The link of a device to its session: the request to stop, and reports of states, marks and
+//! warnings.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -10,11 +11,11 @@ use crate::ring::{Stop, Stopped};
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
-/// How a device is.
+/// The state of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceState {
-    /// Not there, so far.
+    /// Not found so far.
     Absent,
     /// Found, and being set up.
     Opening,
@@ -52,9 +53,9 @@ pub struct DeviceReport {
 pub enum DeviceReportKind {
     /// It has changed its state.
     State {
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
     /// A mark of a scan.
@@ -65,7 +66,7 @@ pub enum DeviceReportKind {
     Ended(Result<(), DeviceError>),
 }
 
-/// A device's line to its session.
+/// The link of a device to its session.
 #[derive(Debug)]
 pub struct DeviceLink {
     device: usize,
@@ -75,17 +76,17 @@ pub struct DeviceLink {
 }
 
 impl DeviceLink {
-    /// A line for device number `device`.
+    /// A link for device number `device`.
     pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
     }
 
-    /// Whether to come to an end.
+    /// Whether a stop was requested.
     pub fn stopped(&self) -> bool {
         self.stop.requested()
     }
 
-    /// The request to stop, for what waits on it.
+    /// The request to stop, for functions that wait.
     pub fn stop(&self) -> &Stop {
         &self.stop
     }
@@ -159,7 +160,7 @@ pub enum Mark {
         /// for people
         why: String,
     },
-    /// The scan has ended; its sources that are still open end with what was pushed so far.
+    /// The scan has ended; sources that are still open end with the frames pushed so far.
     End {
         /// when its last sample was taken
         at: Instant,
@@ -189,11 +190,11 @@ pub struct Open {
     pub phase: Phase,
     /// Frames a second; of no meaning for pictures.
     pub rate_hz: f64,
-    /// How many of the stream's channels are the source's: the first ones.
+    /// The number of the stream's channels, from the first one, that belong to the source.
     pub channels: usize,
 }
 
-/// Why a device cannot continue.
+/// Errors that end a device.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
     /// a stop was requested while it waited; no failure

@@ -1,6 +1,6 @@
-//! Lists the devices of this machine, by names that stay, and what is wrong with each.
+//! Lists the devices of this machine, with permanent names and the problems of each.
 //!
-//! Nothing is opened to find out that need not be: opening a serial line resets some boards.
+//! Serial lines are not opened for it: that resets some boards.
 
 use std::ffi::OsStr;
 use std::fs;

@@ -1,6 +1,6 @@
 //! The microphone: 44.1 kHz and one channel, from any sound device.
 //!
-//! The sound system calls back on a thread of its own, which must never wait: it mixes to one
+//! The sound system calls back on its own thread, which must never wait: it mixes to one
 //! channel and puts that into a ring, in which losses keep their place. The device's thread
 //! carries it on to the session, watches level and pace, and reopens the stream when it is
 //! lost. What needs the sound system is behind [`Sound`]; the crate's feature `microphone` brings
@@ -39,7 +39,7 @@ pub const RATE_HZ: u32 = 44_100;
 /// Between the callback and the device's thread, in seconds: the longest that this thread may be
 /// held up without a loss, and more than comes at once from a server that was held up.
 const BUFFER_S: f64 = 5.0;
-/// How often the device's thread looks around, at least.
+/// The longest time between two looks of the device's thread.
 const LOOK: Duration = Duration::from_millis(20);
 /// No sound for this long is a stall, in seconds.
 const STALLED_S: f64 = 0.7;
@@ -81,11 +81,11 @@ pub struct Microphone {
     name: String,
 }
 
-/// Why a stream that ran does so no more.
+/// The reason why a stream has ended.
 enum StreamEnd {
     Stop,
     Lost(String),
-    /// For good.
+    /// It ended for good.
     Unfit(String),
 }
 

@@ -1,6 +1,6 @@
 //! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
 //!
-//! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
+//! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into
 //! one ring a stream, and reports its state and the marks of scans through its [`DeviceLink`].
 //! Nothing downstream can distinguish a recording from a sensor.
 
@@ -34,7 +34,8 @@ pub trait Device: Send {
     /// it runs; names are unique in a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
-    /// Whether it can wait for its reader. One that cannot loses what does not fit; when all
+    /// Whether it can wait for its reader. A device that cannot loses data that do not fit; when
+    /// all
     /// can, nothing in the session is lost or dropped anywhere.
     fn waits(&self) -> bool {
         false

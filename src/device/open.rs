@@ -1,10 +1,10 @@
-//! Why hardware cannot be opened, and what to do about it.
+//! Errors of opening hardware, each with a remedy, and repeated attempts.
 
 use std::time::{Duration, Instant};
 
 use super::{DeviceError, DeviceLink, DeviceState};
 
-/// How long a driver waits before it tries again.
+/// The time until a driver tries again.
 pub(super) const RETRY: Duration = Duration::from_millis(300);
 
 /// The longest wait of drivers that look through all the hardware of their kind.
@@ -27,7 +27,7 @@ pub enum OpenError {
         /// what to do
         hint: String,
     },
-    /// it can never do what is needed, so trying again is useless
+    /// it is unsuitable, so trying again is useless
     #[error("{0}")]
     Unfit(String),
     /// anything else that the system said
@@ -42,21 +42,21 @@ impl OpenError {
     }
 }
 
-/// How a driver tries to open its hardware again and again.
+/// Repeats attempts to open hardware.
 pub(super) struct Retry {
-    /// Why it could not be opened, if it could not.
+    /// The last failure, if there was one.
     reported: Option<OpenError>,
     wait: Duration,
     longest: Duration,
 }
 
 impl Retry {
-    /// Waits [`RETRY`] at first, and ever longer up to `longest`, for what is dear to open.
+    /// Waits [`RETRY`] at first, then twice as long each time, up to `longest`.
     pub fn new(longest: Duration) -> Self {
         Self { reported: None, wait: RETRY, longest }
     }
 
-    /// It could be opened.
+    /// Notes that the hardware could be opened.
     pub fn opened(&mut self) {
         *self = Self::new(self.longest);
     }
@@ -64,7 +64,7 @@ impl Retry {
     /// Reports a failure to open, then waits. False if it is time to stop.
     ///
     /// # Errors
-    /// If trying again is of no use.
+    /// If trying again is useless.
     pub fn failed(
         &mut self,
         error: OpenError,
@@ -76,7 +76,7 @@ impl Retry {
         }
         let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
         link.state(state, error.to_string());
-        // The state stays, but the reason is another one: busy instead of absent, say.
+        // The state is the same, but the reason has changed, such as busy instead of absent.
         if self.reported.as_ref().is_some_and(|before| *before != error) {
             link.warn(error.to_string());
         }
@@ -112,7 +112,7 @@ mod tests {
         dear.opened();
         assert_eq!(dear.wait, RETRY);
         assert_eq!(waits(&mut Retry::new(RETRY)), [300; 6]);
-        // Once, however often it fails.
+        // One report for all failures.
         assert_eq!(reports.try_iter().count(), 1);
     }
 }

@@ -183,10 +183,10 @@ fn next(loaded: &Receiver<LoadedTrial>, link: &DeviceLink) -> Result<LoadedTrial
     }
 }
 
-/// Bounds of a speed: slower, nothing would ever come; faster, no clock could keep up.
+/// The allowed speeds.
 const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
 
-/// How fast a recording is played.
+/// The speed at which a recording is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
     /// This many times as fast as it was recorded, from 0.001 to 10 000; what the session does not take is lost.
@@ -222,7 +222,7 @@ struct Player<'a> {
     pub synthetic: bool,
     pub sinks: &'a mut [Sink],
     pub link: &'a DeviceLink,
-    /// When, at the set speed, what was played so far ends.
+    /// The moment until which the recording was played, at the set speed.
     pub due: Instant,
 }
 

@@ -150,7 +150,7 @@ impl Device for Stylus {
     }
 }
 
-/// How long the stylus may take to confirm.
+/// The time that the stylus has to confirm.
 const CONFIRM: Duration = Duration::from_millis(500);
 
 /// Switches the camera's light on the stylus; clones switch the same one.

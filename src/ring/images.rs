@@ -86,7 +86,7 @@ impl ImageTap {
         self.reckoning.meter()
     }
 
-    /// Whether the device is gone and all it pushed was taken.
+    /// Whether the device has ended and all its images were taken.
     pub fn exhausted(&self) -> bool {
         self.reckoning.exhausted()
     }

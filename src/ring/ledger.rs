@@ -124,7 +124,7 @@ impl Reckoning {
 
     /// Whether the producer is gone and nothing is left to come.
     pub(super) fn exhausted(&self) -> bool {
-        // `closed` first: whatever was counted before it was set is seen after.
+        // `closed` is read first, so that all counts made before it was set are seen.
         self.meter.closed.load(Ordering::Acquire) && self.position >= self.head()
     }
 
@@ -144,7 +144,7 @@ impl Reckoning {
         None
     }
 
-    /// How many of `available` frames follow each other without a gap.
+    /// The number of the `available` frames that follow each other without a gap.
     pub(super) fn contiguous(&self, available: usize) -> usize {
         match self.stretches.try_peek() {
             Some(&(start, _)) => {

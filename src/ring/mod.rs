@@ -6,9 +6,9 @@
 //! of the tap, or the tap says that it is missing, at its place and in its order.
 //!
 //! A producer pushes in one of two manners:
-//! - `push` never blocks, for sensors that do not stop for anybody: what does not fit is
+//! - `push` never blocks, for sensors that cannot wait: data that do not fit are
 //!   lost, and counted;
-//! - `push_waiting` waits for room, for what can wait: nothing is lost.
+//! - `push_waiting` waits for room, for sources that can wait: nothing is lost.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -89,7 +89,7 @@ pub struct Stopped;
 pub struct Waker(Sender<()>);
 
 impl Waker {
-    /// A waker, and what its thread waits on.
+    /// A waker, and the channel on which its thread waits.
     pub fn new() -> (Self, Receiver<()>) {
         let (sender, receiver) = crossbeam_channel::bounded(1);
         (Self(sender), receiver)

@@ -126,7 +126,7 @@ impl SeriesTap {
         self.reckoning.meter()
     }
 
-    /// Whether the device is gone and all it pushed was taken.
+    /// Whether the device has ended and all its frames were taken.
     pub(crate) fn exhausted(&self) -> bool {
         self.reckoning.exhausted()
     }

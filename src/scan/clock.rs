@@ -112,7 +112,7 @@ impl Clock {
         Some((x / self.period_s - 1e-6).ceil() as u64)
     }
 
-    /// How much longer than nominal the stream's seconds are, as a fraction; 0 while unknown.
+    /// The excess length of the stream's seconds, as a fraction; 0 while unknown.
     #[cfg(test)]
     fn drift(&self) -> f64 {
         self.line.map_or(0.0, |line| line.slope)

@@ -36,7 +36,7 @@ pub(super) struct Collector {
     /// Names of the devices, and whether each has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
-    /// How many have begun, for those outside.
+    /// The number of scans that have begun, for other threads.
     pub begun: Arc<AtomicU32>,
     /// Sets marks where the devices set none.
     pub detector: Option<ScanDetector>,

@@ -11,7 +11,7 @@ use crate::ring::Stop;
 
 /// Events kept for a reader that is late, besides those in the channel.
 const BACKLOG: usize = 256;
-/// How long a stop waits for the reader.
+/// The time that a stop waits for the reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 pub(super) struct EventQueue {
@@ -66,7 +66,7 @@ impl EventQueue {
         sent
     }
 
-    /// Passes on what is left over.
+    /// Passes on the backlog.
     pub fn flush(&mut self) {
         while let Some(event) = self.backlog.pop_front() {
             if let Err(back) = self.send(event) {

@@ -19,9 +19,9 @@ pub(super) struct Marked {
     /// The device that began it.
     pub device: usize,
     pub cuts: BTreeMap<SourceId, SourceSpan>,
-    /// When its last sample was taken, and when its end became known.
+    /// The time of its last sample, and the time when its end became known.
     pub ended: Option<(Instant, Instant)>,
-    /// How many steps of progress were sent.
+    /// Steps of progress that were sent.
     pub steps: u64,
     /// Reasons why the scan should not be trusted, besides those that its data show.
     pub spoiled: Vec<String>,
@@ -79,7 +79,7 @@ impl Marked {
     /// Follows a mark other than a begin.
     ///
     /// # Errors
-    /// With what does not fit together, for people.
+    /// With a message, if the marks contradict each other.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
             // These make and unmake a scan, and never reach one.

@@ -1,7 +1,7 @@
 //! Makes scans out of streams: empties the rings, follows the marks, cuts the sources.
 //!
 //! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
-//! [`Scan`] holds nothing but what came out of the rings; what it truly is travels beside it.
+//! [`Scan`] holds only data from the rings; its true label is kept separately.
 
 pub(crate) mod clock;
 mod collect;
@@ -49,7 +49,7 @@ pub struct Scan {
     /// Reasons why the scan should not be trusted, a line each; empty if there are none. A gap of
     /// at most 1 ms is bridged by repeating the frame before it, and spoils nothing.
     pub spoiled: Vec<String>,
-    /// When its last sample was taken.
+    /// The time of its last sample.
     pub ended_at: Instant,
 }
 
@@ -94,9 +94,9 @@ pub enum Event {
     Device {
         /// its name
         device: String,
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
     /// A warning: something was lost, damaged or not understood, and work continues.

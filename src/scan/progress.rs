@@ -145,7 +145,7 @@ pub(super) fn sent(marked: &mut Marked, step: u64, lengths: &SnapshotLengths) {
     }
 }
 
-/// How much a snapshot holds of each source.
+/// The lengths of a snapshot, by source.
 pub(super) struct SnapshotLengths(Vec<(SourceId, u64)>);
 
 impl SnapshotLengths {

@@ -259,7 +259,7 @@ impl ScanDetector {
         }
     }
 
-    /// When a hop of a group began.
+    /// The time at which a hop of a group began.
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
         self.timeline.time_s(group.channels[0].0, group.frame(hop))

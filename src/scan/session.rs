@@ -1,4 +1,4 @@
-//! Runs devices and their collector, each on a thread of its own, and ends them again.
+//! Runs devices and their collector, each on its own thread, and ends them.
 
 use std::any::Any;
 use std::collections::{BTreeSet, VecDeque};
@@ -24,7 +24,7 @@ use crate::scene::SourceId;
 /// Reports under way before a device waits.
 const REPORTS: usize = 1024;
 
-/// Why a session cannot start or end.
+/// Errors of the start and the end of a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// two streams of one name
@@ -35,13 +35,13 @@ pub enum SessionError {
     Seconds {
         /// which option
         what: &'static str,
-        /// what it was
+        /// its value
         value: f64,
     },
     /// the system gave no thread
     #[error("cannot start the thread {name}: {error}")]
     Thread {
-        /// what it was for
+        /// its purpose
         name: String,
         /// what the system said
         error: std::io::Error,
@@ -132,7 +132,7 @@ impl Session {
             commands: cued,
         };
         let collector = spawn("collector", move || {
-            // However it ends, no device may wait for it any longer.
+            // After its end, in whatever way, no device may wait for it.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;

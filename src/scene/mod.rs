@@ -59,7 +59,7 @@ impl Borrow<str> for SourceId {
     }
 }
 
-/// How samples are drawn from a source.
+/// The domain in which samples are drawn from a source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
@@ -126,7 +126,7 @@ pub struct SourceSpec {
     pub sensor: String,
     /// The part of a scan it is cut from.
     pub phase: Phase,
-    /// How samples are drawn.
+    /// The domain in which samples are drawn.
     pub domain: Domain,
     /// The part of each pixel that is compared; it has no meaning where the domain is not an image.
     pub colour: Colour,
@@ -216,7 +216,7 @@ impl Scene {
     }
 }
 
-/// Why a description of sources cannot be used.
+/// Errors of a description of sources.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// not TOML, an unknown key, a missing one, a wrong type

@@ -94,7 +94,7 @@ impl AnswerState {
     }
 }
 
-/// A scan, whole, with its answer, and what named it.
+/// A scan with its answer and the recogniser that named it.
 pub struct AnsweredScan {
     /// The scan.
     pub scan: Box<Scan>,

@@ -1,4 +1,4 @@
-//! The devices of a configuration, and what this build leaves out of them.
+//! Makes the devices of a configuration, and names those that this build lacks.
 
 use std::collections::BTreeMap;
 
@@ -104,7 +104,7 @@ fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
     Err(not_built("microphone"))
 }
 
-/// A camera, and what works it.
+/// A camera with its flash and viewfinder.
 struct StationCamera {
     device: Box<dyn Device>,
     flasher: Option<Flasher>,

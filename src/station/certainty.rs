@@ -1,4 +1,4 @@
-//! Whether an answer stands, and if not, why: the states of an answer and their reasons.
+//! Decides whether an answer stands: its state, and the reasons for doubt.
 
 use super::answer::AnswerState;
 use super::recogniser::Verdict;
@@ -7,7 +7,7 @@ use crate::scan::Scan;
 /// Probability below which the first surface is no more likely than all others together.
 const EVEN: f64 = 0.5;
 
-/// Share of the scan duration that T* asks for with which a scan is not yet too short: fewer samples
+/// Share of the needed drag at which a scan is long enough to be named: fewer samples
 /// than that many make a weaker test, not a wrong one.
 const LONG_ENOUGH: f64 = 0.5;
 
@@ -19,7 +19,7 @@ pub(super) struct NamedScan<'a> {
     pub settled_s: Option<f64>,
 }
 
-/// The state of an answer, and for people the reasons, a line each.
+/// The state of an answer, and the reasons, a line each.
 pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
     let Verdict { ranking, rejection, .. } = named.verdict;
     let of = ranking.ranked.len();

@@ -79,7 +79,7 @@ pub struct Enrolling {
     pub surface: String,
     /// The person who drags.
     pub user: String,
-    /// How many scans are to come; `None` for every scan until the station ends.
+    /// The number of scans to come; `None` for every scan until the station ends.
     pub wanted: Option<u32>,
 }
 
@@ -100,16 +100,16 @@ pub enum EnrolledOutcome {
 /// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
-    /// The session has begun, and this is what its streams carry, now and at any time; the first
+    /// The session has begun; the meters of its streams can be read at any time. The first
     /// event.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
         /// its name
         device: String,
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
     /// New data of the streams.
@@ -180,7 +180,8 @@ pub enum Command {
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station. Within 5 s: what is not named by
+    /// End the scan in progress, name it, and stop the station, within 5 s. A scan that is not
+    /// named by
     /// then is reported.
     Quit,
 }

@@ -12,7 +12,7 @@ pub struct Keep {
     pub surface: String,
     /// The person who drags.
     pub user: String,
-    /// How many trials; `None` for every scan until the station ends.
+    /// The number of trials; `None` for every scan until the station ends.
     pub trials: Option<u32>,
     /// Whether a scan that is not good is refused.
     pub good_only: bool,
@@ -35,7 +35,7 @@ struct Order {
     enrolment: Enrolment,
     /// Trials still to be kept; `None` for every scan.
     wanted: Option<u32>,
-    /// Scans on their way to the disk.
+    /// Scans that are being written.
     under_way: u32,
     /// The first scan that it covers.
     from: u32,
@@ -50,7 +50,7 @@ impl Order {
         Self { enrolment, wanted: trials, under_way: 0, from, until: None }
     }
 
-    /// How many scans are to come; `None` for every scan.
+    /// The number of scans to come; `None` for every scan.
     fn to_come(&self) -> Option<u32> {
         self.wanted.map(|wanted| wanted.saturating_sub(self.under_way))
     }
@@ -121,7 +121,7 @@ impl Orders {
         enrolment
     }
 
-    /// Counts what became of a scan, and says how many trials its order still wants.
+    /// Counts the outcome of a scan, and adds how many trials its order still wants.
     pub fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {

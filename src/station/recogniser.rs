@@ -1,4 +1,4 @@
-//! Names scans against a library, whatever the method.
+//! Names scans by comparing them with a library, with any method.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -41,7 +41,7 @@ impl Verdict {
 /// The flaws of series, by their sources.
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
-/// A scan's ranking, and what was found out about its samples on the way.
+/// The ranking of a scan, and the flaws that were found on the way.
 pub struct Ranked {
     /// The library's surfaces.
     pub ranking: Ranking,
@@ -56,9 +56,9 @@ pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 pub struct Recogniser {
     models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
-    /// How scans are followed with each model.
+    /// The options for following scans with each model.
     following: Vec<FollowOptions>,
-    /// How long scans must last with each model, where that is known.
+    /// The scan time of each model, where it is known.
     scan_times: Vec<Option<ScanTime>>,
     /// The same by a plan, which then holds instead.
     planned_s: Option<f64>,
@@ -100,7 +100,8 @@ impl Recogniser {
         self
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections or the usual one. Gives what that
+    /// Calls scans unknown that fit no surface, at a stated rate of false rejections or the usual
+    /// one. Gives the
     /// rests on, for each model.
     ///
     /// # Errors
@@ -130,7 +131,7 @@ impl Recogniser {
         both.filter_map(|(settling, scan_time)| Some((settling?, scan_time.clone()))).collect()
     }
 
-    /// Adds remarks on what answers rest on to those of the library.
+    /// Adds remarks on the basis of answers to those of the library.
     pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
@@ -292,7 +293,7 @@ impl LibraryState {
     }
 }
 
-/// Something that is not perfect about a scan; in JSON, its text.
+/// An imperfection of a scan; in JSON, its text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
 pub struct Remark {

@@ -15,11 +15,11 @@ use super::worker::{Job, JobOf, ScanAnswer, Work, Worker, WorkerEvent};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
-/// How long after [`Command::Quit`] answers are waited for. Devices have 2 s of it to stop.
+/// The time after [`Command::Quit`] for the last answers. Devices have 2 s of it to stop.
 const NAMED: Duration = Duration::from_millis(2500);
-/// How long after it the disk is.
+/// The time after it for the disk.
 const WRITTEN: Duration = Duration::from_millis(3200);
-/// How long after it listeners may take.
+/// The time after it for listeners.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
 /// The recogniser of scans, if there is one.
@@ -27,7 +27,7 @@ enum Naming {
     /// The library is being read; scans wait.
     Loading,
     Ready(Arc<Recogniser>),
-    /// They cannot be named: why.
+    /// Scans cannot be named: the reason.
     None(String),
 }
 
@@ -57,7 +57,7 @@ pub(super) struct StationRun<'a> {
     load: Option<Load>,
     naming: Naming,
     loading: Option<Receiver<LoadedRecogniser>>,
-    /// The library is to be read once more: it may have changed since the reading began.
+    /// The library must be read again: it may have changed since the reading began.
     load_again: bool,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
@@ -96,7 +96,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Reports what the streams carry, and what the first scan is to become.
+    /// Reports the meters of the streams, and the order for the first scan.
     pub fn announce(&mut self) {
         self.emit(StationEvent::Streams(self.session.meters().to_vec()));
         self.report_order();
@@ -138,7 +138,8 @@ impl<'a> StationRun<'a> {
                 },
                 recv(done) -> done => match done {
                     Ok(done) => self.done(done),
-                    // It catches the panics of methods; one of its own is a defect.
+                    // The worker catches the panics of methods; a panic of the worker itself is a
+                    // defect.
                     Err(_) => return,
                 },
                 recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
@@ -156,7 +157,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Waits for what is being written, and reports the end.
+    /// Waits for scans that are being written, and reports the end.
     pub fn finish(mut self) -> Result<Totals, SessionError> {
         let until = self.ordered.map(|ordered| ordered + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
@@ -195,7 +196,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Reports what became of a scan that was to be kept.
+    /// Reports the outcome of a scan that was to be kept.
     fn enrolled(&mut self, enrolment: &Enrolment, enrolled: Enrolled) {
         let enrolled = self.orders.count(enrolment, enrolled);
         let why = enrolled.remarks.last().map_or("", String::as_str);
@@ -210,7 +211,7 @@ impl<'a> StationRun<'a> {
         self.report_order();
     }
 
-    /// Reports what the next scan is to become, if that has changed.
+    /// Reports the order for the next scan, if it has changed.
     fn report_order(&mut self) {
         let now = self.orders.in_force();
         if now != self.enrolling {
@@ -259,7 +260,7 @@ impl StationRun<'_> {
         self.load.is_some()
     }
 
-    /// Names scans with what was read from now on, if it could be read.
+    /// Names scans with the new library from now on, if it could be read.
     pub fn loaded(&mut self, loaded: LoadedRecogniser) {
         match loaded {
             Ok(recogniser) => {
@@ -343,7 +344,7 @@ impl StationRun<'_> {
         self.limit_backlog();
     }
 
-    /// Lets the oldest scan go, and the progress before it, where too many wait.
+    /// Drops the oldest scan and the progress before it, if too many wait.
     fn limit_backlog(&mut self) {
         let waiting = self.pending.iter().filter(|job| !matches!(job, Job::Progress(_))).count();
         if waiting <= BACKLOG || self.waits {
@@ -358,7 +359,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Adds news of a scan. What the worker has no time for becomes one piece of news.
+    /// Adds progress of a scan. Progress that waits for the worker is joined to one piece.
     fn progress(&mut self, progress: Progress) {
         match self.pending.back_mut() {
             Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
@@ -366,7 +367,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Hands work to the worker, as far as it takes it.
+    /// Hands jobs to the worker, as long as it takes them.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
             let by = match &self.naming {
@@ -403,7 +404,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Reports what the worker has done.
+    /// Reports the result of a job.
     fn done(&mut self, done: WorkerEvent) {
         let job = self.in_hand.pop_front();
         match done {
@@ -427,13 +428,13 @@ impl StationRun<'_> {
         self.emit(StationEvent::Scan(scan));
     }
 
-    /// Reports that a scan was not named, and why.
+    /// Reports a scan that was not named, with the reason.
     fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
         let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
         self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
     }
 
-    /// Reports scans that will not be named, since the end does not wait for them any longer.
+    /// Reports the scans that will not be named, since the end does not wait any longer.
     fn give_up_naming(&mut self) {
         // The results of jobs that the worker has come too late from now on.
         self.worker.done = never();

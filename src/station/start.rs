@@ -115,7 +115,7 @@ impl<'a> Station<'a> {
             None if run.can_load() => run.reload(),
             None => {}
         }
-        // The sender beside it keeps the channel open.
+        // Its sender, which is kept here too, keeps the channel open.
         run.until_finished(&self.commands.1);
         run.finish()
     }

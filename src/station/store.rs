@@ -42,7 +42,7 @@ pub struct ScanStore {
 }
 
 impl ScanStore {
-    /// Stores scans in a library, with nothing noted beside them.
+    /// Stores scans in a library, without further notes.
     pub fn new(folder: PathBuf, scene: Scene) -> Self {
         Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
     }
@@ -52,11 +52,11 @@ impl ScanStore {
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
-    /// Of one that was kept: the scan, and what may say what surface it is most like.
+    /// If it was kept: the scan, and the recogniser that finds its nearest surface.
     pub kept: Option<(Box<Scan>, Arc<Recogniser>)>,
 }
 
-/// A scan, the enrolment that it belongs to, and what it is compared with.
+/// A scan, the enrolment that it belongs to, and the recogniser for it.
 type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 
 /// The thread, and its two ends.
@@ -75,7 +75,7 @@ impl RecordingThread {
     /// # Errors
     /// If the system gives no thread.
     pub fn start(store: ScanStore) -> std::io::Result<Self> {
-        // Unbounded, but emptied at once: what cannot be written waits within limits of its own.
+        // Unbounded, but emptied at once: scans that cannot be written wait in a bounded queue.
         let (scans, to_store) = unbounded();
         let (send, stored) = unbounded();
         let (working, ending) = bounded(0);
@@ -98,7 +98,7 @@ impl RecordingThread {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Gives what is still to come, after a last attempt to write what waits. Data not written
+    /// Gives the last outcomes, after a last attempt to write the waiting scans. Data not written
     /// by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
@@ -267,7 +267,7 @@ impl StoreWriter {
         }
         let (send, read) = bounded(1);
         let store = self.store.clone();
-        // On a thread of its own, for the end waits for no library.
+        // On a separate thread, since the end of the station must not wait for a library.
         let work = move || drop(send.send(numbers(&store)));
         if std::thread::Builder::new().name("numbers".into()).spawn(work).is_err() {
             return;

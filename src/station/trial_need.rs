@@ -1,4 +1,5 @@
-//! Whether a scan in progress may end: for its name, or, by the T* of its own sources, as a trial.
+//! Decides whether a scan in progress may end: for its name, or as a trial, by the T* of its
+//! sources.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +8,7 @@ use crate::scan::{Fresh, Progress};
 use crate::scene::SourceId;
 use crate::station::event::Guess;
 
-/// A source that has rested this long, in seconds of drag, will: it asks for nothing.
+/// A source that has been at rest for this long, in seconds of drag, is not judged.
 const RESTS_S: f64 = 1.0;
 
 /// The purpose of a scan in progress.
@@ -76,7 +77,8 @@ impl TrialNeed {
         }
     }
 
-    /// How long the drag must last, in seconds, at least `least_s`; none while that is not known.
+    /// The length that the drag needs, in seconds, at least `least_s`; `None` while it is not
+    /// known.
     fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {

@@ -1,4 +1,4 @@
-//! Why a scan was named as it was: what each source says, the threshold, the nearest trial.
+//! Explains the name of a scan: the votes of the sources, the threshold, the nearest trial.
 
 use serde::Serialize;
 
@@ -6,7 +6,7 @@ use crate::recognise::{Evidence, RankedSurface, Ranking, Rejection};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
-/// Why a scan was named as it was.
+/// The explanation of the name of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// The first surface of the ranking.

@@ -68,7 +68,7 @@ impl ScanAnswer {
 }
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
-/// the first is dropped, it ends with what it has in hand, and nobody waits for it.
+/// the first is dropped, it ends after its current job, and nobody waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,

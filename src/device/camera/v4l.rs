@@ -136,7 +136,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
     }
 }
 
-/// The cameras of this machine, with names that stay, and what is wrong with each.
+/// The cameras of this machine, with permanent names and the problems of each.
 ///
 /// # Errors
 /// If V4L2 refuses the list.

@@ -14,14 +14,14 @@ const STALLED: Duration = Duration::from_millis(500);
 const GIVE_UP: Duration = Duration::from_secs(5);
 /// A command without an answer is sent again after this.
 const REPEAT: Duration = Duration::from_millis(100);
-/// How long the stylus may take to stop at the end.
+/// The time that the stylus has to stop at the end.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of errors.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Bytes taken at a time: 0.4 s of the line.
 const BUFFER: usize = 64 * 1024;
 
-/// How a connection ends.
+/// The end of a connection.
 pub(super) enum ConnectionEnd {
     Stop,
     Lost(String),

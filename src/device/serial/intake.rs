@@ -1,8 +1,8 @@
 //! From bytes on the line to frames of the streams: no I/O, no clock.
 //!
 //! Indexes count the stylus's sampling clock, so a jump in them is the length of a gap. Where they
-//! start reopened (a reset, a replug) the length is taken from the arrival times instead, and is never
-//! less than [`LEAST_RESTART_S`], so that no such gap is bridged in silence.
+//! start again (a reset, a replug) the length is taken from the arrival times instead, and is never
+//! less than [`LEAST_RESTART_S`], so that such a gap is always reported.
 
 use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
 
@@ -10,10 +10,10 @@ use crate::scene::SourceId;
 
 /// A restart costs at least this much, in seconds: more than a scan bridges.
 pub const LEAST_RESTART_S: f64 = 2e-3;
-/// A jump of the index may be so much longer than the silence before it, in seconds, since
+/// A jump of the index may be longer than the silence before it by this much, in seconds, since
 /// what the system had buffered arrives late. Beyond, the index is not believed.
 const LATEST_S: f64 = 10.0;
-/// After the line was opened reopened, index and arrival times may differ by this much, in seconds.
+/// After the line was reopened, index and arrival times may differ by this much, in seconds.
 const ANEW_S: f64 = 1.0;
 
 /// The unit of a stream's values.
@@ -88,7 +88,7 @@ struct Table {
     places: Vec<Option<StreamPlace>>,
 }
 
-/// Counts of what was not used.
+/// Counts of unused input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unused {
     /// Frames of the wire that were damaged or not understood.
@@ -120,7 +120,7 @@ pub struct Intake {
 }
 
 impl Intake {
-    /// Makes `wanted` of what comes, which is to be sampled at `rate_hz`.
+    /// Makes the streams `wanted` from input sampled at `rate_hz`.
     pub fn new(wanted: Vec<Wanted>, rate_hz: u32) -> Self {
         Self {
             lag: vec![0; wanted.len()],
@@ -278,7 +278,7 @@ impl Intake {
     }
 }
 
-/// How many samples are missing before these, and whether their index restarted.
+/// The number of samples missing before these, and whether their index restarted.
 fn gap(
     next: Option<u64>,
     samples: &Samples<'_>,

@@ -1,4 +1,4 @@
-//! Serial ports: finding the stylus's, opening it, and what is wrong when that fails.
+//! Serial ports: finds and opens that of the stylus, and explains failures.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};

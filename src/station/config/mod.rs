@@ -1,4 +1,5 @@
-//! The configuration of a station, in two steps: a file laid over the defaults, and what the
+//! The configuration of a station, in two steps: a file laid over the defaults, and the objects
+//! that the
 //! program works with.
 
 mod file;
@@ -49,7 +50,7 @@ impl StationConfig {
 #[cfg(test)]
 mod tests;
 
-/// Why a configuration cannot be used.
+/// Errors of a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// the file cannot be read
@@ -83,7 +84,7 @@ pub enum ConfigError {
         path: PathBuf,
         /// line, counted from 1
         line: usize,
-        /// what is wrong, and what was expected
+        /// the mistake, and the expected value
         problem: String,
     },
 }
@@ -103,7 +104,7 @@ pub struct StationConfig {
     pub microphone: Option<MicrophoneConfig>,
     /// The camera, if there is to be one.
     pub camera: Option<CameraConfig>,
-    /// How scans are found, and what is cut.
+    /// The detection of scans, and the sources that are cut.
     pub detection: Detection,
     /// Sources of which a good trial holds enough independent samples.
     pub by_t_star: Vec<SourceId>,
