@@ -91,7 +91,7 @@ fn on_settling(found: &[Settling]) -> Option<String> {
     ))
 }
 
-/// How long to drag; of several libraries, that of the one that takes longest.
+/// The scan time; of several libraries, the longest one.
 fn on_scan_time<'a>(found: impl Iterator<Item = &'a ScanTime>) -> Option<String> {
     let longest = |answer: &&ScanTime| answer.scan_s().unwrap_or(f64::INFINITY);
     let answer = found.max_by(|a, b| longest(a).total_cmp(&longest(b)))?;

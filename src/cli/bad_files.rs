@@ -16,7 +16,7 @@ pub(super) struct BadFileArgs {
     skip_bad: bool,
 }
 
-/// Why recordings were left out, one error each.
+/// The recordings that were left out, an error each.
 #[derive(Default)]
 pub(super) struct Skipped(Vec<LibraryError>);
 
@@ -56,7 +56,7 @@ impl Skipped {
         self.0.iter().map(|error| format!("not used: {error}"))
     }
 
-    /// How the command ends.
+    /// The end of the command.
     pub fn verdict(&self) -> Done {
         match self.0.len() {
             0 => Ok(()),

@@ -7,7 +7,7 @@ use crate::dataset;
 use crate::library::Library;
 use crate::scene::{Scene, SourceId};
 
-/// How a command ended that did not do all of its work.
+/// The end of a command that did not do all of its work.
 #[derive(Debug)]
 pub(super) enum Failure {
     /// Exit code 1.
@@ -18,7 +18,7 @@ pub(super) enum Failure {
     Damaged(String),
 }
 
-/// Anything that went wrong while working is a failure; wrong usage says so itself.
+/// An error during work is a failure with exit code 1.
 impl<E: std::error::Error> From<E> for Failure {
     fn from(error: E) -> Self {
         Self::Failed(error.to_string())

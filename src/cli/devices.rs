@@ -27,7 +27,7 @@ struct DeviceClass {
     /// Whether this build has the drivers for them.
     built: bool,
     devices: Vec<ListedDevice>,
-    /// Why the list is empty although there may be some; what to do.
+    /// The reason why the list is empty although there may be devices, and what to do.
     problem: Option<String>,
 }
 

@@ -93,14 +93,14 @@ pub fn record(args: &RecordArgs) -> Done {
     }
 }
 
-/// How many scans were kept, and how many could not be written.
+/// Numbers of scans that were kept, and that could not be written.
 #[derive(Clone, Copy, Default)]
 struct KeptCounts {
     kept: u32,
     lost: u32,
 }
 
-/// Stores the scans of an order, and ends with the last of them. `hint` is for people.
+/// Stores the scans of an order, and ends with the last of them. `hint` is shown to the operator.
 fn store(
     config: &StationConfig,
     args: &StationArgs,

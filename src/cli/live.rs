@@ -274,7 +274,7 @@ pub fn keep_scans<'a>(
     }
 }
 
-/// How a command with live devices ends.
+/// The end of a command with live devices.
 pub fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));

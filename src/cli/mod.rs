@@ -1,7 +1,7 @@
 //! The command line: arguments are checked, turned into what the library works with, and results
 //! shown.
 //!
-//! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
+//! With `--json` a command prints JSON on stdout; other text goes to stderr.
 
 #[macro_use]
 mod say;

@@ -1,4 +1,4 @@
-//! Text for people: results on stdout, all else on stderr, whatever has become of either.
+//! Writes text for people: results on stdout, everything else on stderr. It never fails.
 //!
 //! A daemon outlives its log. A line that cannot be written, because its reader is gone or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
@@ -18,7 +18,7 @@ use tracing_subscriber::registry::LookupSpan;
 
 use crate::printable::Printable;
 
-/// How long a stalled reader holds up live devices, for the first of the lines it does not take.
+/// The time for which a stalled reader may hold up live devices, once.
 const PATIENCE: Duration = Duration::from_millis(100);
 /// A pipe that is ready takes this much without blocking (`PIPE_BUF` on Linux).
 const ATOMIC: usize = 4096;
@@ -119,7 +119,7 @@ fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
         if LIVE.load(Ordering::Acquire) && !ready(out, stalled) {
             return;
         }
-        // There is nobody left to read of an error.
+        // Nobody is left to read about an error.
         if out.write_all(part).and_then(|()| out.flush()).is_err() {
             return;
         }
@@ -180,7 +180,7 @@ where
     }
 }
 
-/// How a message of a level begins.
+/// The first word of a message of this level.
 pub fn word(level: Level) -> &'static str {
     match level {
         Level::ERROR => "error: ",

@@ -9,10 +9,11 @@ use crate::station::Station;
 
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
-/// How often new samples are sent to the page, in seconds: 25 times a second, so that 20 are drawn
+/// The interval at which new samples are sent to the page, in seconds: 25 times a second, so that
+/// 20 are drawn
 /// even where some come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// How often the progress of a scan is sent to it, in seconds of drag.
+/// The interval at which the progress of a scan is sent to it, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.

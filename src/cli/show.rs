@@ -92,7 +92,7 @@ pub fn named(answer: &Answer) -> String {
     }
 }
 
-/// How certain an answer is: `fits none` for an unknown surface, its probability where the method
+/// The certainty of an answer: `fits none` for an unknown surface, its probability where the method
 /// states one, else the margin to the next surface.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {

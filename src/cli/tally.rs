@@ -1,4 +1,4 @@
-//! The results of a replay, scan by scan and in total, for people.
+//! Shows the results of a replay, scan by scan and in total.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,7 @@ pub struct Tally {
     /// Whether each answer is shown.
     each: bool,
     total: usize,
-    /// How often each kind of remark on a source was made; only the first is shown.
+    /// Counts of remarks by kind and source; only the first of each is shown.
     remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     answers: usize,
     with_truth: usize,
@@ -31,14 +31,14 @@ pub struct Tally {
 /// Difficulties, for the summary.
 #[derive(Default)]
 struct Notable {
-    /// How often one surface was taken for another.
+    /// Counts of confusions: the true surface, and the one named.
     confused: BTreeMap<(String, String), usize>,
-    /// Scans of surfaces that the library has and that were called unknown.
+    /// Scans of known surfaces that were called unknown.
     rejected: usize,
-    /// Scans of surfaces that the library lacks, and how many of them were called unknown.
+    /// Scans of new surfaces, and how many of them were called unknown.
     lacking: usize,
     called_unknown: usize,
-    /// Why each source was left out of scans, and of how many.
+    /// The number of scans from which each source was left out.
     left_out: BTreeMap<SourceId, usize>,
 }
 
@@ -88,7 +88,7 @@ impl Notable {
     }
 }
 
-/// Answers as they were when they were settled, or at the end of their scan.
+/// Counts of answers at the time when they were settled, or at the end of their scan.
 #[derive(Default)]
 struct ByThen {
     settled: usize,
@@ -188,7 +188,7 @@ impl Tally {
             answer.latency_ms,
             longer.unwrap_or_default()
         );
-        // Why it is unsure, unless a warning has said so; other states explain themselves.
+        // Reasons for doubt, unless a warning has said so; other states explain themselves.
         let is_known = |why: &&String| {
             answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
         };
@@ -260,7 +260,7 @@ impl Tally {
         self.notable.show();
     }
 
-    /// How the command ends, after `lost` samples were lost.
+    /// The end of the command, after `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
         if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));

@@ -17,7 +17,7 @@ use crate::kernel::Pearson3;
 /// than 1 in 24, so that nothing could be significant at 5 %.
 pub const FEWEST_PAIRS: usize = 5;
 
-/// Why two sets of samples cannot be tested.
+/// Errors of a test of independence.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum HsicError {
     /// different numbers of samples
@@ -67,7 +67,7 @@ pub enum HsicError {
     },
 }
 
-/// How the threshold κ is found.
+/// The way to find the threshold κ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Threshold {

@@ -1,4 +1,4 @@
-//! Two trials, source by source: how unlike they are, and whether chance explains it.
+//! Compares two trials, source by source, and tests whether chance explains the difference.
 
 use std::sync::Arc;
 
@@ -46,7 +46,7 @@ pub struct Comparison {
     pub ds: f64,
 }
 
-/// How the test is done.
+/// Settings of the test.
 #[derive(Clone, Copy, Debug)]
 pub struct TestOptions {
     /// Samples drawn from a source, n.

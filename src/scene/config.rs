@@ -13,7 +13,7 @@ struct SceneFile {
     format: toml::Spanned<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     name: Option<String>,
-    /// Text for people; carries no meaning for the program.
+    /// A text for readers of the file, which the program ignores.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     notes: Option<String>,
     /// A library that was made by a generator says so.

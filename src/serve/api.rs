@@ -1,4 +1,4 @@
-//! The interface for programs and the files of the page: which path does what.
+//! The interface for programs and the files of the page: the handler of each path.
 
 use std::sync::Arc;
 

@@ -32,7 +32,7 @@ const MOST_SESSIONS: usize = 1024;
 /// Refusals a minute that are logged one by one.
 const LOGGED: u32 = 10;
 
-/// The page needs its own files and nothing else; nobody may frame it.
+/// The page needs its own files only; no other page may frame it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
                       media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'none'";
@@ -54,12 +54,12 @@ pub struct Guard {
     budgets: Mutex<Budgets>,
 }
 
-/// How often who may do what.
+/// Rates of requests and of wrong tokens, by client.
 #[derive(Debug)]
 struct Budgets {
-    /// Requests of those who need no token, or have none, by address.
+    /// Requests of clients that need no token or have none, by address.
     strangers: Rates<IpAddr>,
-    /// Requests of those who know the token, by address: strangers cannot use theirs up.
+    /// Requests of clients that know the token, by address: strangers cannot use these up.
     known: Rates<IpAddr>,
     /// Wrong tokens, by address, or by the session of a browser that knew the token before.
     guesses: Rates<IpAddr>,
@@ -165,7 +165,7 @@ impl Guard {
                 if token.is_some() {
                     return Err(Problem::Token);
                 }
-                // A name that a stranger's DNS points at this machine is no name of ours. With a
+                // A name that a stranger's DNS points at this machine is refused. With a
                 // token, any name may stand for this machine, and the stranger does not know the
                 // token.
                 if !is_loopback(host) {
@@ -259,7 +259,7 @@ fn is_loopback(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Refuses what a page of another site sends. Programs send neither of these headers.
+/// Refuses requests from pages of other sites. Programs send neither of these headers.
 fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();

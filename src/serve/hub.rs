@@ -1,4 +1,4 @@
-//! The work of the server's thread: takes in the station's notices, and publishes events.
+//! The work of the server's thread: takes in the station's events, and publishes them.
 //!
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
@@ -27,11 +27,11 @@ use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
 use crate::trial::Image;
 
-/// How often figures of the streams are published.
+/// The interval between two publications of the counts of streams.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// How often spectra are published.
+/// The interval between two publications of spectra.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
-/// How often something is sent on a line that is silent.
+/// The interval between two signs of life on a silent connection.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 
 /// State shared by the handlers of requests.
@@ -62,7 +62,7 @@ pub struct HubState {
     enrolls: bool,
     /// The view of the camera.
     pub viewfinder: Option<Viewfinder>,
-    /// How it was when that was last published.
+    /// The state of the camera that was last published.
     camera: Option<CameraView>,
 }
 
@@ -109,7 +109,7 @@ impl HubState {
         self.publish(EventKind::Warning, &warning);
     }
 
-    /// Publishes how the camera is, if that has changed.
+    /// Publishes the view of the camera, if it has changed.
     fn publish_camera(&mut self) {
         let view = self.viewfinder.as_ref().map(Viewfinder::view);
         if view != self.camera {
@@ -118,7 +118,7 @@ impl HubState {
         }
     }
 
-    /// Changes the state, and publishes what follows from it.
+    /// Changes the state, and publishes the parts that changed with it.
     fn change(&mut self, change: impl FnOnce(&mut Self)) {
         let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
         change(self);
@@ -183,19 +183,19 @@ impl HubState {
     }
 }
 
-/// Why an order does not reach the station.
+/// Reasons why a command does not reach the station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Undelivered {
     /// The station keeps no scans.
     NoLibrary,
     /// The station has ended.
     Ended,
-    /// It has not taken the orders before this one yet.
+    /// The station has not taken earlier commands yet.
     Busy,
 }
 
 impl Hub {
-    /// Nothing is known yet; `missed` counts the notices that found no room.
+    /// A hub that knows nothing yet; `missed` counts the events that found no room.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
@@ -234,7 +234,7 @@ impl Hub {
         self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
     }
 
-    /// Takes in a notice. A surface that was enrolled is to be used at once.
+    /// Takes in an event. A surface that was enrolled is used at once.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
             StationEvent::Answer(answer) => Some(answer),
@@ -251,7 +251,7 @@ impl Hub {
             && enrolled.wanted == 0
             && inner.state.library.is_some()
         {
-            // A station that is too busy for it leaves it to the operator.
+            // If the station is too busy, the operator can reload later.
             let _ = self.orders.try_send(Command::Reload);
         }
     }
@@ -266,7 +266,7 @@ impl Hub {
         self.lock().publish(EventKind::Correction, scan);
     }
 
-    /// One subscriber more, unless there are too many.
+    /// Adds a subscriber, unless there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
         if inner.subscribers.count() >= self.most_subscribers {
@@ -276,7 +276,7 @@ impl Hub {
         Some(inner.subscribers.subscribe(filter, first))
     }
 
-    /// Sends an order, never waiting for the station.
+    /// Sends a command, without waiting for the station.
     ///
     /// # Errors
     /// If it has ended, is busy with the orders before, or cannot do that.
@@ -296,7 +296,7 @@ impl Hub {
     }
 }
 
-/// Takes in notices and publishes what is due, until the station and the server have ended.
+/// Takes in events and publishes what is due, until the station and the server have ended.
 pub async fn run(
     hub: Arc<Hub>,
     mut notices: mpsc::Receiver<StationEvent>,
@@ -393,7 +393,7 @@ fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
     meters.iter().map(view).collect()
 }
 
-/// How the audit is.
+/// The state of the audit.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckView {
     /// `none`, `running`, `done` or `failed`.
@@ -421,7 +421,7 @@ impl Checks {
         Self { audit, view: Mutex::new(view) }
     }
 
-    /// How the last one is.
+    /// The state of the last one.
     pub fn lock(&self) -> MutexGuard<'_, CheckView> {
         // Each change is one assignment.
         self.view.lock().unwrap_or_else(PoisonError::into_inner)

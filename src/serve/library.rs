@@ -114,14 +114,14 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
     }
 }
 
-/// Does an edit, and has the library read anew.
+/// Makes an edit, then has the station read the library again.
 async fn edited(
     hub: &Hub,
     edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
 ) -> Result<Json<Step>, Problem> {
     let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let step = aside(move || Ok(edit(&Editor::open(&library.folder, &library.scene)?)?)).await?;
-    // A station that is too busy for it leaves it to the operator.
+    // If the station is too busy, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
 }

@@ -20,7 +20,7 @@ const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
 /// Bounds of latencies, in seconds.
 const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
-/// How often a value fell below each of some bounds.
+/// Counts of values below each of some bounds.
 #[derive(Debug)]
 struct Histogram {
     bounds: &'static [f64],

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::hub::Hub;
 use super::settings::LARGEST_BODY;
 
-/// Why a request is refused.
+/// Reasons for refusing a request.
 #[derive(Debug, thiserror::Error)]
 pub enum Problem {
     #[error("there is nothing here; see /api/v1/state")]
@@ -94,7 +94,7 @@ impl From<BytesRejection> for Problem {
 /// The argument of each handler.
 pub type Shared = State<Arc<Hub>>;
 
-/// Does what may wait for the disk, on another thread than the server's own.
+/// Runs work that may wait for the disk on another thread than the server's.
 pub async fn aside<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {

@@ -22,7 +22,8 @@ pub struct Server {
     thread: Option<JoinHandle<()>>,
 }
 
-/// How long the end of the server waits for events that are not sent yet, and then for answers under
+/// The time that the end of the server waits for events that are not sent yet, and then for answers
+/// under
 /// way.
 const SHUTDOWN_GRACE: Duration = Duration::from_millis(300);
 

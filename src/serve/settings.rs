@@ -40,7 +40,7 @@ pub struct Settings {
     pub viewfinder: Option<Viewfinder>,
 }
 
-/// Audits a library, as often as it is called; for people, why not.
+/// Audits a library each time it is called; gives a message if that fails.
 #[derive(Clone)]
 pub struct Audit(
     /// The audit.
@@ -84,15 +84,15 @@ pub const LARGEST_BODY: usize = 64 << 10;
 /// Limits of clients.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Connections at once; one more is closed unread.
+    /// Connections at once; others are closed unread.
     pub connections: usize,
-    /// Those of one address, so that no address can take all.
+    /// Connections of one address, so that no address can take all.
     pub connections_an_address: usize,
     /// Subscribers to the stream of events at once.
     pub readers: usize,
-    /// How long a request may take to arrive, and its answer to be made.
+    /// The time for a request to arrive, and for its answer to be made.
     pub request: Duration,
-    /// How long a client may leave unread what was sent to it.
+    /// The time after which a client that reads nothing is disconnected.
     pub unread: Duration,
     /// Requests a second that one address may make in the long run.
     pub requests_a_second: f64,
@@ -155,7 +155,7 @@ impl fmt::Debug for Token {
     }
 }
 
-/// Why nothing can be served.
+/// Errors of the start of a server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// an address that others reach, without a token

@@ -128,7 +128,7 @@ pub struct Subscribers {
 }
 
 impl Subscribers {
-    /// One subscriber more; its stream begins with `first`.
+    /// Adds a subscriber; its stream begins with `first`.
     pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };
@@ -137,7 +137,7 @@ impl Subscribers {
         EventStream(events)
     }
 
-    /// How many there are.
+    /// The number of subscribers.
     pub fn count(&self) -> usize {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
@@ -166,7 +166,7 @@ impl Subscribers {
         });
     }
 
-    /// Lets all subscribers go, after what is in their queues.
+    /// Ends all streams, after the events in their queues.
     pub fn close(&mut self) {
         self.subscribers.clear();
     }
@@ -184,7 +184,7 @@ impl Subscriber {
         sent
     }
 
-    /// Once there is room again: how much was missed, and how things are.
+    /// Once there is room again, sends how many events were missed, and the whole state.
     fn catch_up(&mut self, state: &mut dyn FnMut() -> Bytes) {
         if self.missed == 0 || self.queue.capacity() <= KEPT_FREE {
             return;

@@ -1,4 +1,4 @@
-//! Makes streams small enough to draw: extremes of short stretches of time, and spectra.
+//! Makes streams small enough to draw: the extremes of short stretches of time, and spectra.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -64,7 +64,7 @@ pub struct TracedStream {
     filled: usize,
     /// Its least and greatest sample so far, a pair a channel.
     extremes: Vec<(f32, f32)>,
-    /// How close each channel comes to its limits.
+    /// The limits of each channel.
     limits: Vec<ChannelLimits>,
     /// Whether a channel rested at its limit in the bin that is not full.
     clipped: bool,
@@ -188,7 +188,7 @@ impl Bins {
 
 impl Tracer {
     /// Takes what is new, and gives what of it can be drawn. After a gap, or with another rate, a
-    /// stream begins anew.
+    /// stream begins again.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {

@@ -101,8 +101,7 @@ impl Recogniser {
     }
 
     /// Calls scans unknown that fit no surface, at a stated rate of false rejections or the usual
-    /// one. Gives the
-    /// rests on, for each model.
+    /// one. Gives the threshold of each model and its basis.
     ///
     /// # Errors
     /// If the method gives no p-value, or a library has too few trials; no scan is called

@@ -100,14 +100,14 @@ impl Method for Reference {
 /// The method's name.
 pub const NAME: &str = "reference";
 
-/// Whether sample positions are drawn once for the whole library or anew for each pair of trials.
+/// The way to draw sample positions: once for the whole library, or for each pair of trials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionMode {
     /// Once a repetition, for every trial: far cheaper.
     #[default]
     Shared,
-    /// Anew for every pair, as the authors' program does.
+    /// Again for every pair, as the authors' program does.
     PerPair,
 }
 
@@ -124,13 +124,13 @@ pub struct ReferenceOptions {
     /// Nearest neighbours, k.
     #[serde(skip_serializing_if = "is_one")]
     pub neighbours: usize,
-    /// How positions are drawn.
+    /// The way to draw positions.
     #[serde(skip_serializing_if = "is_default")]
     pub positions: PositionMode,
     /// Seed of all positions.
     #[serde(skip_serializing_if = "is_one")]
     pub seed: u64,
-    /// How kernel sums are computed.
+    /// The precision of kernel sums.
     #[serde(skip_serializing_if = "is_default")]
     pub precision: SumPrecision,
     /// Tabulate K(y, y) of library trials over σ: dearer to prepare, cheaper to compare with.

@@ -25,7 +25,8 @@ pub struct SampledSource {
 /// A source, its rate and frames if it is a series, and its sets.
 type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of one source stay in memory beside the trial's own; `chart` asks for as many.
+/// Number of lengths of one source that stay in memory besides the trial's own: as many as `chart`
+/// needs.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths that were asked for, in frames.

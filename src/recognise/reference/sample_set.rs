@@ -1,4 +1,4 @@
-//! Samples drawn from one source of one trial, with all that need be computed but once.
+//! Samples drawn from one source of one trial, with all that is computed once.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ const ROUNDING_ALLOWED: f64 = 3e-5;
 /// Error of n·MMD² that a table of K(y, y) may cause; more, and there is no table.
 const TABLE_ALLOWED: f64 = 3e-5;
 
-/// Length scales this many times a set's own see no more than a point.
+/// At length scales this many times a set's own, the set looks like one point.
 const AFAR: f64 = 8.0;
 
 /// Samples drawn from one source. What is compared does not depend on the order of samples, once σ
@@ -34,7 +34,7 @@ pub struct SampleSet {
     pub(super) sigma: f64,
     /// Error of n·MMD² times σ that coordinates in f32 may cause.
     pub(super) coarseness: f64,
-    /// Whether distances within the set are but a few: see [`is_clustered`].
+    /// Whether the set has only a few different distances: see [`is_clustered`].
     pub(super) clustered: bool,
     /// Mean of K(y, y) by σ, if tabulated.
     pub(super) table: Option<SelfMean>,
@@ -170,7 +170,8 @@ impl SampleSet {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
-    /// Whether distances within the set are but a few at this length scale: seen from afar, every
+    /// Whether the set has only a few different distances at this length scale: seen from afar,
+    /// every
     /// set is a tight cluster.
     pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
         self.clustered || sigma > AFAR * self.sigma
@@ -257,7 +258,7 @@ impl DistinctPoints {
     }
 }
 
-/// Whether a set's distances are but a few.
+/// Whether a set has only a few different distances.
 ///
 /// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
 /// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight

@@ -60,7 +60,7 @@ pub fn score_samples(
     SampleScore { n, dims: z.ncols(), sigma, mmd2, score: n as f64 * mmd2 }
 }
 
-/// How kernel sums are computed.
+/// The precision of kernel sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SumPrecision {
@@ -90,7 +90,7 @@ pub struct QuerySet<'a> {
     f64_points: OnceLock<(F64Points, f64)>,
 }
 
-/// How Σ k(yᵢ, zⱼ) is summed, with Σ k(zᵢ, zⱼ), which no library trial changes.
+/// The way to sum Σ k(yᵢ, zⱼ), with Σ k(zᵢ, zⱼ), which is the same for all library trials.
 enum SumStrategy {
     /// One channel, expanded once.
     Line(LineSum, f64),
@@ -190,7 +190,7 @@ impl<'a> QuerySet<'a> {
         CrossSums { yy: f64_sum(points, points), zz: *zz, yz }
     }
 
-    /// z's centre, from where the shifted y is seen.
+    /// The centre of z as the origin of the shifted y.
     fn origin(&self, shift: &dyn Fn(usize) -> f64) -> Vec<f64> {
         self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect()
     }
@@ -200,7 +200,7 @@ impl<'a> QuerySet<'a> {
         self.f64_points.get_or_init(|| {
             let mut points = F64Points::default();
             self.set.fill_f64(&mut points, self.set.sigma, &self.set.centre);
-            // As y's own sum and the cross sum are formed, so that equal roundings cancel.
+            // In the same order as y's own sum and the cross sum, so that equal roundings cancel.
             let zz = f64_sum(&points, &points);
             (points, zz)
         })
@@ -241,7 +241,7 @@ mod tests {
         }
     }
 
-    /// How raw numbers in −1..1 become samples of a kind that has broken something somewhere.
+    /// Makes samples of a difficult kind from raw numbers in −1..1.
     fn ugly(kind: usize, x: f64, at: usize) -> f64 {
         match kind {
             0 => x,
