@@ -16,8 +16,8 @@ pub(crate) mod series_header;
 mod text;
 mod wav;
 
+pub use about::About;
 pub(crate) use about::FILE as ABOUT_FILE;
-pub use about::{About, ScanMarks};
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -277,7 +277,16 @@ impl State {
             return say(AdviceKind::Wait, "reading the library");
         }
         if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
-            return say(AdviceKind::Wait, "wait for the stylus");
+            // By name, the stylus is the last of the devices.
+            let gone = |device: &&DeviceView| {
+                matches!(device.state, DeviceState::Absent | DeviceState::Lost)
+            };
+            return match self.devices.iter().rfind(gone) {
+                Some(DeviceView { device, .. }) => {
+                    say(AdviceKind::Wait, &format!("{device} disconnected: plug it in"))
+                }
+                None => say(AdviceKind::Wait, "wait for the devices"),
+            };
         }
         let cannot = self.library.as_ref().is_some_and(|library| library.problem.is_some());
         if cannot && self.enrolling.is_none() {

@@ -98,3 +98,17 @@ fn a_source_that_a_query_lacks_counts_as_the_mean() {
     assert_eq!(ranking.surface(), query.key().surface);
     assert_eq!(ranking.sources.len(), 1, "what was not there was not compared");
 }
+
+#[test]
+fn each_seed_grows_another_forest() {
+    let scores = |seed| {
+        let method = OnFeatures::new("random-forest", Scene::lmt108(), RandomForest { seed });
+        let (held, rest): (Vec<_>, Vec<_>) =
+            library().into_iter().partition(|v| v.key().number == 3);
+        let model = method.fit(rest, &Arc::default()).unwrap();
+        let ranked = held.iter().flat_map(|query| model.rank(query).unwrap().ranked);
+        ranked.map(|ranked| ranked.score).collect::<Vec<f64>>()
+    };
+    assert_eq!(scores(1), scores(1));
+    assert!((2..8).any(|seed| scores(seed) != scores(1)));
+}

@@ -66,10 +66,10 @@ impl Classifier for RandomForest {
     fn train(&self, training: &TrainingSet) -> Vec<RandomTree> {
         let (x, y) = matrix(training);
         let tree = |number: u64| {
-            let parameters = RandomForestClassifierParameters::default()
-                .with_n_trees(1)
-                .with_seed(seed::stable_hash(&[b"tree", &(self.seed ^ number).to_le_bytes()]));
-            // A bootstrap that holds but one surface makes no tree.
+            let parameters = RandomForestClassifierParameters::default().with_n_trees(1).with_seed(
+                seed::stable_hash(&[b"tree", &self.seed.to_le_bytes(), &number.to_le_bytes()]),
+            );
+            // A bootstrap that holds only one surface makes no tree.
             RandomForestClassifier::fit(&x, &y, parameters).ok()
         };
         (0..TREES).into_par_iter().filter_map(tree).collect()
