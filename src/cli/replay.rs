@@ -94,7 +94,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Says what to do with what was seen.
+/// Says what to do next.
 fn advise(args: &Args) {
     let next = match (&args.data, &args.library) {
         (None, _) if args.serve.is_wanted() => "surfaced eval my-library measures your own \

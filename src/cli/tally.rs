@@ -45,7 +45,7 @@ struct Notable {
 impl Notable {
     fn add(&mut self, answer: &Answer) {
         let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-        // A channel each may be flawed, and a source can be used all the same.
+        // A source with a flawed channel may still be used.
         let left_out: BTreeSet<&SourceId> = flawed
             .filter_map(|remark| remark.source.as_ref())
             .filter(|source| !answer.sources.contains(source))

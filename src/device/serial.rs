@@ -3,7 +3,7 @@
 //!
 //! [`Intake`] turns bytes into frames, without I/O; [`OpenPort`] is where the bytes come from, a
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
-//! until the stylus answers, for a command that was damaged on its way is met with silence.
+//! until the stylus answers, since it does not answer a damaged command.
 //!
 //! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which is
 //! 0 or 1.

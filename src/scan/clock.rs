@@ -22,7 +22,7 @@ const BINS: usize = 120;
 const LEAST_SPAN_S: ClockSecond = 10.0;
 /// No clock is worse; the stylus without its crystal is good to 1 %.
 const WORST_DRIFT: f64 = 0.02;
-/// This many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
+/// This many bins in a row off the line by [`STEP_S`] mean that the index has stepped.
 const STEP_BINS: usize = 3;
 const STEP_S: ClockSecond = 0.01;
 

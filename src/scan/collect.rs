@@ -169,7 +169,7 @@ impl Collector {
         warnings.into_iter().for_each(|text| self.event_queue.warn(text));
     }
 
-    /// Gives up the scan in progress, if it is `of` the kind in question.
+    /// Gives up the scan in progress, if `of` holds for it.
     fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;

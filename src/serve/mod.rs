@@ -2,7 +2,7 @@
 //!
 //! [`Server::start`] gives a [`Server`] and a [`Reporter`]. The reporter is a
 //! [`Listener`](crate::station::Listener) and does nothing on the station's thread but enter a
-//! notice into a bounded queue; everything else happens on one thread of the server's own:
+//! event into a bounded queue; everything else happens on one thread of the server:
 //!
 //! ```text
 //! station ─► reporter ─► hub (state, history, metrics) ─► subscribers (a bounded queue each) ─► SSE

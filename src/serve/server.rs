@@ -88,7 +88,7 @@ impl Server {
     fn end(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // Had it panicked, its connections would be closed all the same.
+            // Its connections are closed even if it panicked.
             let _ = thread.join();
         }
     }
@@ -100,26 +100,26 @@ impl Drop for Server {
     }
 }
 
-/// Notices under way.
+/// Events in the queue.
 const QUEUE: usize = 1024;
 /// Traces leave this much room for what matters more.
 const KEPT_FREE: usize = 768;
 
-/// Passes the notices of the station on to the server.
+/// Passes the events of the station on to the server.
 #[derive(Debug)]
 pub struct Reporter {
     queue: mpsc::Sender<StationEvent>,
     missed: Arc<AtomicU64>,
 }
 
-/// A reporter, and the notices that it passes on.
+/// A reporter, and the events that it passes on.
 fn pair() -> (Reporter, mpsc::Receiver<StationEvent>) {
     let (queue, notices) = mpsc::channel(QUEUE);
     (Reporter { queue, missed: Arc::default() }, notices)
 }
 
 impl Reporter {
-    /// Notices that found no room.
+    /// Events that found no room.
     fn missed(&self) -> Arc<AtomicU64> {
         self.missed.clone()
     }

@@ -189,8 +189,7 @@ impl State {
         state
     }
 
-    /// Takes in a notice of the station. Traces and figures are none of its
-    /// business.
+    /// Takes in an event of the station; traces and meters are ignored.
     pub fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),

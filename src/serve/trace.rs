@@ -83,7 +83,7 @@ struct ChannelLimits {
     between: usize,
 }
 
-/// This many samples in a row at a limit are no coincidence.
+/// This many samples in a row at a limit are clipped.
 const RUN: usize = 3;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;

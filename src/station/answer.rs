@@ -27,7 +27,7 @@ pub struct Answer {
     pub state: AnswerState,
     /// Reasons why it does not, a line each; empty for [`AnswerState::Named`].
     pub reasons: Vec<String>,
-    /// The surface; `None` when it is none of the library's, or could not be compared.
+    /// The surface; `None` if the scan fits none, or could not be compared.
     pub surface: Option<String>,
     /// The true surface, where a recording has it; likewise the next two.
     pub truth: Option<String>,

@@ -184,8 +184,8 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Takes note of what became of a scan that was to be kept; it is reported once it is known
-    /// what surface the scan is most like.
+    /// Takes the outcome of a scan that was to be kept; it is reported once the nearest surface of the
+    /// scan is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);

@@ -1,6 +1,6 @@
 //! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
 //!
-//! A scan that cannot be written, for a full disk or a lost permission, stays in memory and is
+//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and is
 //! tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -93,7 +93,7 @@ impl RecordingThread {
         let _ = self.scans.send((scan, enrolment, by));
     }
 
-    /// Notes what became of a scan.
+    /// Notes the outcome of a scan.
     pub fn settle(&mut self, enrolled: &Enrolled) {
         settle(&mut self.under_way, enrolled);
     }

@@ -70,7 +70,7 @@ impl TrialNeed {
         let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
         let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
         source.moves |= frames.into_iter().any(|frame| frame != source.first);
-        // Frames with samples that are not numbers make no good trial, and are no part of T*.
+        // Frames with samples that are not numbers are not part of T*; such a scan is refused as a trial.
         if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
             let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
             source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());

@@ -76,7 +76,7 @@ pub(super) struct Worker {
 
 impl Worker {
     /// Starts the thread. With `queues`, scans may wait for their turn behind others, as those of a
-    /// recording do that is played as fast as possible; that wait is not counted as latency.
+    /// recording do if it is played as fast as possible; that wait is not counted as latency.
     ///
     /// # Errors
     /// If the system gives no thread.

@@ -63,9 +63,9 @@ impl std::fmt::Display for Flaw {
     }
 }
 
-/// Fewer values than this are a switch or a coarse converter, whose limits are no flaw.
+/// Fewer values than this are a switch or a coarse converter, whose limits are not flaws.
 const FEWEST_VALUES: usize = 16;
-/// This many samples in a row at a limit are no coincidence.
+/// This many samples in a row at a limit are a flaw.
 const RUN: usize = 3;
 /// A channel that rests for so large a share at the end of a scan is stuck.
 const STUCK: f64 = 0.5;

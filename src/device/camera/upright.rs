@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn scaling_takes_the_mean_of_the_area() {
-        // Checkers of one pixel at twice the size: all the same grey.
+        // Checkers of one pixel at twice the size average to one grey.
         let checkers = picture(640, 960, |x, y| [if (x + y) % 2 == 0 { 200 } else { 100 }; 3]);
         let image = upright(&checkers, Turn::None).unwrap();
         assert!(image.rgb().iter().all(|&byte| byte == 150));

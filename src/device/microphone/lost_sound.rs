@@ -25,9 +25,9 @@ pub(super) struct Listening<'a> {
 #[derive(Clone, Copy, PartialEq)]
 enum Before {
     Frames,
-    /// Nothing, for a while; since when there are frames again.
+    /// A pause, and the time at which frames came again.
     Pause(f64),
-    /// A loss, of which it is not known how large it was.
+    /// A loss of unknown size.
     Loss,
 }
 

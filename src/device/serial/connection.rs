@@ -192,7 +192,7 @@ impl Connection<'_> {
     }
 }
 
-/// Errors of the line that are yet to be reported.
+/// Errors of the line that were not reported yet.
 pub(super) struct LinkErrors {
     since: Instant,
     damaged: u64,

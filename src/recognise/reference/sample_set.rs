@@ -262,7 +262,7 @@ impl DistinctPoints {
 ///
 /// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
 /// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight
-/// clusters have but a few distances, hence a few fractions, and their errors add up. A subset of
+/// clusters have only a few distances and so a few fractions, and their errors add up. A subset of
 /// pairs shows which it is. Between a set in clusters and one that is spread out there are as many
 /// distances as the latter has samples.
 fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {

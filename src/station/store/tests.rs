@@ -114,7 +114,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
     drop(working);
     writer.accept((scan(1), enrolment(), None));
-    // Without an end, the library would say 1, for it holds no trial.
+    // Before the end, the library would give number 1, since it holds no trial.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
 }
