@@ -92,7 +92,7 @@ fn a_check_names_what_to_mend_and_one_bad_file_does_not_stop_it() {
     assert_eq!(counted, 13);
     let text = surfaced(&["check", &library]);
     let text = String::from_utf8(text.stdout).unwrap();
-    assert!(text.contains("left out and named right") && text.contains("to mend:"), "{text}");
+    assert!(text.contains("cross-validated accuracy") && text.contains("to mend:"), "{text}");
 }
 
 #[test]

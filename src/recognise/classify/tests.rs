@@ -83,6 +83,19 @@ fn trees_keep_the_promises() {
 }
 
 #[test]
+fn another_seed_is_another_forest() {
+    let forest = |seed| {
+        let method = OnFeatures::new(Scene::lmt108(), RandomForest { seed });
+        let model = method.fit(library(), &Arc::default()).unwrap();
+        // Between surfaces, where the trees disagree.
+        let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);
+        model.rank(&query).unwrap().ranked.iter().map(|r| r.score).collect::<Vec<_>>()
+    };
+    let forests: Vec<Vec<f64>> = (0..8).map(forest).collect();
+    assert!(forests.iter().any(|scores| *scores != forests[0]), "{forests:?}");
+}
+
+#[test]
 fn a_source_that_a_query_lacks_counts_as_the_mean() {
     let method = OnFeatures::new(Scene::lmt108(), NaiveBayes);
     let mut both = Vec::new();

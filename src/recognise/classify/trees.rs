@@ -70,9 +70,9 @@ impl Classifier for RandomForest {
     fn train(&self, training: &TrainingSet) -> Vec<RandomTree> {
         let (x, y) = matrix(training);
         let tree = |number: u64| {
-            let parameters = RandomForestClassifierParameters::default()
-                .with_n_trees(1)
-                .with_seed(seed::stable_hash(&[b"tree", &(self.seed ^ number).to_le_bytes()]));
+            let parameters = RandomForestClassifierParameters::default().with_n_trees(1).with_seed(
+                seed::stable_hash(&[b"tree", &self.seed.to_le_bytes(), &number.to_le_bytes()]),
+            );
             // A bootstrap that holds but one surface makes no tree.
             RandomForestClassifier::fit(&x, &y, parameters).ok()
         };
