@@ -64,22 +64,17 @@ fn print(report: &CheckReport) {
     let trials = show::counted(report.trials, "trial");
     let surfaces = show::counted(report.surfaces.len(), "surface");
     result!("{trials} of {surfaces}");
-    if let (Some(accuracy), Some(low), Some(high)) =
-        (report.accuracy, report.accuracy_low, report.accuracy_high)
-    {
-        let [accuracy, low, high] = [accuracy, low, high].map(show::percent);
-        result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high})");
+    if let Some(share) = report.share {
+        let (accuracy, interval) = (show::percent(share.value()), show::interval(share));
+        result!("cross-validated accuracy: {accuracy} (95 % interval {interval})");
     }
     result!();
     result!("{:<28} {:>6}  {:>9}  {:<18}  taken for", "surface", "trials", "right", "95 %");
     for surface in &report.surfaces {
-        let right = format!("{}/{}", surface.right, surface.queries);
-        let interval = match surface.queries {
+        let right = format!("{}/{}", surface.share.right, surface.share.of);
+        let interval = match surface.share.of {
             0 => "-".into(),
-            _ => {
-                let [low, high] = [surface.accuracy_low, surface.accuracy_high].map(show::percent);
-                format!("{low} to {high}")
-            }
+            _ => show::interval(surface.share),
         };
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
         let taken = taken.collect::<Vec<_>>().join(", ");

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::evaluate::LeftOutSources;
+use crate::evaluate::{LeftOutSources, Share};
 use crate::library::Library;
 use crate::station::{Answer, AnswerState};
 
@@ -79,6 +79,12 @@ pub fn counted(number: usize, thing: &str) -> String {
 /// A fraction as a percentage.
 pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
+}
+
+/// The 95 % interval of a share: `93.6 % to 98.6 %`.
+pub fn interval(share: Share) -> String {
+    let (low, high) = share.interval();
+    format!("{} to {}", percent(low), percent(high))
 }
 
 /// An answer in a word or two: the surface, and whether the name stands.

@@ -7,13 +7,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
 
 use self::inspect::{Inspected, duplicates, inspect, resting};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::Fold;
 use super::outcome::{Confusion, Outcome, Prediction};
-use super::wilson_interval;
+use super::share::Share;
 use crate::library::audit::{self, Unreadable};
 use crate::library::{Entry, Opened};
 use crate::recognise::Method;
@@ -28,16 +28,13 @@ const ENOUGH: usize = 5;
 const FOR_UNKNOWN: usize = 99;
 
 /// What was found in a library.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
     /// Trials that could be used.
     pub trials: usize,
-    /// Share of left-out trials that were named right; `None` where none could be left out.
-    pub accuracy: Option<f64>,
-    /// Lower end of its 95 % Wilson interval.
-    pub accuracy_low: Option<f64>,
-    /// Upper end.
-    pub accuracy_high: Option<f64>,
+    /// Trials that were left out, and those named right; `None` where none could be left out.
+    #[serde(flatten, serialize_with = "left_out_share")]
+    pub share: Option<Share>,
     /// Surface by surface, sorted.
     pub surfaces: Vec<SurfaceCheck>,
     /// Truth against answer.
@@ -51,7 +48,7 @@ pub struct CheckReport {
 }
 
 /// What was found of a surface.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SurfaceCheck {
     /// The label.
     pub surface: String,
@@ -59,20 +56,15 @@ pub struct SurfaceCheck {
     pub trials: usize,
     /// The people who dragged.
     pub users: usize,
-    /// Those trials that were left out and named.
-    pub queries: usize,
-    /// Those of them that were named right.
-    pub right: usize,
-    /// Lower end of the 95 % Wilson interval of their share.
-    pub accuracy_low: f64,
-    /// Upper end.
-    pub accuracy_high: f64,
+    /// Those that were left out, and those named right.
+    #[serde(flatten, serialize_with = "share_of_surface")]
+    pub share: Share,
     /// What it was taken for, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
 
 /// What a left-out trial was named.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TrialVerdict {
     /// Its surface.
@@ -84,7 +76,7 @@ pub enum TrialVerdict {
 }
 
 /// What was found of a trial.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TrialCheck {
     /// The trial.
     #[serde(flatten)]
@@ -99,6 +91,23 @@ pub struct TrialCheck {
     pub mislabelled: bool,
     /// For people: what is not perfect about its signals, a line each.
     pub flaws: Vec<String>,
+}
+
+// The signatures are serde's.
+#[allow(clippy::ref_option)]
+fn left_out_share<S: Serializer>(share: &Option<Share>, to: S) -> Result<S::Ok, S::Error> {
+    Share::write(*share, None, "accuracy", to)
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+    let (low, high) = share.interval();
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry("queries", &share.of)?;
+    map.serialize_entry("right", &share.right)?;
+    map.serialize_entry("accuracy_low", &low)?;
+    map.serialize_entry("accuracy_high", &high)?;
+    map.end()
 }
 
 /// Audits a library: its trials are left out and named by `method`, up to ten times. Files that
@@ -141,9 +150,7 @@ pub fn check(
     advice.extend(next(&surfaces, &keys));
     CheckReport {
         trials: keys.len(),
-        accuracy: outcome.as_ref().map(|outcome| outcome.accuracy),
-        accuracy_low: outcome.as_ref().map(|outcome| outcome.accuracy_low),
-        accuracy_high: outcome.as_ref().map(|outcome| outcome.accuracy_high),
+        share: outcome.as_ref().map(|outcome| outcome.share),
         confusion: outcome.map(|outcome| outcome.confusion),
         surfaces,
         each,
@@ -244,22 +251,18 @@ fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> 
     let of = |label: &str| {
         let own = || keys.iter().filter(|key| key.surface == label);
         let queries: Vec<_> = predictions.iter().filter(|p| p.key.surface == label).collect();
-        let right = queries.iter().filter(|p| p.is_correct()).count();
+        let share = Share::count(queries.iter().map(|p| p.is_correct()));
         let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
         queries.iter().filter(|p| !p.is_correct()).for_each(|p| {
             *taken.entry(p.surface.as_str()).or_default() += 1;
         });
         let mut taken_for: Vec<_> = taken.into_iter().map(|(s, n)| (s.to_string(), n)).collect();
         taken_for.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-        let (accuracy_low, accuracy_high) = wilson_interval(right, queries.len());
         SurfaceCheck {
             surface: label.into(),
             trials: own().count(),
             users: own().map(|key| &key.user).collect::<BTreeSet<_>>().len(),
-            queries: queries.len(),
-            right,
-            accuracy_low,
-            accuracy_high,
+            share,
             taken_for,
         }
     };
@@ -292,11 +295,12 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     let most = surfaces.iter().map(|surface| surface.trials).max().unwrap_or(0).min(2 * ENOUGH);
     let wanted = most.max(ENOUGH);
     for surface in surfaces {
-        let SurfaceCheck { surface: name, trials, queries, right, taken_for, .. } = surface;
+        let SurfaceCheck { surface: name, trials, share, taken_for, .. } = surface;
+        let Share { right, of: queries } = *share;
         if *trials < ENOUGH || trials * 2 < most {
             advice.push(format!("record {} more of {name}: it has {trials}", wanted - trials));
         } else if let Some((other, count)) = taken_for.first()
-            && (queries - right) * 5 >= *queries
+            && (queries - right) * 5 >= queries
         {
             advice.push(format!(
                 "record more of {name} and {other}: {count} of {queries} trials of {name} are taken \

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use serde::Serializer;
+
 use super::evaluation::{Measured, Run};
-use super::{EvaluateError, Fold, wilson_interval};
+use super::{EvaluateError, Fold, Share};
 use crate::trial::TrialKey;
 
 /// Moves the first `count` trials of each surface, by number, from the queries of each fold to its
@@ -45,13 +47,16 @@ pub struct EnrolmentOutcome {
     /// Share of queries named right with them.
     pub accuracy: f64,
     /// Share of the same queries named right without them.
-    pub accuracy_without: f64,
-    /// Lower end of its 95 % Wilson interval.
-    pub accuracy_without_low: f64,
-    /// Upper end of that interval.
-    pub accuracy_without_high: f64,
+    #[serde(flatten, serialize_with = "without")]
+    pub without: Share,
     /// The first share minus the second.
     pub gain: f64,
+}
+
+// The signature is serde's.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn without<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+    Share::write(Some(*share), None, "accuracy_without", to)
 }
 
 impl EnrolmentOutcome {
@@ -72,14 +77,11 @@ impl EnrolmentOutcome {
         };
         let folds: Vec<Fold> = run.on().folds.iter().filter_map(without).collect();
         let without = run.measure_by(&folds)?.outcome;
-        let (low, high) = wilson_interval(without.right(), without.queries);
         Ok(Self {
             trials: count,
-            accuracy: with.outcome.accuracy,
-            accuracy_without: without.accuracy,
-            accuracy_without_low: low,
-            accuracy_without_high: high,
-            gain: with.outcome.accuracy - without.accuracy,
+            accuracy: with.outcome.share.value(),
+            without: without.share,
+            gain: with.outcome.share.value() - without.share.value(),
         })
     }
 }
@@ -143,7 +145,7 @@ mod tests {
         let measured = run.measure().unwrap();
         let outcome = EnrolmentOutcome::of(&run, &measured, &before, 1).unwrap();
         assert_eq!((measured.outcome.queries, outcome.accuracy), (4, 1.0));
-        assert_eq!((outcome.accuracy_without, outcome.gain), (0.5, 0.5));
+        assert_eq!((outcome.without.value(), outcome.gain), (0.5, 0.5));
     }
 
     #[test]

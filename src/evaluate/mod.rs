@@ -18,6 +18,7 @@ pub mod paper;
 #[doc(hidden)]
 pub mod plan;
 mod settled;
+mod share;
 #[doc(hidden)]
 pub mod stress;
 mod unknown;
@@ -37,4 +38,5 @@ pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};
 pub(crate) use outcome::{interval_over_users, is_over_users};
 pub use settled::SettledOutcome;
+pub use share::Share;
 pub use unknown::UnknownOutcome;

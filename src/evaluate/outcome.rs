@@ -2,7 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::recognise::{wilson_interval, wilson_of_groups};
+use serde::ser::SerializeStruct;
+
+use super::share::Share;
+use crate::recognise::wilson_of_groups;
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
@@ -31,14 +34,22 @@ impl Prediction {
 }
 
 /// Accuracy within one fold.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FoldAccuracy {
     /// User or trial that was left out.
     pub name: String,
-    /// Share of queries named right, 0 to 1.
-    pub accuracy: f64,
-    /// Number of queries.
-    pub queries: usize,
+    /// Its queries, and those named right.
+    pub share: Share,
+}
+
+impl serde::Serialize for FoldAccuracy {
+    fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let mut fields = to.serialize_struct("FoldAccuracy", 3)?;
+        fields.serialize_field("name", &self.name)?;
+        fields.serialize_field("accuracy", &self.share.value())?;
+        fields.serialize_field("queries", &self.share.of)?;
+        fields.end()
+    }
 }
 
 /// How often each surface was taken for which.
@@ -53,12 +64,9 @@ pub struct Confusion {
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
-    /// Share of all queries named right.
-    pub accuracy: f64,
-    /// Lower end of its 95 % Wilson interval.
-    pub accuracy_low: f64,
-    /// Upper end of that interval.
-    pub accuracy_high: f64,
+    /// All queries, and those named right.
+    #[serde(flatten)]
+    pub share: Share,
     /// Mean over folds of the share of queries named right.
     pub accuracy_mean: f64,
     /// Sample standard deviation over folds (n − 1); 0 for a single fold.
@@ -101,15 +109,11 @@ impl Outcome {
     ) -> Option<Self> {
         let of_fold = |(fold, name): (usize, &String)| {
             let of_this = predictions.iter().filter(|p| p.fold == fold);
-            let (right, queries) =
-                of_this.fold((0, 0), |(right, n), p| (right + usize::from(p.is_correct()), n + 1));
-            let accuracy = right as f64 / queries as f64;
-            (queries > 0).then(|| FoldAccuracy { name: name.clone(), accuracy, queries })
+            let share = Share::count(of_this.map(Prediction::is_correct));
+            (share.of > 0).then(|| FoldAccuracy { name: name.clone(), share })
         };
         let folds: Vec<_> = fold_names.iter().enumerate().filter_map(of_fold).collect();
-        let (accuracy_mean, accuracy_std) = mean_and_std(folds.iter().map(|f| f.accuracy))?;
-        let right = predictions.iter().filter(|p| p.is_correct()).count();
-        let (accuracy_low, accuracy_high) = wilson_interval(right, predictions.len());
+        let (accuracy_mean, accuracy_std) = mean_and_std(folds.iter().map(|f| f.share.value()))?;
         let confusion = Confusion::new(predictions, labels);
         let mut times: Vec<f64> = predictions.iter().map(|p| p.query_ms).collect();
         times.sort_by(f64::total_cmp);
@@ -120,9 +124,7 @@ impl Outcome {
         let never_queried =
             confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
         Some(Self {
-            accuracy: right as f64 / predictions.len() as f64,
-            accuracy_low,
-            accuracy_high,
+            share: Share::count(predictions.iter().map(Prediction::is_correct)),
             accuracy_mean,
             accuracy_std,
             precision_mean: confusion.precision_mean(),
@@ -137,11 +139,6 @@ impl Outcome {
             folds,
             confusion,
         })
-    }
-
-    /// How many queries were named right.
-    pub fn right(&self) -> usize {
-        (self.accuracy * self.queries as f64).round() as usize
     }
 }
 
@@ -207,16 +204,15 @@ const LEAST_USERS: usize = 5;
 
 /// 95 % confidence interval of the share of all queries named right: over users where there are five
 /// or more ([`wilson_of_groups`]), as queries of one person are no independent evidence of another,
-/// else over queries ([`wilson_interval`]).
+/// else over queries ([`Share::interval`]).
 pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
-    let right = |user: &FoldAccuracy| (user.accuracy * user.queries as f64).round() as usize;
-    let counts: Vec<(usize, usize)> =
-        users.iter().map(|user| (right(user), user.queries)).collect();
     if is_over_users(users) {
-        return wilson_of_groups(&counts);
+        let counts = users.iter().map(|user| (user.share.right, user.share.of));
+        return wilson_of_groups(&counts.collect::<Vec<_>>());
     }
-    let (right, queries) = counts.iter().fold((0, 0), |sum, user| (sum.0 + user.0, sum.1 + user.1));
-    wilson_interval(right, queries)
+    let mut all = Share::default();
+    users.iter().for_each(|user| all.join(user.share));
+    all.interval()
 }
 
 /// Whether [`interval_over_users`] is over users, rather than over queries.
@@ -227,6 +223,7 @@ pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recognise::wilson_interval;
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
         Prediction {
@@ -260,8 +257,7 @@ mod tests {
         let labels = ["a", "b", "c"].map(String::from).to_vec();
         let names = ["user1", "user2"].map(String::from);
         let outcome = Outcome::new(&predictions, &names, labels, 9, "svm").unwrap();
-        assert_eq!((outcome.accuracy, outcome.right()), (12.0 / 13.0, 12));
-        assert_eq!((outcome.accuracy_low, outcome.accuracy_high), wilson_interval(12, 13));
+        assert_eq!(outcome.share, Share { right: 12, of: 13 });
         assert_eq!(outcome.accuracy_mean, 0.5);
         assert_eq!(outcome.never_queried, ["c"]);
     }
@@ -274,8 +270,8 @@ mod tests {
 
     #[test]
     fn an_interval_is_over_users_from_five_on() {
-        let user = |accuracy| FoldAccuracy { name: String::new(), accuracy, queries: 10 };
-        let users = [0.2, 0.4, 0.5, 0.6, 0.8].map(user);
+        let share = |right| Share { right, of: 10 };
+        let users = [2, 4, 5, 6, 8].map(|n| FoldAccuracy { name: String::new(), share: share(n) });
         let (low, high) = interval_over_users(&users);
         let (low_of_queries, high_of_queries) = wilson_interval(25, 50);
         assert!(low < low_of_queries && high > high_of_queries);

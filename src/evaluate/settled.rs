@@ -3,7 +3,7 @@
 use rustix::time::{ClockId, clock_gettime};
 
 use super::evaluation::Run;
-use super::{EvaluateError, wilson_interval};
+use super::{EvaluateError, Share};
 use crate::recognise::{
     Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
@@ -15,12 +15,9 @@ use crate::trial::{Series, Signal, Trial};
 pub struct SettledOutcome {
     /// Permitted loss of accuracy.
     pub stated_loss: f64,
-    /// Share of queries named right where the rule stopped (or by the whole scan, if it did not).
-    pub accuracy: f64,
-    /// Lower end of its 95 % Wilson interval.
-    pub accuracy_low: f64,
-    /// Upper end of that interval.
-    pub accuracy_high: f64,
+    /// All queries, and those that settled answers name right.
+    #[serde(flatten)]
+    pub share: Share,
     /// Share of queries named right by the whole scan.
     pub accuracy_whole: f64,
     /// Queries that the whole scan names right and the rule wrong.
@@ -96,18 +93,14 @@ fn sum_up(all: &[StoppedQuery], rules: Vec<Settling>, busy_s: f64, loss: f64) ->
     };
     let count = |of: &dyn Fn(&StoppedQuery) -> bool| all.iter().filter(|s| of(s)).count();
     let queries = all.len();
-    let right = count(&by_rule);
     let mut times: Vec<f64> =
         all.iter().map(|s| s.settled.as_ref().map_or(s.scan_s, |(_, at)| *at)).collect();
     times.sort_by(f64::total_cmp);
     let n = queries.max(1) as f64;
     let whole_s: f64 = all.iter().map(|s| s.scan_s).sum();
-    let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
     SettledOutcome {
         stated_loss: loss,
-        accuracy: right as f64 / n,
-        accuracy_low,
-        accuracy_high,
+        share: Share { right: count(&by_rule), of: queries },
         accuracy_whole: count(&|s| s.whole == s.truth) as f64 / n,
         lost: count(&|s| s.whole == s.truth && !by_rule(s)),
         gained: count(&|s| s.whole != s.truth && by_rule(s)),

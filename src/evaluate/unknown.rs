@@ -3,8 +3,10 @@
 
 use std::collections::BTreeSet;
 
+use serde::Serializer;
+
 use super::evaluation::Run;
-use super::{EvaluateError, wilson_interval};
+use super::{EvaluateError, Share};
 use crate::recognise::{RecogniseError, Rejection};
 
 /// Queries of surfaces that were left out of the library, and of those that were not. Shares are
@@ -15,47 +17,27 @@ pub struct UnknownOutcome {
     pub stated: Rejection,
     /// Number of groups of surfaces that were left out in turn.
     pub groups: usize,
-    /// Queries of surfaces that had been left out.
-    pub unknown_queries: usize,
-    /// Share of these that were called unknown.
-    pub unknown_caught: f64,
-    /// Its interval.
-    pub unknown_caught_low: f64,
-    /// Its interval.
-    pub unknown_caught_high: f64,
-    /// Queries of surfaces in the library.
-    pub known_queries: usize,
-    /// Share of these that were called unknown.
-    pub false_rejections: f64,
-    /// Its interval.
-    pub false_rejections_low: f64,
-    /// Its interval.
-    pub false_rejections_high: f64,
+    /// Queries of surfaces that had been left out, and those called unknown.
+    #[serde(flatten, serialize_with = "caught")]
+    pub unknown: Share,
+    /// Queries of surfaces in the library, and those called unknown.
+    #[serde(flatten, serialize_with = "rejected")]
+    pub known: Share,
     /// Number of folds.
     pub folds: usize,
     /// Folds whose own share of false rejections lies in the interval stated there.
     pub folds_as_stated: usize,
 }
 
-/// How many of how many.
-#[derive(Clone, Copy, Default)]
-struct Count {
-    hits: usize,
-    of: usize,
+// The signatures are serde's.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn caught<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+    Share::write(Some(*share), Some("unknown_queries"), "unknown_caught", to)
 }
 
-impl Count {
-    fn add(&mut self, hit: bool) {
-        *self = Self { hits: self.hits + usize::from(hit), of: self.of + 1 };
-    }
-
-    fn join(&mut self, other: Self) {
-        *self = Self { hits: self.hits + other.hits, of: self.of + other.of };
-    }
-
-    fn share(self) -> f64 {
-        self.hits as f64 / self.of.max(1) as f64
-    }
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn rejected<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+    Share::write(Some(*share), Some("known_queries"), "false_rejections", to)
 }
 
 impl UnknownOutcome {
@@ -75,12 +57,12 @@ impl UnknownOutcome {
         let groups = groups.min(surfaces.len());
         // Every surface of a fold's queries is in its library.
         let group = |i: usize| surfaces.binary_search(&surface(i)).unwrap_or(0) % groups.max(1);
-        let (mut unknown, mut known) = (Count::default(), Count::default());
+        let (mut unknown, mut known) = (Share::default(), Share::default());
         let mut folds_as_stated = 0;
         let mut stated: Option<Rejection> = None;
         for (index, fold) in folds.iter().enumerate() {
             let mut queries = Vec::new();
-            let (mut of_fold, mut in_fold) = (Count::default(), None);
+            let (mut of_fold, mut in_fold) = (Share::default(), None);
             for left_out in 0..groups {
                 let model = run.fit(fold.library.iter().filter(|&&i| group(i) != left_out))?;
                 let rejection = model.rejection(rate)?;
@@ -105,35 +87,11 @@ impl UnknownOutcome {
                 (run.on().progress)("leaving surfaces out", done, folds.len() * groups);
             }
             known.join(of_fold);
-            folds_as_stated += usize::from(in_fold.is_some_and(|it| it.contains(&of_fold.share())));
+            folds_as_stated += usize::from(in_fold.is_some_and(|it| it.contains(&of_fold.value())));
         }
         // `folds` gives at least one fold, and a fold at least two surfaces.
         let stated = stated.expect("at least one model");
-        let counts = (unknown, known);
-        Ok(Self::new(stated, groups, counts, (folds.len(), folds_as_stated)))
-    }
-
-    fn new(
-        stated: Rejection,
-        groups: usize,
-        (unknown, known): (Count, Count),
-        (folds, folds_as_stated): (usize, usize),
-    ) -> Self {
-        let of_unknown = wilson_interval(unknown.hits, unknown.of);
-        let of_known = wilson_interval(known.hits, known.of);
-        Self {
-            stated,
-            groups,
-            unknown_queries: unknown.of,
-            unknown_caught: unknown.share(),
-            unknown_caught_low: of_unknown.0,
-            unknown_caught_high: of_unknown.1,
-            known_queries: known.of,
-            false_rejections: known.share(),
-            false_rejections_low: of_known.0,
-            false_rejections_high: of_known.1,
-            folds,
-            folds_as_stated,
-        }
+        let folds = folds.len();
+        Ok(Self { stated, groups, unknown, known, folds, folds_as_stated })
     }
 }

@@ -224,14 +224,14 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
     let run = || SettledOutcome::of(&prepared, 0.01).unwrap();
     let outcome = run();
     assert!(outcome.scan_s_mean <= 0.5 * outcome.whole_s_mean, "{outcome:?}");
-    assert!(outcome.accuracy >= outcome.accuracy_whole - 0.05, "{outcome:?}");
+    assert!(outcome.share.value() >= outcome.accuracy_whole - 0.05, "{outcome:?}");
     assert!(outcome.settled * 10 >= outcome.queries * 9, "{outcome:?}");
     for rule in &outcome.rules {
         assert!(rule.shown && rule.loss_high <= 0.01, "{rule:?}");
     }
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(run);
     assert_eq!(one.rules, outcome.rules, "the number of threads does not matter");
-    assert_eq!((one.scan_s_mean, one.accuracy), (outcome.scan_s_mean, outcome.accuracy));
+    assert_eq!((one.scan_s_mean, one.share), (outcome.scan_s_mean, outcome.share));
 }
 
 #[test]
@@ -240,9 +240,9 @@ fn unknown_surfaces_are_caught_and_known_ones_are_not() {
     let method = embedding(&scene);
     let run = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
     let outcome = UnknownOutcome::of(&run, 5, Some(0.01)).unwrap();
-    assert_eq!((outcome.unknown_queries, outcome.known_queries), (40, 160));
-    assert!(outcome.unknown_caught >= 0.6, "{outcome:?}");
-    assert!(outcome.false_rejections <= 0.03, "{outcome:?}");
+    assert_eq!((outcome.unknown.of, outcome.known.of), (40, 160));
+    assert!(outcome.unknown.value() >= 0.6, "{outcome:?}");
+    assert!(outcome.known.value() <= 0.03, "{outcome:?}");
     assert_eq!(outcome.stated.trials, 16 * 9);
 }
 

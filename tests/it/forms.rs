@@ -167,7 +167,7 @@ fn queries_at_48_khz_cost_next_to_nothing_against_a_library_at_44_1() {
     let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
     let right = |folds: &[Fold]| {
         let run = Evaluation::new(&scene, &both, folds).prepare(&method).unwrap();
-        run.measure().unwrap().outcome.right()
+        run.measure().unwrap().outcome.share.right
     };
     let (same, different) = (right(&folds), right(&other));
     println!("right at 44.1 kHz: {same}, at 48 kHz: {different}");

@@ -63,12 +63,11 @@ impl EvalReport {
         result!();
         result!("{} · {} · {}{mark}", self.protocol.name(), o.method, sources.join(", "));
         result!(
-            "accuracy   {} ({} of {} queries; 95 % interval {} to {})",
-            percent(o.accuracy),
-            o.right(),
+            "accuracy   {} ({} of {} queries; 95 % interval {})",
+            percent(o.share.value()),
+            o.share.right,
             o.queries,
-            percent(o.accuracy_low),
-            percent(o.accuracy_high)
+            show::interval(o.share)
         );
         if self.protocol.folds_are_users() {
             result!(
@@ -100,22 +99,20 @@ impl EvalReport {
 fn print_enrolled(e: &EnrolmentOutcome) {
     result!(
         "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
-         ({} to {})",
+         ({})",
         show::counted(e.trials, "trial"),
         100.0 * e.gain,
-        show::percent(e.accuracy_without),
-        show::percent(e.accuracy_without_low),
-        show::percent(e.accuracy_without_high)
+        show::percent(e.without.value()),
+        show::interval(e.without)
     );
 }
 
 fn print_settled(s: &SettledOutcome) {
     let percent = show::percent;
     result!(
-        "settled    {} (95 % interval {} to {}) against {} by whole scans: {} lost, {} gained",
-        percent(s.accuracy),
-        percent(s.accuracy_low),
-        percent(s.accuracy_high),
+        "settled    {} (95 % interval {}) against {} by whole scans: {} lost, {} gained",
+        percent(s.share.value()),
+        show::interval(s.share),
         percent(s.accuracy_whole),
         s.lost,
         s.gained
@@ -141,19 +138,17 @@ fn print_settled(s: &SettledOutcome) {
 fn print_unknown(u: &UnknownOutcome) {
     let percent = show::percent;
     result!(
-        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {} to {})",
-        percent(u.unknown_caught),
-        u.unknown_queries,
-        percent(u.unknown_caught_low),
-        percent(u.unknown_caught_high)
+        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {})",
+        percent(u.unknown.value()),
+        u.unknown.of,
+        show::interval(u.unknown)
     );
     result!(
-        "           {} of {} queries of known ones rejected ({} to {}); stated {} ({} to {}, by {} \
+        "           {} of {} queries of known ones rejected ({}); stated {} ({} to {}, by {} \
          left-out trials)",
-        percent(u.false_rejections),
-        u.known_queries,
-        percent(u.false_rejections_low),
-        percent(u.false_rejections_high),
+        percent(u.known.value()),
+        u.known.of,
+        show::interval(u.known),
         percent(u.stated.rate),
         percent(u.stated.rate_low),
         percent(u.stated.rate_high),

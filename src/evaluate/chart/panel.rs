@@ -171,7 +171,7 @@ fn bar<X: Ranged<ValueType = f64>>(
     let ends = [point.accuracy_low, point.accuracy_high].map(|y| place(area, panel, x, y));
     area.draw(&PathElement::new(ends, colour.mix(0.5).stroke_width(2))).map_err(drawing)?;
     for user in &point.users {
-        let (x, y) = place(area, panel, x, user.accuracy);
+        let (x, y) = place(area, panel, x, user.share.value());
         let tick = PathElement::new([(x - 6, y), (x + 6, y)], colour.mix(0.7).stroke_width(1));
         area.draw(&tick).map_err(drawing)?;
     }

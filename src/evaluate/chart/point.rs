@@ -48,14 +48,14 @@ impl ChartPoint {
         let (users, (accuracy_low, accuracy_high)) = if protocol.folds_are_users() {
             (outcome.folds.clone(), interval_over_users(&outcome.folds))
         } else {
-            (Vec::new(), (outcome.accuracy_low, outcome.accuracy_high))
+            (Vec::new(), outcome.share.interval())
         };
         Self {
             method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
             sources: outcome.sources.iter().map(SourceId::to_string).collect(),
             query_seconds,
-            accuracy: outcome.accuracy,
+            accuracy: outcome.share.value(),
             accuracy_low,
             accuracy_high,
             users,

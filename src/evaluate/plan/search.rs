@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::file::{Expected, Plan};
 use super::study::Study;
 use crate::evaluate::{
-    EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, folds, wilson_interval,
+    EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Share, folds,
 };
 use crate::library::{Entry, Library};
 use crate::recognise::{Goal, MethodName, MethodSpec, can_show, reaches, ready_model};
@@ -214,7 +214,7 @@ impl<'a> PlanSearch<'a> {
         if let Some(scan_s) = needed_s.filter(|scan_s| *scan_s < whole_s - 1e-9) {
             let on = Trying { scan_s: Some(scan_s), ..whole };
             let outcome = on.outcome(progress)?;
-            let right = outcome.right();
+            let right = outcome.share.right;
             let enough = self.reaches(right);
             let what = if enough { "is enough" } else { "is not enough here" };
             self.steps.push(format!(
@@ -289,13 +289,13 @@ impl<'a> PlanSearch<'a> {
         drag_s: Option<f64>,
         protocol: Protocol,
     ) -> Expected {
-        let (right, queries) = (outcome.right(), outcome.queries);
-        let (accuracy_low, accuracy_high) = wilson_interval(right, queries);
+        let Share { right, of: queries } = outcome.share;
+        let (accuracy_low, accuracy_high) = outcome.share.interval();
         Expected {
             target: self.target,
             reached: reaches(right, queries, self.target),
             shown: can_show(queries, self.target),
-            accuracy: right as f64 / queries as f64,
+            accuracy: outcome.share.value(),
             accuracy_low,
             accuracy_high,
             queries,

@@ -1,0 +1,84 @@
+//! Shares of queries with their intervals, and the keys that they have in JSON.
+
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
+use crate::recognise::wilson_interval;
+
+/// Some queries, and the number of them that are right (or caught, or rejected).
+///
+/// As JSON a fraction and its 95 % Wilson interval: `accuracy`, `accuracy_low`, `accuracy_high`,
+/// which go into the document around it (`#[serde(flatten)]`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Share {
+    /// How many are right.
+    pub right: usize,
+    /// How many there are.
+    pub of: usize,
+}
+
+impl Share {
+    /// Counts the true ones.
+    pub(crate) fn count(each: impl IntoIterator<Item = bool>) -> Self {
+        let mut share = Self::default();
+        each.into_iter().for_each(|right| share.add(right));
+        share
+    }
+
+    pub(crate) fn add(&mut self, right: bool) {
+        *self = Self { right: self.right + usize::from(right), of: self.of + 1 };
+    }
+
+    pub(crate) fn join(&mut self, other: Self) {
+        *self = Self { right: self.right + other.right, of: self.of + other.of };
+    }
+
+    /// The fraction, from 0 to 1; 0 of none.
+    pub fn value(self) -> f64 {
+        self.right as f64 / self.of.max(1) as f64
+    }
+
+    /// Its 95 % Wilson interval.
+    pub fn interval(self) -> (f64, f64) {
+        wilson_interval(self.right, self.of)
+    }
+
+    /// Writes a share as `key`, `key_low` and `key_high`, after their number under `count` where
+    /// that is named; null where there is no share.
+    pub(crate) fn write<S: Serializer>(
+        share: Option<Self>,
+        count: Option<&str>,
+        key: &str,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let interval = share.map(Self::interval);
+        let mut map = to.serialize_map(None)?;
+        if let Some(count) = count {
+            map.serialize_entry(count, &share.map(|share| share.of))?;
+        }
+        map.serialize_entry(key, &share.map(Self::value))?;
+        map.serialize_entry(&format!("{key}_low"), &interval.map(|(low, _)| low))?;
+        map.serialize_entry(&format!("{key}_high"), &interval.map(|(_, high)| high))?;
+        map.end()
+    }
+}
+
+impl Serialize for Share {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        Self::write(Some(*self), None, "accuracy", to)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_has_its_keys_in_json() {
+        let json = serde_json::to_value(Share::count([true, true, false, true])).unwrap();
+        let (low, high) = wilson_interval(3, 4);
+        let wanted =
+            serde_json::json!({"accuracy": 0.75, "accuracy_low": low, "accuracy_high": high});
+        assert_eq!(json, wanted);
+        assert_eq!(Share::default().value(), 0.0);
+    }
+}
