@@ -6,7 +6,7 @@ use super::plan::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::evaluate::{CheckReport, check};
-use crate::library::lock::LibraryLock;
+use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
 /// Audit a library: left-out accuracy, confusions, likely mislabels, damage, what to record next

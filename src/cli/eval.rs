@@ -19,8 +19,8 @@ use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
     UnknownOutcome, enrol,
 };
-use crate::library::lock::LibraryLock;
 use crate::recognise::{Method, MethodName, RecogniseError};
+use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 use crate::trial::TrialKey;
 

@@ -35,6 +35,7 @@ pub struct ImportArgs {
 
 /// Runs `surfaced export`.
 pub fn export(args: &ExportArgs) -> Done {
+    super::hold(&args.recording);
     let library = mcap::open(&args.recording, &Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
     say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.out));

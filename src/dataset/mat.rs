@@ -42,6 +42,9 @@ const SERIAL_RATE_HZ: f64 = 10_000.0;
 
 const DATA: &str = "DataLMT108";
 
+/// Folders of this form.
+pub(super) const FOLDERS: [&str; 3] = [DATA, "Library", "TestingSet"];
+
 /// A half of the database: its folder, its list, the variable in the list.
 struct SplitFolder {
     folder: &'static str,
@@ -59,8 +62,17 @@ pub(super) fn is_root(listed: &[Listed]) -> bool {
     let is_list = |item: &Listed| {
         !item.is_dir && SPLITS.iter().any(|split| item.name.eq_ignore_ascii_case(split.list))
     };
-    listed.iter().any(|item| is_folder(item, DATA) || is_list(item))
-        || SPLITS.iter().all(|split| listed.iter().any(|item| is_folder(item, split.folder)))
+    // Surfaces may be called so, too: those hold folders, one a trial.
+    let is_split = |item: &Listed| SPLITS.iter().any(|split| is_folder(item, split.folder));
+    let holds = |folder: &Listed, may: &dyn Fn(&Listed) -> bool| {
+        let inner = files::list(&folder.path).unwrap_or_default();
+        inner.iter().all(|item| !item.is_dir || item.is_hidden() || may(item))
+    };
+    let is_data = |item: &Listed| is_folder(item, DATA) && holds(item, &is_split);
+    let has = |split: &SplitFolder| {
+        listed.iter().any(|item| is_folder(item, split.folder) && holds(item, &|_| false))
+    };
+    listed.iter().any(|item| is_data(item) || is_list(item)) || SPLITS.iter().all(has)
 }
 
 fn is_folder(item: &Listed, name: &str) -> bool {

@@ -12,6 +12,24 @@ use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
+/// Whether the files of another form lie in folders of this name.
+pub(crate) fn is_layout_name(name: &str) -> bool {
+    lmt108::FOLDERS.iter().chain(&mat::FOLDERS).any(|folder| folder.eq_ignore_ascii_case(name))
+}
+
+/// Whether a folder holds the database, in one of its own forms, here or one folder further down:
+/// trials in the recording format would not be read there.
+pub(crate) fn is_foreign(path: &Path) -> bool {
+    let is_root = |listed: &[Listed]| lmt108::is_root(listed) || mat::is_root(listed);
+    let listed = files::list(path).unwrap_or_default();
+    is_root(&listed)
+        || !listed.iter().any(|item| item.name == DESCRIPTION)
+            && listed
+                .iter()
+                .filter(|item| item.is_dir && !item.is_hidden())
+                .any(|item| is_root(&files::list(&item.path).unwrap_or_default()))
+}
+
 /// Opens the recordings of a folder, in any form: finds out their form, then reads them with it.
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of

@@ -23,6 +23,7 @@ use super::trace::Tracer;
 use super::whole::{StreamsEvent, Whole};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::history::{History, Precision};
+use crate::outputs::{OutputHealth, OutputView};
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
@@ -65,6 +66,10 @@ pub struct HubState {
     pub viewfinder: Option<Viewfinder>,
     /// How it was when that was last published.
     camera: Option<CameraView>,
+    /// Where answers go.
+    outputs: Vec<OutputHealth>,
+    /// How they were when that was last published.
+    output_views: Vec<OutputView>,
 }
 
 #[derive(Serialize)]
@@ -76,13 +81,15 @@ struct PhaseEvent {
 impl HubState {
     /// All that is known now.
     pub fn whole(&self) -> Whole<'_> {
-        Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
+        let outputs = self.outputs.iter().map(OutputHealth::view).collect();
+        Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters, outputs)
     }
 
     /// All figures.
     pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
         self.metrics.text(&Around {
             precision,
+            outputs: &self.outputs.iter().map(OutputHealth::view).collect::<Vec<_>>(),
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -94,8 +101,9 @@ impl HubState {
     fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, viewfinder, subscribers, .. } = self;
-            let whole = || Whole::of(state, *enrolls, viewfinder, meters);
+            let Self { state, meters, enrolls, viewfinder, subscribers, outputs, .. } = self;
+            let views = || outputs.iter().map(OutputHealth::view).collect();
+            let whole = || Whole::of(state, *enrolls, viewfinder, meters, views());
             subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
@@ -116,6 +124,15 @@ impl HubState {
         if view != self.camera {
             self.camera.clone_from(&view);
             self.publish(EventKind::Camera, &view);
+        }
+    }
+
+    /// Publishes how the outputs are, if that has changed.
+    fn publish_outputs(&mut self) {
+        let views: Vec<OutputView> = self.outputs.iter().map(OutputHealth::view).collect();
+        if views != self.output_views {
+            self.publish(EventKind::Outputs, &views);
+            self.output_views = views;
         }
     }
 
@@ -154,7 +171,11 @@ impl HubState {
             StationEvent::Phase { scan, phase } => {
                 self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            StationEvent::Guess(guess) => self.publish(EventKind::Guess, guess),
+            // One that came after its scan is no news.
+            StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
+                self.publish(EventKind::Guess, guess);
+            }
+            StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
                 let answer = self.state.answer.clone();
@@ -208,6 +229,8 @@ impl Hub {
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
             camera: None,
+            outputs: settings.outputs.clone(),
+            output_views: Vec::new(),
         };
         let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
         let library = settings.library.clone();
@@ -313,7 +336,11 @@ pub async fn run(
                 Some(notice) => hub.take(&notice),
                 None => listening = false,
             },
-            _ = streams.tick() => hub.lock().publish_streams(),
+            _ = streams.tick() => {
+                let inner = &mut *hub.lock();
+                inner.publish_streams();
+                inner.publish_outputs();
+            }
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
                 inner.publish_camera();

@@ -10,6 +10,7 @@ use super::token::Token;
 use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
 use crate::history::History;
+use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
 /// The default port.
@@ -37,6 +38,8 @@ pub struct Settings {
     pub history: Arc<History>,
     /// What the camera sees, if there is one.
     pub viewfinder: Option<Viewfinder>,
+    /// Where answers go, and whether they arrive.
+    pub outputs: Vec<OutputHealth>,
 }
 
 /// Audits a library, as often as it is called; for people, why not.
@@ -73,6 +76,7 @@ impl Default for Settings {
             check: None,
             history: Arc::default(),
             viewfinder: None,
+            outputs: Vec::new(),
         }
     }
 }

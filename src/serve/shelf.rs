@@ -18,7 +18,7 @@ use super::problem::Problem;
 use super::request::{Shared, aside, body};
 use super::state::unix_ms;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, ListedTrial, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step, Undone};
 use crate::station::Command;
 
 /// Most trials of one edit.
@@ -105,7 +105,7 @@ async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> 
     edited(&hub, move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
+async fn undo(State(hub): Shared) -> Result<Json<Undone>, Problem> {
     edited(&hub, Editor::undo).await
 }
 
@@ -117,12 +117,19 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
 }
 
 /// Does an edit, and has the library read anew.
-async fn edited(
+async fn edited<T: AsRef<Step> + Send + 'static>(
     hub: &Hub,
-    edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
-) -> Result<Json<Step>, Problem> {
+    edit: impl FnOnce(&mut Editor) -> Result<T, LibraryError> + Send + 'static,
+) -> Result<Json<T>, Problem> {
     let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let step = aside(move || Ok(edit(&Editor::open(&shelf.folder, &shelf.scene)?)?)).await?;
+    let history = hub.history.clone();
+    let step = aside(move || {
+        let step = edit(&mut Editor::open(&shelf.folder, &shelf.scene)?)?;
+        // What cannot be noted now is found out when it matters.
+        let _ = history.relocated(&step.as_ref().moves);
+        Ok(step)
+    });
+    let step = step.await?;
     // A station that is too busy for it leaves it to the operator.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))

@@ -201,12 +201,14 @@ impl State {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {
-                if self.scan != Some(*scan) {
-                    self.guess = None;
-                }
-                (self.scan, self.phase) = (phase.map(|_| *scan), *phase);
+                let now = phase.map(|_| *scan);
+                // Nothing else ends a guess, and none comes after its scan.
+                self.guess = self.guess.take().filter(|guess| now == Some(guess.scan));
+                (self.scan, self.phase) = (now, *phase);
             }
-            StationEvent::Guess(guess) => self.guess = Some(guess.clone()),
+            StationEvent::Guess(guess) if self.scan == Some(guess.scan) => {
+                self.guess = Some(guess.clone());
+            }
             StationEvent::Answer(answer) => self.answered(answer),
             StationEvent::Enrolled(enrolled) => {
                 self.counts.enrolled += u64::from(enrolled.trial.is_some());
@@ -225,7 +227,8 @@ impl State {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            StationEvent::Trace(_)
+            StationEvent::Guess(_)
+            | StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Ending(_)
@@ -260,7 +263,6 @@ impl State {
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
         self.counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
-        self.guess = None;
     }
 
     fn warned(&mut self, text: &str) {

@@ -28,6 +28,7 @@ pub enum EventKind {
     Answer,
     Unnamed,
     Camera,
+    Outputs,
     Correction,
     Check,
     Enrolled,
@@ -43,7 +44,7 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    const ALL: [Self; 20] = [
+    const ALL: [Self; 21] = [
         Self::State,
         Self::Advice,
         Self::Device,
@@ -52,6 +53,7 @@ impl EventKind {
         Self::Answer,
         Self::Unnamed,
         Self::Camera,
+        Self::Outputs,
         Self::Correction,
         Self::Check,
         Self::Enrolled,
@@ -76,6 +78,7 @@ impl EventKind {
             Self::Answer => "answer",
             Self::Unnamed => "unnamed",
             Self::Camera => "camera",
+            Self::Outputs => "outputs",
             Self::Correction => "correction",
             Self::Check => "check",
             Self::Enrolled => "enrolled",

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::state::State;
 use crate::device::camera::{CameraView, Viewfinder};
+use crate::outputs::OutputView;
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::SourceId;
@@ -18,6 +19,8 @@ pub struct Whole<'a> {
     /// The camera, if there is one.
     camera: Option<CameraView>,
     streams: Vec<StreamView>,
+    /// How the outputs are that answers go to.
+    outputs: Vec<OutputView>,
 }
 
 impl<'a> Whole<'a> {
@@ -27,9 +30,10 @@ impl<'a> Whole<'a> {
         enrolls: bool,
         viewfinder: &Option<Viewfinder>,
         meters: &[StreamMeter],
+        outputs: Vec<OutputView>,
     ) -> Self {
         let camera = viewfinder.as_ref().map(Viewfinder::view);
-        Self { state, enrolls, camera, streams: views(meters) }
+        Self { state, enrolls, camera, streams: views(meters), outputs }
     }
 }
 

@@ -124,7 +124,7 @@ impl fmt::Debug for AnsweredScan {
 
 impl Answer {
     /// What a scan itself says of its answer, which comes after `latency_ms`: it has no name.
-    pub(super) fn of(scan: &Scan, latency_ms: f64) -> Self {
+    pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
         Self {

@@ -28,6 +28,12 @@ impl TrialKey {
     }
 }
 
+/// A label in Unicode's normal form C: an é is the same, however it was typed.
+pub fn normal(label: &str) -> String {
+    use unicode_normalization::UnicodeNormalization;
+    label.nfc().collect()
+}
+
 impl TrialKey {
     /// The surface, if it is known.
     pub fn label(&self) -> Option<&str> {

@@ -6,6 +6,7 @@ mod signal;
 
 pub(crate) use channel_flaws::is_plain;
 pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
+pub(crate) use label::normal;
 pub use label::{EXPERT, TrialKey, UNLABELLED};
 pub use signal::{Image, Series, Signal, SignalError};
 

@@ -19,3 +19,21 @@ fn lift_is_advised_only_once_the_drag_is_enough() {
     assert_eq!(advice(guess(true, Some(3.0), true)).what, AdviceKind::Lift);
     assert_eq!(advice(guess(false, None, false)).text, "drag");
 }
+
+#[test]
+fn a_guess_lasts_as_long_as_its_scan() {
+    let mut state = State::new();
+    let phase = |scan, phase| StationEvent::Phase { scan, phase };
+    let guess = |scan| StationEvent::Guess(Guess::nothing(scan, 0.5));
+    state.take(&phase(1, Some(Phase::Drag)));
+    state.take(&guess(1));
+    assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));
+    state.take(&phase(1, None));
+    assert_eq!(state.guess, None);
+    // The worker was still at it; then the next scan begins.
+    state.take(&guess(1));
+    assert_eq!(state.guess, None);
+    state.take(&phase(2, Some(Phase::Tap)));
+    state.take(&guess(1));
+    assert_eq!(state.guess, None);
+}
