@@ -6,7 +6,7 @@ use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::evaluate::{CheckReport, check};
-use crate::library::lock::LibraryLock;
+use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
 /// Audit a library: cross-validated accuracy, confusions, likely mislabels, damage, advice

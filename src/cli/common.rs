@@ -5,6 +5,7 @@ use std::path::Path;
 use super::show;
 use crate::dataset;
 use crate::library::Library;
+use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 
 /// The end of a command that did not do all of its work.
@@ -46,8 +47,23 @@ impl SourceArgs {
     }
 }
 
-/// Opens recordings of any form, and says on stderr what was found.
+/// Keeps edits off a library, or off that of a trial, until the command has ended.
+pub(super) fn hold(path: &Path) {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    // A trial lies two folders down.
+    for folder in path.ancestors().take(3).filter(|folder| folder.is_dir()) {
+        std::mem::forget(LibraryLock::for_reading(folder));
+    }
+}
+
+/// Opens recordings of any form, and says on stderr what was found. Nobody edits them from then on.
 pub(super) fn open(path: &Path) -> Result<Library, Failure> {
+    hold(path);
+    open_held(path)
+}
+
+/// The same, where the caller keeps edits off.
+pub(super) fn open_held(path: &Path) -> Result<Library, Failure> {
     let library = dataset::open(path, &Scene::lmt108())?;
     show::library(&library);
     Ok(library)

@@ -138,6 +138,7 @@ fn show(report: &CompareReport, alpha: f64) {
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.
 fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     if argument.is_dir() {
+        super::hold(argument);
         return alone(&recording::open_trial(argument, &Scene::lmt108())?);
     }
     if argument.is_file() {

@@ -18,9 +18,9 @@ use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
     UnknownOutcome, enrol,
 };
-use crate::library::lock::LibraryLock;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{Method, MethodName, RecogniseError};
+use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 

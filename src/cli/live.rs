@@ -19,9 +19,9 @@ use super::{Done, Failure, shown};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
-use crate::library::lock::LibraryLock;
 use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
+use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
@@ -212,11 +212,16 @@ pub fn work(
         (station, history) =
             keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
     }
+    let mut outputs = Vec::new();
     if let Some(address) = config.http.clone() {
-        station = station.listener(HttpOutput::start(address)?);
+        let output = HttpOutput::start(address)?;
+        outputs.push(output.health());
+        station = station.listener(output);
     }
     if let Some(address) = config.mqtt.clone() {
-        station = station.listener(MqttOutput::start(address)?);
+        let output = MqttOutput::start(address)?;
+        outputs.push(output.health());
+        station = station.listener(output);
     }
     let commands = station.commands();
     if let Some(load) = work.load {
@@ -235,9 +240,20 @@ pub fn work(
         station = station.listener(listen(commands.clone()));
     }
     let supervisor = Supervisor::new(commands.clone())?;
-    let (address, library) = (config.serve, Some(library));
+    // In another layout nobody would read what is added.
+    let enrolls = !dataset::is_foreign(&library.folder);
+    let (address, library) = (config.serve, enrolls.then_some(library));
     let (check, viewfinder) = (work.check, assembled.viewfinder);
-    let settings = Settings { address, library, check, history, viewfinder, ..Settings::default() };
+    let settings = Settings {
+        address,
+        enrolls,
+        library,
+        check,
+        history,
+        viewfinder,
+        outputs,
+        ..Settings::default()
+    };
     let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());

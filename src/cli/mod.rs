@@ -42,7 +42,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use self::common::{Done, Failure, SourceArgs, open};
+use self::common::{Done, Failure, SourceArgs, hold, open, open_held};
 use self::show::shown;
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.

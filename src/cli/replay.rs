@@ -18,8 +18,8 @@ use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
 use crate::library::Entry;
-use crate::library::lock::LibraryLock;
 use crate::recognise::{LOOK_S, Method, Model, ReadyModel, RecogniseError, ready_model};
+use crate::record::edit::LibraryLock;
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::{LibraryFolder, Settings};
@@ -130,7 +130,7 @@ fn by_protocol(
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    let data = super::open(folder)?;
+    let data = super::open_held(folder)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
@@ -151,7 +151,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         )));
     }
     let cache = how.cache_in(library);
-    let (data, library) = (super::open(data)?, super::open(library)?);
+    let (data, library) = (super::open_held(data)?, super::open_held(library)?);
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{LibraryError, files};
+use crate::trial::normal;
 
 /// Name of the file.
 pub(crate) const FILE: &str = "trial.toml";
@@ -76,8 +77,11 @@ impl About {
     }
 
     fn from_toml(text: &str) -> Result<Self, String> {
-        let about: Self =
+        let mut about: Self =
             toml::from_str(text).map_err(|error| error.to_string().trim_end().to_string())?;
+        for name in [&mut about.surface, &mut about.user].into_iter().flatten() {
+            *name = normal(name);
+        }
         let names = [("surface", &about.surface), ("user", &about.user)];
         if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
             return Err(format!("{key} = \"\"; expected a name, or no such line"));

@@ -6,7 +6,6 @@ pub mod cache;
 pub(crate) mod files;
 mod flac;
 pub(crate) mod loader;
-pub mod lock;
 mod loose;
 mod picture;
 pub mod recording;

@@ -21,6 +21,7 @@ use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::evaluate::CheckReport;
 use crate::history::{History, Precision};
+use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
@@ -64,6 +65,10 @@ pub struct HubState {
     pub viewfinder: Option<Viewfinder>,
     /// The state of the camera that was last published.
     camera: Option<CameraView>,
+    /// The outputs that answers go to.
+    outputs: Vec<OutputHealth>,
+    /// Their state that was last published.
+    output_views: Vec<OutputView>,
 }
 
 #[derive(Serialize)]
@@ -75,13 +80,15 @@ struct PhaseEvent {
 impl HubState {
     /// All that is known now.
     pub fn whole(&self) -> StateDocument<'_> {
-        StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
+        let outputs = self.outputs.iter().map(OutputHealth::view).collect();
+        StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters, outputs)
     }
 
     /// All figures.
     pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
         self.metrics.text(&Elsewhere {
             precision,
+            outputs: &self.outputs.iter().map(OutputHealth::view).collect::<Vec<_>>(),
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -93,8 +100,9 @@ impl HubState {
     fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, viewfinder, subscribers, .. } = self;
-            let whole = || StateDocument::of(state, *enrolls, viewfinder, meters);
+            let Self { state, meters, enrolls, viewfinder, subscribers, outputs, .. } = self;
+            let views = || outputs.iter().map(OutputHealth::view).collect();
+            let whole = || StateDocument::of(state, *enrolls, viewfinder, meters, views());
             subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
@@ -115,6 +123,15 @@ impl HubState {
         if view != self.camera {
             self.camera.clone_from(&view);
             self.publish(EventKind::Camera, &view);
+        }
+    }
+
+    /// Publishes the state of the outputs, if it has changed.
+    fn publish_outputs(&mut self) {
+        let views: Vec<OutputView> = self.outputs.iter().map(OutputHealth::view).collect();
+        if views != self.output_views {
+            self.publish(EventKind::Outputs, &views);
+            self.output_views = views;
         }
     }
 
@@ -153,7 +170,11 @@ impl HubState {
             StationEvent::Phase { scan, phase } => {
                 self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            StationEvent::Guess(guess) => self.publish(EventKind::Guess, guess),
+            // One that came after its scan is no news.
+            StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
+                self.publish(EventKind::Guess, guess);
+            }
+            StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
                 let answer = self.state.answer.clone();
@@ -207,6 +228,8 @@ impl Hub {
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
             camera: None,
+            outputs: settings.outputs.clone(),
+            output_views: Vec::new(),
         };
         let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
         let library = settings.library.clone();
@@ -312,7 +335,11 @@ pub async fn run(
                 Some(notice) => hub.take(&notice),
                 None => listening = false,
             },
-            _ = streams.tick() => hub.lock().publish_streams(),
+            _ = streams.tick() => {
+                let inner = &mut *hub.lock();
+                inner.publish_streams();
+                inner.publish_outputs();
+            }
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
                 inner.publish_camera();
@@ -347,6 +374,8 @@ pub struct StateDocument<'a> {
     /// The camera, if there is one.
     camera: Option<CameraView>,
     streams: Vec<StreamView>,
+    /// The state of the outputs that answers go to.
+    outputs: Vec<OutputView>,
 }
 
 impl<'a> StateDocument<'a> {
@@ -356,9 +385,10 @@ impl<'a> StateDocument<'a> {
         enrolls: bool,
         viewfinder: &Option<Viewfinder>,
         meters: &[StreamMeter],
+        outputs: Vec<OutputView>,
     ) -> Self {
         let camera = viewfinder.as_ref().map(Viewfinder::view);
-        Self { state, enrolls, camera, streams: views(meters) }
+        Self { state, enrolls, camera, streams: views(meters), outputs }
     }
 }
 

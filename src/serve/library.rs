@@ -16,7 +16,7 @@ use super::label;
 use super::request::{Problem, Shared, aside, body};
 use super::state::unix_ms;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, ListedTrial, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step, Undone};
 use crate::station::Command;
 
 /// Most trials of one edit.
@@ -103,7 +103,7 @@ async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> 
     edited(&hub, move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
+async fn undo(State(hub): Shared) -> Result<Json<Undone>, Problem> {
     edited(&hub, Editor::undo).await
 }
 
@@ -115,12 +115,19 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
 }
 
 /// Makes an edit, then has the station read the library again.
-async fn edited(
+async fn edited<T: AsRef<Step> + Send + 'static>(
     hub: &Hub,
-    edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
-) -> Result<Json<Step>, Problem> {
+    edit: impl FnOnce(&mut Editor) -> Result<T, LibraryError> + Send + 'static,
+) -> Result<Json<T>, Problem> {
     let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let step = aside(move || Ok(edit(&Editor::open(&library.folder, &library.scene)?)?)).await?;
+    let history = hub.history.clone();
+    let step = aside(move || {
+        let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
+        // A move that cannot be noted now is found out when it matters.
+        let _ = history.relocated(&step.as_ref().moves);
+        Ok(step)
+    });
+    let step = step.await?;
     // If the station is too busy, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))

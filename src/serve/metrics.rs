@@ -8,6 +8,7 @@ use std::fmt::{Display, Write};
 use super::state::State;
 use crate::device::DeviceState;
 use crate::history::Precision;
+use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::scan::StreamMeter;
 use crate::station::AnswerState;
@@ -66,6 +67,8 @@ pub struct Elsewhere<'a> {
     pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
+    /// Where answers go.
+    pub outputs: &'a [OutputView],
     /// Of answers that somebody corrected.
     pub precision: &'a [Precision],
 }
@@ -117,6 +120,7 @@ impl Metrics {
             page.head(name, "counter", help);
             page.line(name, &[], value);
         }
+        page.outputs(elsewhere.outputs);
         page.precision(elsewhere.precision);
         page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
         page.line("surfaced_readers", &[], elsewhere.subscribers);
@@ -163,6 +167,27 @@ impl MetricsPage {
             for (meter, counts) in &all {
                 let labels = [("source", meter.id.as_str()), ("device", meter.device.as_str())];
                 self.line(name, &labels, figure(counts));
+            }
+        }
+    }
+
+    fn outputs(&mut self, outputs: &[OutputView]) {
+        type Figure = fn(&OutputView) -> u64;
+        let figures: [(&str, &str, &str, Figure); 2] = [
+            (
+                "surfaced_output_failures_total",
+                "counter",
+                "Attempts at an output that failed.",
+                |output| output.failures,
+            ),
+            ("surfaced_output_waiting", "gauge", "Answers that wait for an output.", |output| {
+                output.waiting
+            }),
+        ];
+        for (name, kind, help, figure) in figures {
+            self.head(name, kind, help);
+            for output in outputs {
+                self.line(name, &[("output", &output.output)], figure(output));
             }
         }
     }
@@ -230,6 +255,12 @@ mod tests {
             dropped_events: 4,
             missed_notices: 5,
             precision: &[],
+            outputs: &[OutputView {
+                output: "http://example/".into(),
+                waiting: 7,
+                failures: 2,
+                problem: None,
+            }],
         };
         let text = metrics.text(&elsewhere);
         for line in [
@@ -240,6 +271,8 @@ mod tests {
             "surfaced_answer_latency_seconds_count 4",
             "surfaced_scan_seconds_sum 4",
             "surfaced_readers 3",
+            "surfaced_output_failures_total{output=\"http://example/\"} 2",
+            "surfaced_output_waiting{output=\"http://example/\"} 7",
             "surfaced_scans_total{answer=\"named\"} 0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");

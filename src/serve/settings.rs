@@ -11,6 +11,7 @@ use subtle::ConstantTimeEq;
 use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
 use crate::history::History;
+use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
 /// The default port.
@@ -38,6 +39,8 @@ pub struct Settings {
     pub history: Arc<History>,
     /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
+    /// Where answers go, and whether they arrive.
+    pub outputs: Vec<OutputHealth>,
 }
 
 /// Audits a library each time it is called; gives a message if that fails.
@@ -74,6 +77,7 @@ impl Default for Settings {
             check: None,
             history: Arc::default(),
             viewfinder: None,
+            outputs: Vec::new(),
         }
     }
 }

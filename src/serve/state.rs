@@ -194,12 +194,14 @@ impl State {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {
-                if self.scan != Some(*scan) {
-                    self.guess = None;
-                }
-                (self.scan, self.phase) = (phase.map(|_| *scan), *phase);
+                let now = phase.map(|_| *scan);
+                // Nothing else ends a guess, and none comes after its scan.
+                self.guess = self.guess.take().filter(|guess| now == Some(guess.scan));
+                (self.scan, self.phase) = (now, *phase);
             }
-            StationEvent::Guess(guess) => self.guess = Some(guess.clone()),
+            StationEvent::Guess(guess) if self.scan == Some(guess.scan) => {
+                self.guess = Some(guess.clone());
+            }
             StationEvent::Answer(answer) => self.answered(answer),
             StationEvent::Enrolled(enrolled) => {
                 self.counts.enrolled += u64::from(enrolled.trial.is_some());
@@ -218,7 +220,8 @@ impl State {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            StationEvent::Trace(_)
+            StationEvent::Guess(_)
+            | StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Ending(_)
@@ -253,7 +256,6 @@ impl State {
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
         self.counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
-        self.guess = None;
     }
 
     fn warned(&mut self, text: &str) {
@@ -336,5 +338,23 @@ mod tests {
         assert_eq!(advice(guess(true, None, false)).what, AdviceKind::Drag, "no rule to rely on");
         assert_eq!(advice(guess(true, Some(3.0), true)).what, AdviceKind::Lift);
         assert_eq!(advice(guess(false, None, false)).text, "drag");
+    }
+
+    #[test]
+    fn a_guess_lasts_as_long_as_its_scan() {
+        let mut state = State::new();
+        let phase = |scan, phase| StationEvent::Phase { scan, phase };
+        let guess = |scan| StationEvent::Guess(Guess::nothing(scan, 0.5));
+        state.take(&phase(1, Some(Phase::Drag)));
+        state.take(&guess(1));
+        assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));
+        state.take(&phase(1, None));
+        assert_eq!(state.guess, None);
+        // The worker was still at it; then the next scan begins.
+        state.take(&guess(1));
+        assert_eq!(state.guess, None);
+        state.take(&phase(2, Some(Phase::Tap)));
+        state.take(&guess(1));
+        assert_eq!(state.guess, None);
     }
 }

@@ -47,6 +47,7 @@ event_kinds! {
     Answer = "answer",
     Unnamed = "unnamed",
     Camera = "camera",
+    Outputs = "outputs",
     Correction = "correction",
     Check = "check",
     Enrolled = "enrolled",

@@ -123,7 +123,7 @@ impl fmt::Debug for AnsweredScan {
 
 impl Answer {
     /// The answer that the scan alone allows, `latency_ms` after its end: it has no name.
-    pub(super) fn of(scan: &Scan, latency_ms: f64) -> Self {
+    pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
         Self {

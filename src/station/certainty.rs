@@ -46,13 +46,20 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
 
 fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     let NamedScan { verdict, scan, settled_s } = named;
-    let Verdict { ranking, rejection, needed_s, left_out, .. } = verdict;
+    let Verdict { ranking, rejection, needed_s, left_out, lacking, .. } = verdict;
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
     match needed_s.filter(|needed_s| scan.scan_s < LONG_ENOUGH * needed_s) {
         // An answer that would not change any more needs no longer scan.
         Some(needed_s) if settled_s.is_none() => {
             doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
+        }
+        _ if rejection.is_some() && ranking.p_value.is_none() && !lacking.is_empty() => {
+            let names: Vec<&str> = lacking.iter().map(|id| id.as_str()).collect();
+            doubts.push(format!(
+                "without {}, which the library has, it cannot be told whether it is an unknown surface",
+                names.join(", ")
+            ));
         }
         _ if rejection.is_some() && ranking.p_value.is_none() => {
             doubts.push("too short to tell whether it is an unknown surface".into());
@@ -91,8 +98,8 @@ mod tests {
             p_value,
         };
         let rejection = threshold.then(|| Rejection::usual(99).unwrap());
-        let (left_out, remarks) = (Vec::new(), Vec::new());
-        Verdict { ranking, rejection, left_out, needed_s: Some(0.9), remarks }
+        let (left_out, lacking, remarks) = (Vec::new(), Vec::new(), Vec::new());
+        Verdict { ranking, rejection, left_out, lacking, needed_s: Some(0.9), remarks }
     }
 
     fn scan(scan_s: f64) -> Scan {
@@ -117,6 +124,9 @@ mod tests {
         assert_eq!(judged(&known, 0.6, None).0, Named, "it is long enough");
         assert_eq!(judged(&verdict(None, false), 1.0, None).0, Nearest);
         assert_eq!(judged(&verdict(None, true), 1.0, None).0, Unsure);
+        let lacking = vec![crate::scene::SourceId::new("ir").unwrap()];
+        let (state, reason) = judged(&Verdict { lacking, ..verdict(None, true) }, 1.0, None);
+        assert!(state == Unsure && reason.starts_with("without ir"), "{reason}");
         let silent = Verdict { left_out: vec!["mi2 is left out".into()], ..known.clone() };
         assert_eq!(judged(&silent, 1.0, None), (Unsure, "mi2 is left out".into()));
         let mut close = known;

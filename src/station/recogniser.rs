@@ -24,6 +24,8 @@ pub struct Verdict {
     pub rejection: Option<Rejection>,
     /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
+    /// Sources of the library that the scan does not have.
+    pub lacking: Vec<SourceId>,
     /// How long the drag should last, in seconds, where that is known.
     pub needed_s: Option<f64>,
     /// Imperfections of the scan.
@@ -220,7 +222,9 @@ impl Recogniser {
         let needed_s = self.needed_s(scan.truth.as_ref());
         let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
-        Verdict { needed_s, rejection, left_out, remarks, ranking }
+        let is_lacking = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
+        let lacking = self.library.sources.iter().filter(is_lacking).cloned().collect();
+        Verdict { needed_s, rejection, left_out, lacking, remarks, ranking }
     }
 
     /// Sources of a scan that the library has and that were not compared, with reasons.

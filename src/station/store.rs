@@ -17,11 +17,11 @@ use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
 use super::orders::Enrolment;
 use super::recogniser::Recogniser;
-use crate::library::{About, LibraryError, recording};
-use crate::record::{TrialOptions, append_trial, number_by_names, utc};
+use crate::library::{About, LibraryError};
+use crate::record::{TrialOptions, append_trial, edit, number_by_names, utc};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Trial, TrialKey};
+use crate::trial::{Trial, TrialKey, normal};
 
 /// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
@@ -219,7 +219,7 @@ impl StoreWriter {
     /// Writes a scan; gives its number and its folder.
     fn write(&mut self, waiting: &WaitingScan) -> Result<(u32, PathBuf), LibraryError> {
         let WaitingScan { scan, enrolment, .. } = waiting;
-        let of = (enrolment.surface.clone(), enrolment.user.clone());
+        let of = (normal(&enrolment.surface), normal(&enrolment.user));
         let known = self.next.get(&of).copied().unwrap_or(1);
         let number = match self.current {
             true => known,
@@ -266,9 +266,9 @@ impl StoreWriter {
             return;
         }
         let (send, read) = bounded(1);
-        let store = self.store.clone();
+        let ScanStore { folder, scene, .. } = self.store.clone();
         // On a separate thread, since the end of the station must not wait for a library.
-        let work = move || drop(send.send(numbers(&store)));
+        let work = move || drop(send.send(edit::numbers_after(&folder, &scene)));
         if std::thread::Builder::new().name("numbers".into()).spawn(work).is_err() {
             return;
         }
@@ -294,22 +294,6 @@ fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<St
         nearest: None,
         wanted: 0,
     }
-}
-
-/// The numbers after those that a library holds.
-fn numbers(store: &ScanStore) -> Result<Numbers, LibraryError> {
-    let mut numbers = Numbers::new();
-    let library = match recording::open(&store.folder, &store.scene) {
-        Ok(library) => library,
-        Err(LibraryError::NothingFound { .. }) => return Ok(numbers),
-        Err(_) if !store.folder.exists() => return Ok(numbers),
-        Err(error) => return Err(error),
-    };
-    for entry in library.entries {
-        let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
-        *next = (*next).max(entry.key.number.saturating_add(1));
-    }
-    Ok(numbers)
 }
 
 #[cfg(test)]

@@ -50,6 +50,12 @@ pub const EXPERT: &str = "expert";
 /// The surface of a trial whose label nobody knows.
 pub const UNLABELLED: &str = "unlabelled";
 
+/// A label in Unicode's normal form C: an é is the same, however it was typed.
+pub(crate) fn normal(label: &str) -> String {
+    use unicode_normalization::UnicodeNormalization;
+    label.nfc().collect()
+}
+
 /// Names one trial: which surface, whose hand, which repetition.
 ///
 /// Ordered by surface, then user, then number, which is also the order in which ties are broken.

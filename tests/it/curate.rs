@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use assert_cmd::Command;
 use serde_json::Value;
-use surfaced::library::lock::LibraryLock;
+use surfaced::record::edit::LibraryLock;
 
 fn surfaced(arguments: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(arguments).output().unwrap()

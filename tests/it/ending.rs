@@ -12,7 +12,7 @@ use surfaced::device::{
     Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
 };
 use surfaced::history::{History, Keeper};
-use surfaced::library::lock::LibraryLock;
+use surfaced::record::edit::LibraryLock;
 use surfaced::library::{Entry, recording};
 use surfaced::outputs::{HttpOutput, MqttOutput};
 use surfaced::recognise::features::FeatureVector;

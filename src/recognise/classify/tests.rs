@@ -85,7 +85,7 @@ fn trees_keep_the_promises() {
 #[test]
 fn another_seed_is_another_forest() {
     let forest = |seed| {
-        let method = OnFeatures::new(Scene::lmt108(), RandomForest { seed });
+        let method = OnFeatures::new("random-forest", Scene::lmt108(), RandomForest { seed });
         let model = method.fit(library(), &Arc::default()).unwrap();
         // Between surfaces, where the trees disagree.
         let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);

@@ -1,6 +1,7 @@
 use std::time::Instant;
 
 use super::*;
+use crate::library::recording;
 use crate::trial::{Series, Signal};
 
 fn scan(number: u32) -> Box<Scan> {
