@@ -209,7 +209,7 @@ fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
     let mut name_length = [0; 4];
     file.read_exact_at(&mut name_length, at).ok()?;
     let name_length = u32::from_le_bytes(name_length);
-    if name_length > LONGEST_NAME {
+    if name_length == 0 || name_length > LONGEST_NAME {
         return None;
     }
     let mut rest = vec![0; name_length as usize + 16];

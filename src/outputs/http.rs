@@ -121,8 +121,8 @@ impl Poster {
                 {
                     return self.health.failed(&format!("refused with {status}"));
                 }
-                Ok(status) => self.health.failed(&status.to_string()),
-                Err(error) => self.health.failed(&error),
+                Ok(status) => self.health.failed(&format!("{status}; they are tried again")),
+                Err(error) => self.health.failed(&format!("{error}; they are tried again")),
             }
             let mut left = self.back_off.next();
             while left > Duration::ZERO {

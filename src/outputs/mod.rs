@@ -80,7 +80,7 @@ impl OutputHealth {
     fn failed(&self, why: &str) {
         self.0.failures.fetch_add(1, Ordering::Relaxed);
         if self.set_problem(Some(why.into())).is_none() {
-            tracing::warn!("answers do not reach {}: {why}; they are tried again", self.0.output);
+            tracing::warn!("answers do not reach {}: {why}", self.0.output);
         }
     }
 

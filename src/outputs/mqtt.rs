@@ -117,7 +117,7 @@ fn keep_connected(
             Ok(_) => {}
             Err(_) if stop.load(Ordering::Acquire) => return,
             Err(error) => {
-                health.failed(&error.to_string());
+                health.failed(&format!("{error}; they are tried again"));
                 let mut left = back_off.next();
                 while left > Duration::ZERO && !stop.load(Ordering::Acquire) {
                     let step = left.min(Duration::from_millis(100));

@@ -53,13 +53,9 @@ pub struct Scan {
     pub ended_at: Instant,
 }
 
-#[cfg(test)]
 impl Scan {
     /// A scan of these signals, nothing lost, that has just ended; its duration is left at 0.
-    pub(crate) fn of_signals(
-        number: u32,
-        signals: BTreeMap<SourceId, crate::trial::Signal>,
-    ) -> Self {
+    pub fn of_signals(number: u32, signals: BTreeMap<SourceId, crate::trial::Signal>) -> Self {
         Self {
             number,
             trial: Trial { key: TrialKey::new("", "", number), signals },

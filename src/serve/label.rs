@@ -40,6 +40,7 @@ mod tests {
         for label in ["oak", "G1EpoxyRasterPlate", "Eiche, geölt (2)", "木 100%", " oak "] {
             assert_eq!(check("surface", label).as_deref(), Ok(label.trim()));
         }
+        assert_eq!(check("surface", "e\u{301}rable").as_deref(), Ok("\u{e9}rable"));
     }
 
     #[test]

@@ -12,13 +12,13 @@ use surfaced::device::{
     Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
 };
 use surfaced::history::{History, Keeper};
-use surfaced::record::edit::LibraryLock;
 use surfaced::library::{Entry, recording};
 use surfaced::outputs::{HttpOutput, MqttOutput};
 use surfaced::recognise::features::FeatureVector;
 use surfaced::recognise::{
     Evidence, Follow, FollowOptions, Model, Prepared, RankedSurface, Ranking, RecogniseError,
 };
+use surfaced::record::edit::LibraryLock;
 use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};

@@ -24,7 +24,7 @@ use crate::http::{Served, answer, serve};
 use crate::{Failure, Sums};
 
 /// How long all are at it.
-const LENGTH: Duration = Duration::from_secs(3);
+const LENGTH: Duration = Duration::from_secs(8);
 /// One of them is a name that means something else in a library.
 const SURFACES: [&str; 4] = ["oak", "ash", "elm", "library.toml"];
 /// Samples of a recording, and bytes before them in its file.

@@ -123,9 +123,8 @@ function showCorrection(scan) {
   else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
   say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
-  hide("was-clear", !scan.correction || Boolean(scan.became));
+  hide("was-clear", !scan.correction);
   hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept || spoiled);
-  for (const id of ["was-right", "was-unknown", "was-bad", "was-other"]) $(id).disabled = Boolean(scan.became);
 }
 
 function showHead(scan) {
