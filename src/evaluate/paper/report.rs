@@ -124,6 +124,9 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     }
 }
 
+// The score of one source between two trials does not depend on which other sources are used. It is
+// computed once, and every row of the paper's tables is a sum of logarithms.
+
 /// ln of the scores of one query in one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogScores {
