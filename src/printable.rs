@@ -28,9 +28,42 @@ fn acts_unseen(c: char) -> bool {
         | '\u{e0000}'..='\u{e007f}')
 }
 
+/// A table, a line for each row below the head. Columns are as wide as their widest cell; one whose
+/// head begins with `>` stands at the right.
+pub(crate) fn table(head: &[&str], rows: &[Vec<String>]) -> String {
+    let names: Vec<String> = head.iter().map(|name| name.trim_start_matches('>').into()).collect();
+    let lines = || std::iter::once(&names).chain(rows);
+    let width = |column: usize| {
+        let cells = lines().filter_map(|line| line.get(column));
+        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..head.len()).map(width).collect();
+    let mut text = String::new();
+    for line in lines() {
+        let mut row = String::new();
+        for ((cell, &width), head) in line.iter().zip(&widths).zip(head) {
+            // Writing to a String cannot fail.
+            let _ = match head.starts_with('>') {
+                true => write!(row, "{cell:>width$}  "),
+                false => write!(row, "{cell:<width$}  "),
+            };
+        }
+        text += row.trim_end();
+        text.push('\n');
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn columns_of_a_table_are_as_wide_as_their_cells() {
+        let rows = [vec!["oak".into(), "7".into()], vec!["böhm, oiled".into(), "12".into()]];
+        let shown = "surface      trials\noak               7\nböhm, oiled      12\n";
+        assert_eq!(table(&["surface", ">trials"], &rows), shown);
+    }
 
     #[test]
     fn nothing_is_obeyed_and_nothing_reads_backwards() {

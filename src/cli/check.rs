@@ -6,6 +6,7 @@ use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::evaluate::{CheckReport, check};
+use crate::printable::table;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
@@ -69,8 +70,7 @@ fn print(report: &CheckReport) {
         result!("cross-validated accuracy: {accuracy} (95 % interval {interval})");
     }
     result!();
-    result!("{:<28} {:>6}  {:>9}  {:<18}  taken for", "surface", "trials", "right", "95 %");
-    for surface in &report.surfaces {
+    let rows = report.surfaces.iter().map(|surface| {
         let right = format!("{}/{}", surface.share.right, surface.share.of);
         let interval = match surface.share.of {
             0 => "-".into(),
@@ -78,9 +78,10 @@ fn print(report: &CheckReport) {
         };
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
         let taken = taken.collect::<Vec<_>>().join(", ");
-        let (name, trials) = (&surface.surface, surface.trials);
-        result!("{name:<28} {trials:>6}  {right:>9}  {interval:<18}  {taken}");
-    }
+        vec![surface.surface.clone(), surface.trials.to_string(), right, interval, taken]
+    });
+    let head = ["surface", ">trials", ">right", "95 %", "taken for"];
+    result!("{}", table(&head, &rows.collect::<Vec<_>>()).trim_end());
     for (title, lines) in [("needs fixing", &report.mend), ("next", &report.advice)] {
         if !lines.is_empty() {
             result!();

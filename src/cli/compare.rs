@@ -7,6 +7,7 @@ use super::method::at_least_one;
 use super::{Done, Failure, SourceArgs, samples, show};
 use crate::kernel::{Threshold, test_independence};
 use crate::library::{Library, recording};
+use crate::printable::table;
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
 use crate::seed;
@@ -116,20 +117,20 @@ fn compare_trials(args: &Args) -> Done {
 fn show(report: &CompareReport, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
     result!("A  {}\nB  {}{mark}\n", report.a, report.b);
-    result!("source     score n·MMD²    MMD²          σ             κ             p");
-    for s in &report.comparison.sources {
-        result!(
-            "{:<10} {:<15.4} {:<13.4e} {:<13.4e} {:<13.4e} {:<7.4}{}",
-            s.source,
-            s.score,
-            s.mmd2,
-            s.sigma,
-            s.kappa,
-            s.p_value,
-            if s.p_value <= alpha { " differ" } else { "" }
-        );
-    }
-    result!("\ndiscrepancy score (product over sources)  {:.6e}", report.comparison.ds);
+    let sources = report.comparison.sources.iter().map(|s| {
+        vec![
+            s.source.to_string(),
+            format!("{:.4}", s.score),
+            format!("{:.4e}", s.mmd2),
+            format!("{:.4e}", s.sigma),
+            format!("{:.4e}", s.kappa),
+            format!("{:.4}", s.p_value),
+            if s.p_value <= alpha { "differ" } else { "" }.into(),
+        ]
+    });
+    let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
+    result!("{}", table(&head, &sources.collect::<Vec<_>>()));
+    result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
     show::next(
         "surfaced eval my-library says how well the surfaces of a library are distinguished",
     );

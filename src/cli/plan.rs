@@ -10,6 +10,7 @@ use super::{Done, Failure, SourceArgs, say, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{PlanOptions, Planned, search};
 use crate::library::Library;
+use crate::printable::table;
 
 /// Find the cheapest setting that names this library's surfaces well enough
 ///
@@ -78,17 +79,16 @@ fn advise(args: &Args) {
 }
 
 fn print(planned: &Planned) {
-    result!("\nsource       alone   latency    scan");
-    for cost in &planned.sources {
-        result!(
-            "{:<8} {:>9} {:>6.2} ms {:>5.1} s",
-            cost.source,
+    let costs = planned.sources.iter().map(|cost| {
+        vec![
+            cost.source.to_string(),
             show::percent(cost.accuracy),
-            cost.latency_ms,
-            cost.scan_s
-        );
-    }
-    result!();
+            format!("{:.2} ms", cost.latency_ms),
+            format!("{:.1} s", cost.scan_s),
+        ]
+    });
+    let head = ["source", ">alone", ">latency", ">scan"];
+    result!("\n{}", table(&head, &costs.collect::<Vec<_>>()));
     for step in &planned.steps {
         result!("{step}");
     }

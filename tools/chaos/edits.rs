@@ -15,7 +15,7 @@ use surfaced::library::About;
 use surfaced::record::{TrialOptions, append_trial};
 use surfaced::scan::Scan;
 use surfaced::scene::{Scene, SourceId};
-use surfaced::serve::Shelf;
+use surfaced::serve::LibraryFolder;
 use surfaced::station::{Answer, AnsweredScan, Listener, StationEvent};
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
@@ -160,7 +160,7 @@ impl Edited<'_> {
         let folder = self.root.clone();
         Ok(serve(|settings| {
             settings.history = history;
-            settings.library = Some(Shelf { folder, scene });
+            settings.library = Some(LibraryFolder { folder, scene });
         }))
     }
 

@@ -1,12 +1,12 @@
-//! What the slow sensors feel while dragging: forces (fr), reflectance (ir) and metal (me).
-//!
-//! Each is a marginal distribution with a correlation time, which a faster hand shortens.
+//! What the sensors pick up of a contact: the hand that moves the stylus, the tap, vibrations, forces
+//! (fr), reflectance (ir) and metal (me).
 
-use super::effect::{Draws, logistic};
-use super::hand::Hand;
-use super::noise::{correlated, quantised};
+use std::f64::consts::TAU;
+
+use super::effect::{Draws, Effect, logistic};
+use super::noise::{coloured, correlated, fill_normal, quantised};
 use super::parameters::Difficulty;
-use crate::seed::uniform;
+use crate::seed::{normal, uniform};
 
 /// Forces on the two resistors, interleaved, as fractions of full scale.
 pub(super) fn friction(
@@ -85,4 +85,226 @@ pub(super) fn metal(
         on = !on;
     }
     samples
+}
+
+/// Number of points of the slow change of force within a drag.
+const DRIFT_KNOTS: usize = 12;
+/// Frames over which that change is taken to be linear.
+const BLOCK: usize = 64;
+
+/// How one trial was made.
+#[derive(Debug)]
+pub(super) struct Hand {
+    /// ln of the mean force
+    pub force: f64,
+    /// ln of the speed
+    pub speed: f64,
+    /// ln of the force over its mean, at equidistant times of the drag
+    drift: [f64; DRIFT_KNOTS],
+}
+
+impl Hand {
+    pub fn draw(draws: &Draws<'_>, d: &Difficulty) -> Self {
+        let rng = &mut draws.noise("drift");
+        Self {
+            force: draws.value("force", d.force),
+            speed: draws.value("speed", d.speed),
+            drift: std::array::from_fn(|_| d.force_drift * normal(rng)),
+        }
+    }
+
+    /// Multiplies a signal that spans the drag by the relative force to a power.
+    pub fn modulate(&self, samples: &mut [f32], power: f64) {
+        let gain = |at: usize, len: usize| {
+            let x = at as f64 / len as f64 * (DRIFT_KNOTS - 1) as f64;
+            let knot = (x as usize).min(DRIFT_KNOTS - 2);
+            let (a, b) = (self.drift[knot], self.drift[knot + 1]);
+            (power * (a + (x - knot as f64) * (b - a))).exp() as f32
+        };
+        let len = samples.len();
+        for (block, samples) in samples.chunks_mut(BLOCK).enumerate() {
+            let start = gain(block * BLOCK, len);
+            let step = (gain((block + 1) * BLOCK, len) - start) / BLOCK as f32;
+            for (i, x) in samples.iter_mut().enumerate() {
+                *x *= start + step * i as f32;
+            }
+        }
+    }
+}
+
+/// Number of resonances.
+const MODES: u32 = 5;
+/// When the stylus touches the surface, in s.
+const TOUCH_S: f64 = 0.02;
+/// Time in which the click decays to 1/e, in s.
+const CLICK_S: f64 = 0.001;
+
+/// The sound of a tap, in full scales of the converter.
+pub(super) fn tap_sound(
+    draws: &Draws<'_>,
+    d: &Difficulty,
+    hand: &Hand,
+    frames: usize,
+    rate_hz: f64,
+) -> Vec<f32> {
+    let rng = &mut draws.noise("tap");
+    let mut samples = coloured(rng, frames, rate_hz, MICROPHONE_END_HZ, room(draws, d));
+    let touch = ((TOUCH_S * rate_hz) as usize).min(frames);
+    let level = (draws.value("tap level", d.tap_level) + hand.force).exp();
+
+    let click = level * draws.value("tap click", d.tap_click).exp();
+    let click_frames = (8.0 * CLICK_S * rate_hz) as usize;
+    let mut white = vec![0.0; click_frames.min(frames - touch)];
+    fill_normal(rng, &mut white);
+    for (i, (x, w)) in samples[touch..].iter_mut().zip(&white).enumerate() {
+        *x += (click * (-(i as f64) / (CLICK_S * rate_hz)).exp()) as f32 * w;
+    }
+
+    for mode in 0..MODES {
+        let strength = level * draws.nth("tap mode", mode, d.tap_mode).exp();
+        let hz = draws.nth("tap frequency", mode, d.tap_frequency).exp().clamp(80.0, 8_000.0);
+        let decay_s = draws.nth("tap decay", mode, d.tap_decay).exp();
+        resonance(&mut samples[touch..], strength, TAU * hz / rate_hz, decay_s * rate_hz);
+    }
+
+    let gain = draws.value("microphone gain", d.microphone_gain).exp() as f32;
+    samples.iter_mut().for_each(|x| *x = quantised(gain * *x));
+    samples
+}
+
+/// Adds strength · exp(−i / decay) · sin(i · turn), by turning a complex number step by step.
+fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
+    let shrink = (-1.0 / decay).exp();
+    let (turn_im, turn_re) = turn.sin_cos();
+    let (mut re, mut im) = (strength, 0.0);
+    for x in samples {
+        *x += im as f32;
+        (re, im) = (shrink * (re * turn_re - im * turn_im), shrink * (re * turn_im + im * turn_re));
+    }
+}
+
+/// Number of bumps in a spectrum.
+const BUMPS: u32 = 4;
+/// Width of a bump, as the standard deviation of the ln of the frequency.
+const BUMP_WIDTH: f64 = 0.25;
+/// The microphone picks up nothing above.
+const MICROPHONE_END_HZ: f64 = 12_000.0;
+/// The accelerometer feels nothing above.
+const ACCELEROMETER_END_HZ: f64 = 1_600.0;
+/// Level grows as force to this power.
+const FORCE_POWER: f64 = 0.7;
+
+/// A smooth spectrum: a slope with bumps over it. Its density is 1 at the middle frequency, less
+/// the bumps.
+struct Spectrum {
+    middle_hz: f64,
+    slope: f64,
+    /// ln of the centre in Hz, and height
+    bumps: [(f64, f64); BUMPS as usize],
+}
+
+impl Spectrum {
+    fn draw(draws: &Draws<'_>, name: &str, slope: Effect, height: Effect, centre: Effect) -> Self {
+        let (heights, centres) = (format!("{name} bump"), format!("{name} centre"));
+        let bump = |i| (draws.nth(&centres, i, centre), draws.nth(&heights, i, height).exp());
+        Self {
+            middle_hz: centre.centre.exp(),
+            slope: draws.value(&format!("{name} slope"), slope),
+            bumps: std::array::from_fn(|i| bump(i as u32)),
+        }
+    }
+
+    /// Amplitude at a frequency in Hz.
+    fn density(&self, hz: f64) -> f64 {
+        let hz = hz.max(20.0);
+        let bumps: f64 = self
+            .bumps
+            .iter()
+            .map(|(centre, height)| {
+                height * (-0.5 * ((hz.ln() - centre) / BUMP_WIDTH).powi(2)).exp()
+            })
+            .sum();
+        (hz / self.middle_hz).powf(-self.slope) * (1.0 + bumps)
+    }
+}
+
+/// The room's noise: amplitude per √Hz at a frequency in Hz.
+fn room(draws: &Draws<'_>, d: &Difficulty) -> impl Fn(f64) -> f64 + use<> {
+    let level = draws.value("room level", d.room_level).exp();
+    let slope = draws.value("room slope", d.room_slope);
+    // A room of slope 0 has this level as its standard deviation.
+    let unit = level / MICROPHONE_END_HZ.sqrt();
+    move |hz| unit * (hz.max(20.0) / 1_000.0).powf(-slope)
+}
+
+/// The dragging sound, in full scales of the converter.
+pub(super) fn drag_sound(
+    draws: &Draws<'_>,
+    d: &Difficulty,
+    hand: &Hand,
+    frames: usize,
+    rate_hz: f64,
+) -> Vec<f32> {
+    let spectrum = Spectrum::draw(draws, "sound", d.sound_slope, d.sound_bump, d.sound_centre);
+    let room = room(draws, d);
+    let gain = draws.value("microphone gain", d.microphone_gain).exp();
+    let level = draws.value("sound level", d.sound_level) + FORCE_POWER * hand.force + hand.speed;
+    let unit = level.exp() / MICROPHONE_END_HZ.sqrt();
+    let speed = hand.speed.exp();
+    let density = |hz: f64| gain * (unit * spectrum.density(hz / speed)).hypot(room(hz));
+    let rng = &mut draws.noise("sound");
+    let mut samples = coloured(rng, frames, rate_hz, MICROPHONE_END_HZ, density);
+    hand.modulate(&mut samples, FORCE_POWER);
+    samples.iter_mut().for_each(|x| *x = quantised(*x));
+    samples
+}
+
+/// Acceleration along x, y and z, interleaved, in full scales of the converter.
+pub(super) fn acceleration(
+    draws: &Draws<'_>,
+    d: &Difficulty,
+    hand: &Hand,
+    frames: usize,
+    rate_hz: f64,
+) -> Vec<f32> {
+    let spectrum = Spectrum::draw(
+        draws,
+        "acceleration",
+        d.acceleration_slope,
+        d.acceleration_bump,
+        d.acceleration_centre,
+    );
+    let level = draws.value("acceleration level", d.acceleration_level)
+        + FORCE_POWER * hand.force
+        + hand.speed;
+    let speed = hand.speed.exp();
+    let rng = &mut draws.noise("acceleration");
+    let mut interleaved = vec![0.0; 3 * frames];
+    for axis in 0..3 {
+        let share = draws.nth("acceleration axis", axis, d.acceleration_axis);
+        let unit = (level + share).exp() / ACCELEROMETER_END_HZ.sqrt();
+        let density = |hz: f64| unit * spectrum.density(hz / speed);
+        let mut samples = coloured(rng, frames, rate_hz, ACCELEROMETER_END_HZ, density);
+        hand.modulate(&mut samples, FORCE_POWER);
+        for (frame, x) in interleaved.chunks_exact_mut(3).zip(samples) {
+            frame[axis as usize] = quantised(x);
+        }
+    }
+    interleaved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_resonance_is_a_damped_sine() {
+        let mut samples = vec![0.0; 500];
+        resonance(&mut samples, 0.5, 0.3, 80.0);
+        for (i, &x) in samples.iter().enumerate() {
+            let i = i as f64;
+            let expected = 0.5 * (-i / 80.0).exp() * (0.3 * i).sin();
+            assert!((f64::from(x) - expected).abs() < 1e-6);
+        }
+    }
 }

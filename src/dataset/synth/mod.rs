@@ -29,29 +29,24 @@
 //! points. `--seed 3`, with which nothing was chosen, gives 97.2 ± 2.4 for all eight and 87.6 ± 6.1
 //! without the shift.
 
-mod contact;
-mod effect;
-mod embedded;
-mod hand;
-mod noise;
-mod parameters;
-mod picture;
-mod tap;
-mod vibration;
-
-pub use effect::Effect;
-pub(crate) use embedded::{Embedded, embedded};
-pub use parameters::{Difficulty, Parameters, Twins};
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use contact::Hand;
 use effect::Draws;
-use hand::Hand;
 
 use crate::library::{Entry, Library, LibraryError, LoadTrial, Outline, Outlines};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, Image, Series, Signal, SignalError, Trial, TrialKey};
+
+mod contact;
+mod effect;
+mod noise;
+mod parameters;
+mod picture;
+
+pub use effect::Effect;
+pub use parameters::{Difficulty, Parameters, Twins};
 
 /// Kinds of material, in turn from surface to surface; the names are LMT108's.
 const MATERIALS: [&str; 9] =
@@ -163,9 +158,9 @@ fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, Sign
         return Image::new(Image::COLS, Image::ROWS, rgb).map(Signal::Image);
     };
     let samples = match source {
-        "mi1" => tap::sound(draws, d, hand, frames, rate_hz),
-        "mi2" => vibration::sound(draws, d, hand, frames, rate_hz),
-        "ac" => vibration::acceleration(draws, d, hand, frames, rate_hz),
+        "mi1" => contact::tap_sound(draws, d, hand, frames, rate_hz),
+        "mi2" => contact::drag_sound(draws, d, hand, frames, rate_hz),
+        "ac" => contact::acceleration(draws, d, hand, frames, rate_hz),
         "fr" => contact::friction(draws, d, hand, frames, rate_hz),
         "ir" => contact::reflectance(draws, d, hand, frames, rate_hz),
         // The scene is LMT108's, so this is the eighth: `me`.
@@ -178,6 +173,67 @@ fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, Sign
 fn conducts(draws: &Draws<'_>, d: &Difficulty) -> bool {
     CONDUCTORS.iter().any(|kind| draws.key.surface.ends_with(kind))
         && draws.surface_uniform("metal", 0) < d.metal_fraction
+}
+
+/// Surfaces that the expert has recorded, or all but the last of them.
+const SURFACES: usize = 13;
+/// Two surfaces of one material that are almost alike.
+const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.05 };
+/// The surface that the library lacks.
+const UNKNOWN: usize = 12;
+/// The scan whose acceleration is a dead line.
+const DEAD: (usize, u32) = (5, 2);
+/// The source that is dead in it.
+const DEAD_SOURCE: &str = "ac";
+
+/// The scene, and what to look for in it.
+#[derive(Clone, Debug)]
+pub struct Embedded {
+    /// Four trials of each surface but one by the expert, to compare with, and a trial of every
+    /// surface by each of three users, to be named.
+    pub library: Library,
+    /// For people: what is hard about it, a line each.
+    pub remarks: Vec<String>,
+}
+
+/// The scene that is played where no data are given.
+///
+/// A dozen surfaces that are easy to distinguish, but for three things that stations meet: two of
+/// them are almost alike, the library lacks a thirteenth, and a sensor is dead in one scan.
+pub fn embedded() -> Embedded {
+    let size = Parameters { surfaces: SURFACES, trials: 4, users: 3, ..Parameters::default() };
+    let mut library = library(&Parameters { twins: Some(TWINS), ..size });
+    let [original, twin, unknown] = [TWINS.original, TWINS.twin, UNKNOWN].map(surface_name);
+    library.entries.retain(|entry| entry.key.surface != unknown || entry.key.user != EXPERT);
+    let dead = TrialKey::new(surface_name(DEAD.0), format!("user{}", DEAD.1), DEAD.1);
+    let silence = |entry: Entry| match entry.key == dead {
+        true => entry.changed(with_a_dead_line),
+        false => entry,
+    };
+    library.entries = library.entries.into_iter().map(silence).collect();
+    let remarks = vec![
+        format!("{original} and {twin} are almost alike"),
+        format!("{unknown} is not in the library"),
+        format!("the accelerometer is dead in the scan of {} by {}", dead.surface, dead.user),
+    ];
+    Embedded { library, remarks }
+}
+
+/// The trial with its acceleration at rest.
+fn with_a_dead_line(mut trial: Trial) -> Trial {
+    for (id, signal) in &mut trial.signals {
+        if let (Signal::Series(series), true) = (&*signal, is_dead(id)) {
+            let still = vec![0.0; series.samples().len()];
+            let dead = Series::new(series.rate_hz(), series.channels(), still);
+            // As long as the series that was there, and as regular.
+            *signal = Signal::Series(dead.expect("zeros at a rate that was one"));
+        }
+    }
+    trial
+}
+
+fn is_dead(id: &SourceId) -> bool {
+    id.as_str() == DEAD_SOURCE
 }
 
 #[cfg(test)]

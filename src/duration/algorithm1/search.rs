@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::batch::Batch;
-use super::estimate::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
+use super::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
 use crate::duration::trials::{DurationError, Trials};
 use crate::kernel::{Threshold, quantile_index};
 use crate::seed;

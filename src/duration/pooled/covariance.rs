@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-use super::dot::{COLUMNS, F32Lanes, LANES, Length, ROWS, dots, total};
 use super::features::Features;
 use super::lags::Lag;
 
@@ -176,11 +175,171 @@ fn rows<const B: usize>(
     }
 }
 
+// A trial's mean follows its own slow changes. Taken out, it lowers the covariance at every lag by
+// its own variance V, and long correlations look short. V follows from the covariance itself.
+
+/// Variance of the trial mean, F × F:
+///
+/// V = [Γ(0) + Σ_{t≤M} w·(1 − t/L)·(G(t) + G(t)ᵀ)] / (L − 1 − 2·Σ_{t≤M} w·(1 − t/L)),
+///
+/// with G the mean covariance of the features at lag t, each trial's mean taken out, and w the
+/// number of lags that t stands for. The denominator is L less what G itself lacks: G = Γ − V.
+pub fn mean_variance(
+    at_once: &[f64],
+    covariances: &Covariances,
+    lags: &[Lag],
+    frames: usize,
+    longest: f64,
+) -> Vec<f64> {
+    let count = covariances.features;
+    let length = frames as f64;
+    let mut one_way = vec![0.0; count * count];
+    let mut taken = 0.0;
+    for (lag, values) in lags.iter().zip(&covariances.lags) {
+        if lag.frames as f64 > longest {
+            break;
+        }
+        let weight = lag.weight * (1.0 - lag.frames as f64 / length);
+        taken += weight;
+        let scale = weight / covariances.blocks as f64;
+        for block in values.chunks_exact(count * count) {
+            one_way.iter_mut().zip(block).for_each(|(sum, c)| *sum += scale * c);
+        }
+    }
+    let scale = 1.0 / (length - 1.0 - 2.0 * taken);
+    (0..count * count)
+        .map(|at| (at_once[at] + one_way[at] + one_way[at % count * count + at / count]) * scale)
+        .collect()
+}
+
+/// (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) of every block and lag: correlations of what was not centred.
+pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariances {
+    let count = covariances.features;
+    let scale: Vec<f64> =
+        (0..count).map(|i| (1.0 + mean_variance[i * count + i]).sqrt().recip()).collect();
+    let scale: Vec<f64> =
+        (0..count * count).map(|at| scale[at / count] * scale[at % count]).collect();
+    let mut corrected = covariances.clone();
+    for block in corrected.lags.iter_mut().flat_map(|lag| lag.chunks_exact_mut(count * count)) {
+        for ((value, shift), scale) in block.iter_mut().zip(mean_variance).zip(&scale) {
+            *value = (*value + shift) * scale;
+        }
+    }
+    corrected
+}
+
+/// f32 in a register of AVX-512, in two of AVX2 and in four of NEON.
+pub(super) const LANES: usize = 16;
+pub(super) type F32Lanes = [f32; LANES];
+
+/// Rows of a tile of products that are made at once.
+pub(super) const ROWS: usize = 2;
+/// Its columns: with more of them, the sums would not fit into the registers of AVX2 and of NEON.
+pub(super) const COLUMNS: usize = 3;
+
+/// Σ a·b, in four registers of sums, as an addition takes four cycles.
+pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [[0.0f32; LANES]; 4];
+    let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
+    let (b, b_rest) = b.as_chunks::<{ 4 * LANES }>();
+    for (a, b) in a.iter().zip(b) {
+        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
+        for part in 0..4 {
+            sums[part] = plus_product(sums[part], &a[part], &b[part]);
+        }
+    }
+    let [first, second, third, fourth] = sums;
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
+    (total(&first) + total(&second)) + (total(&third) + total(&fourth)) + rest
+}
+
+/// How many values a sum goes over, at least one.
+#[derive(Clone, Copy)]
+pub(super) struct Length {
+    /// Whole registers before the last one.
+    last: usize,
+    /// 1 for each value of the last register that counts, 0 for the others.
+    counts: F32Lanes,
+}
+
+impl Length {
+    /// # Panics
+    /// If it is 0.
+    #[inline(always)]
+    pub(super) fn of(values: usize) -> Self {
+        let last = (values - 1) / LANES;
+        let mut counts = [0.0; LANES];
+        counts[..values - last * LANES].fill(1.0);
+        Self { last, counts }
+    }
+}
+
+/// Σ a·b of each of some a and each of some b over their first values, lane by lane: each value that
+/// is loaded serves several products. Of what lies behind, as much as fills the last register is
+/// read too, and does not count.
+///
+/// # Panics
+/// If a slice is shorter than that.
+#[inline(always)]
+pub(super) fn dots<const A: usize, const B: usize>(
+    a: [&[f32]; A],
+    b: [&[f32]; B],
+    Length { last, counts }: &Length,
+) -> [[F32Lanes; B]; A] {
+    let last = *last;
+    let a = a.map(|a| &a.as_chunks::<LANES>().0[..=last]);
+    let b = b.map(|b| &b.as_chunks::<LANES>().0[..=last]);
+    let mut sums = [[[0.0f32; LANES]; B]; A];
+    for at in 0..last {
+        sums = plus_products(sums, a.map(|a| a[at]), b.map(|b| b[at]));
+    }
+    let mut counted = [[0.0; LANES]; A];
+    for i in 0..A {
+        counted[i] = plus_product([0.0; LANES], &a[i][last], counts);
+    }
+    plus_products(sums, counted, b.map(|b| b[last]))
+}
+
+#[inline(always)]
+fn plus_products<const A: usize, const B: usize>(
+    mut sums: [[F32Lanes; B]; A],
+    a: [F32Lanes; A],
+    b: [F32Lanes; B],
+) -> [[F32Lanes; B]; A] {
+    for i in 0..A {
+        for j in 0..B {
+            sums[i][j] = plus_product(sums[i][j], &a[i], &b[j]);
+        }
+    }
+    sums
+}
+
+/// Not fused, so that every machine gives the same bits.
+#[inline(always)]
+fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
+    for lane in 0..LANES {
+        sum[lane] += a[lane] * b[lane];
+    }
+    sum
+}
+
+/// The sum of the lanes, by halves: each step is one addition of registers.
+#[inline(always)]
+pub(super) fn total(sum: &F32Lanes) -> f32 {
+    let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
+    for lane in 0..8 {
+        eight[lane] = sum[lane] + sum[lane + 8];
+    }
+    for lane in 0..4 {
+        four[lane] = eight[lane] + eight[lane + 4];
+    }
+    (four[0] + four[2]) + (four[1] + four[3])
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::features::features;
+    use super::super::features::{Samples, features};
     use super::super::lags::lags;
-    use super::super::samples::Samples;
     use super::*;
 
     /// One block's entry by its definition.
@@ -221,6 +380,56 @@ mod tests {
                 let want = x.iter().zip(y).map(product).sum::<f64>() / x.len() as f64;
                 assert!((at_once[i * f + j] - want).abs() < 1e-5, "{i} {j}");
             }
+        }
+    }
+
+    /// Covariance of an AR(1) process of correlation time τ whose trial means were taken out.
+    fn centred_ar1(tau: f64, frames: usize, lags: &[Lag]) -> (Covariances, f64) {
+        let length = frames as f64;
+        let rho = |t: f64| (-t / tau).exp();
+        let v = (1..frames).map(|t| 2.0 * (1.0 - t as f64 / length) * rho(t as f64)).sum::<f64>();
+        let v = (1.0 + v) / length;
+        let value = |lag: &Lag| vec![(rho(lag.frames as f64) - v) / (1.0 - v)];
+        let lags = lags.iter().map(value).collect();
+        (Covariances { features: 1, blocks: 1, lags }, v)
+    }
+
+    #[test]
+    fn the_correlation_of_a_slow_process_is_restored() {
+        let (frames, tau) = (20_000, 600.0);
+        let lags = super::super::lags::lags(1, frames).all;
+        let (centred, v) = centred_ar1(tau, frames, &lags);
+        assert!(v > 0.05);
+        let got = mean_variance(&[1.0], &centred, &lags, frames, 5000.0);
+        let restored = corrected(&centred, &got);
+        for (lag, value) in lags.iter().zip(&restored.lags) {
+            let want = (-(lag.frames as f64) / tau).exp();
+            assert!((value[0] - want).abs() < 0.01, "{}: {} {want}", lag.frames, value[0]);
+        }
+    }
+
+    fn column(seed: usize) -> Vec<f32> {
+        (0..200).map(|i| ((i * 37 + seed * 101) % 89) as f32 / 89.0 - 0.5).collect()
+    }
+
+    fn plain_dot(a: &[f32], b: &[f32], length: usize) -> f64 {
+        a[..length].iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
+    }
+
+    #[test]
+    fn products_made_at_once_are_those_made_one_by_one_and_end_where_they_should() {
+        let columns = [0, 1, 2, 3, 4].map(column);
+        let [a, b, c, d, e] = columns.each_ref().map(Vec::as_slice);
+        for length in [1, 2, 15, 16, 17, 31, 32, 64, 90, 176] {
+            let got = dots([a, b], [&c[7..], &d[7..], &e[7..]], &Length::of(length));
+            for (x, row) in [a, b].iter().zip(&got) {
+                for (y, lanes) in [c, d, e].iter().zip(row) {
+                    let want = plain_dot(x, &y[7..], length);
+                    assert!((f64::from(total(lanes)) - want).abs() < 1e-4, "{length}");
+                }
+            }
+            let alone = f64::from(dot(&a[..length], &b[..length]));
+            assert!((alone - plain_dot(a, b, length)).abs() < 1e-4, "{length}");
         }
     }
 }

@@ -85,8 +85,8 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::features::Samples;
     use super::super::features::features;
-    use super::super::samples::Samples;
     use super::*;
     use crate::duration::simulate;
 

@@ -1,6 +1,6 @@
 //! T* of recordings, at the rate that they need.
 
-use super::samples::Samples;
+use super::features::Samples;
 use super::{Pooled, PooledAnswer, pooled};
 use crate::trial::Series;
 

@@ -12,26 +12,20 @@
 //! [`effective`] at what a scan is worth, and [`estimate`] chooses the rate that a source is looked
 //! at and speaks of its samples and seconds.
 
-mod antitonic;
-mod correction;
 mod covariance;
 mod crossing;
-mod dot;
 mod echo;
-mod effective;
 mod estimate;
 mod features;
 mod lags;
-mod normal_scores;
-mod samples;
 mod size;
 
 use covariance::{Covariances, covariances};
 use crossing::Curve;
 pub use estimate::{CORRELATION, PooledDependence, PooledEstimate, VALUES, at_needed_rate};
+pub use features::Samples;
 use features::{Features, features};
 use lags::{Lags, lags};
-pub use samples::Samples;
 
 /// The answer must be shorter than the longest lag by this factor, or what lies beyond is not seen.
 const BEYOND: f64 = 1.5;
@@ -113,8 +107,8 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
         if summed.replace(lags_within) == Some(lags_within) {
             break;
         }
-        variance = correction::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
-        let corrected = correction::corrected(&raw, &variance);
+        variance = covariance::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
+        let corrected = covariance::corrected(&raw, &variance);
         found = PairCurves::new(&corrected, &features, &lags, threshold);
         found.corrected = Some(corrected);
     }
@@ -128,7 +122,7 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
     let answer = found.answer(threshold, range, longest as f64, samples.trials);
     let inflation = match (&answer, &found.corrected) {
         (PooledAnswer::Found { .. }, Some(corrected)) => {
-            Some(effective::inflation(corrected, &features, &lags.all, found.reach(longest)))
+            Some(size::inflation(corrected, &features, &lags.all, found.reach(longest)))
         }
         _ => None,
     };

@@ -1,14 +1,15 @@
-//! The answer as a table for people, and in a sentence a source.
+//! The answer as a table, and in a sentence a source.
 
 use std::fmt::Write;
 
 use super::{ByRule, DurationReport, Estimator, PooledRow, SourceDuration};
 use crate::duration::algorithm1::Algorithm1Settings;
 use crate::duration::need::Second;
+use crate::printable::table;
 use crate::scene::SourceId;
 
 impl DurationReport {
-    /// A table for people.
+    /// The answer as a table.
     pub fn table(&self) -> String {
         let columns: Vec<Column> = match self.settings {
             Estimator::Pooled(_) => {
@@ -24,26 +25,16 @@ impl DurationReport {
     }
 
     fn rows(&self, columns: &[Column]) -> String {
-        let wide = |f: fn(&SourceDuration) -> usize, least: usize| {
-            self.durations.iter().map(f).max().unwrap_or(0).max(least)
+        let mut head = vec!["surface", "source", ">Q"];
+        head.extend(columns.iter().map(|column| column.head));
+        head.push("");
+        let row = |d: &SourceDuration| {
+            let mut row = vec![d.surface.clone(), d.source.to_string(), d.trials.to_string()];
+            row.extend(columns.iter().map(|of| (of.cell)(d).unwrap_or_else(|| "–".into())));
+            row.push(d.reason.clone().unwrap_or_default());
+            row
         };
-        let surface = wide(|d| d.surface.chars().count(), 7);
-        let source = wide(|d| d.source.as_str().len(), 6);
-        let mut out = String::new();
-        let _ = write!(out, "{:surface$}  {:source$}  {:>3}", "surface", "source", "Q");
-        for column in columns {
-            let _ = write!(out, "  {:>1$}", column.head, column.width);
-        }
-        out.push('\n');
-        for d in &self.durations {
-            let _ = write!(out, "{:surface$}  {:source$}  {:>3}", d.surface, d.source, d.trials);
-            for column in columns {
-                let cell = (column.cell)(d).unwrap_or_else(|| "–".into());
-                let _ = write!(out, "  {cell:>0$}", column.width);
-            }
-            let _ = writeln!(out, "  {}", d.reason.as_deref().unwrap_or_default());
-        }
-        out
+        table(&head, &self.durations.iter().map(row).collect::<Vec<_>>())
     }
 
     /// What T* by `pooled` means for people, a line for each source: how far apart two moments must
@@ -150,30 +141,29 @@ impl DurationReport {
 
 /// A column of the table.
 struct Column {
+    /// As [`table`] takes it.
     head: &'static str,
-    width: usize,
     cell: fn(&SourceDuration) -> Option<String>,
 }
 
 const T_STAR: Column =
-    Column { head: "T* [ms]", width: 9, cell: |d| d.t_star_s.map(|t| format!("{:.2}", t * 1e3)) };
+    Column { head: ">T* [ms]", cell: |d| d.t_star_s.map(|t| format!("{:.2}", t * 1e3)) };
 const SAMPLES: Column =
-    Column { head: "samples", width: 8, cell: |d| d.t_star_samples.map(|t| t.to_string()) };
-const SCAN: Column =
-    Column { head: "scan [s]", width: 10, cell: |d| d.scan_s.map(|t| format!("{t:.2}")) };
+    Column { head: ">samples", cell: |d| d.t_star_samples.map(|t| t.to_string()) };
+const SCAN: Column = Column { head: ">scan [s]", cell: |d| d.scan_s.map(|t| format!("{t:.2}")) };
 const UPPER: Column = Column {
-    head: "surely by",
-    width: 9,
+    head: ">surely by",
+
     cell: |d| pooled(d)?.t_star_upper_s.map(|t| format!("{:.2}", t * 1e3)),
 };
 const EFFECTIVE: Column = Column {
-    head: "independent",
-    width: 11,
+    head: ">independent",
+
     cell: |d| pooled(d)?.effective_samples.map(|n| format!("{n:.0}")),
 };
 const LASTING: Column = Column {
-    head: "lasting",
-    width: 7,
+    head: ">lasting",
+
     cell: |d| pooled(d)?.lasting_share.map(|share| format!("{:.0} %", 100.0 * share)),
 };
 

@@ -5,7 +5,6 @@
 //! ```
 
 mod figure;
-mod panel;
 mod point;
 mod settings;
 

@@ -1,8 +1,8 @@
 //! The paper's evaluation: its Tables I and II and the figures in its text, each beside ours.
 //!
 //! ```text
-//! rows (settings, published figures) ─► work (scores of each stream, once) ─► table (products) ─► part
-//! parts of a run split by query ─► merge ─► report, figures
+//! rows (settings, published figures) ─► work (scores of each stream, once) ─► part
+//! parts of a run split by query ─► merge ─► report (products of sources), figures
 //! ```
 //!
 //! `work` does one shard; `merge` joins shards. A run in one piece is a single shard, so both
@@ -12,8 +12,6 @@ mod figure;
 mod part;
 mod report;
 mod rows;
-mod stream;
-mod table;
 mod work;
 
 pub use rows::{ALL, rows};

@@ -4,9 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::part::{PaperPart, RowPart, Shard};
-use super::rows::{Row, rows};
-use super::stream::SampledSource;
-use super::table::{LogScores, nearest};
+use super::report::{LogScores, nearest};
+use super::rows::{Row, SampledSource, rows};
 use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Protocol, folds};
 use crate::library::{Entry, Library};
 use crate::recognise::{Reference, ReferenceOptions};

@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::setting::ChannelSpread;
 use super::*;
 use crate::dataset::synth::{self, Parameters};
 use crate::library::Entry;
@@ -113,14 +112,14 @@ fn library() -> Vec<Entry> {
 #[test]
 fn libraries_get_smaller_wrong_or_double() {
     let rng = || seed::rng(1, &[b"library"]);
-    let few = library::few(library(), 2.0, &mut rng());
+    let few = super::few(library(), 2.0, &mut rng());
     assert_eq!(few.len(), 6);
-    let wrong = library::mislabelled(library(), 0.5, &mut rng());
+    let wrong = super::mislabelled(library(), 0.5, &mut rng());
     let moved = wrong.iter().zip(library()).filter(|(a, b)| a.key.surface != b.key.surface).count();
     assert!((8..23).contains(&moved), "{moved}");
     let keys: BTreeSet<_> = wrong.iter().map(|e| e.key.clone()).collect();
     assert_eq!(keys.len(), wrong.len(), "no trial is there twice");
-    let twins = library::twins(library(), 10.0, &mut rng());
+    let twins = super::twins(library(), 10.0, &mut rng());
     assert_eq!(twins.len(), 60);
     assert_ne!(twins[30].load().unwrap().signals, twins[0].load().unwrap().signals);
 }

@@ -1,0 +1,377 @@
+//! The answer as a picture: dependence against the lag with T* marked, accuracy against scan time.
+
+use plotters::prelude::*;
+
+use super::algorithm1::CurvePoint;
+use super::need::Second;
+use super::pooled::PooledDependence;
+use super::report::{ByRule, PooledRow, SourceDuration};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, svg};
+use crate::recognise::AccuracyAt;
+use crate::scene::SourceId;
+
+const PANEL: (u32, u32) = (640, 380);
+
+type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
+
+/// An SVG, two panels in a row: by `pooled` one for each source with all its surfaces, by Algorithm
+/// 1 one for each surface and source, and one of accuracy against scan time where that is known.
+///
+/// # Errors
+/// If there is nothing to draw.
+pub fn figure(
+    durations: &[SourceDuration],
+    accuracy: Option<&AccuracyCurve>,
+) -> Result<String, FigureError> {
+    let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
+    for (i, row) in durations.iter().enumerate() {
+        match &row.by_rule {
+            ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
+                panels.push(Box::new(move |area| algorithm1_panel(area, row, curve)));
+            }
+            // One panel a source, where its first row stands.
+            ByRule::Pooled(_) if durations[..i].iter().all(|d| d.source != row.source) => {
+                let rows = rows_of(durations, &row.source);
+                if !rows.is_empty() {
+                    panels.push(Box::new(move |area| dependence_panel(area, &rows)));
+                }
+            }
+            _ => {}
+        }
+    }
+    if panels.is_empty() {
+        return Err(FigureError("no surface and source has a curve".into()));
+    }
+    if let Some(curve) = accuracy.filter(|curve| !curve.points.is_empty()) {
+        panels.push(Box::new(move |area| accuracy_panel(area, curve)));
+    }
+    let columns = panels.len().min(2);
+    let rows = panels.len().div_ceil(columns);
+    let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
+    svg(size, |root| {
+        let areas = root.split_evenly((rows, columns));
+        areas.iter().zip(&panels).try_for_each(|(area, panel)| panel(area))
+    })
+}
+
+/// Accuracy over the scan time, and the answer read from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AccuracyCurve {
+    /// By scan time, upwards.
+    pub points: Vec<AccuracyAt>,
+    /// The share that is aimed at.
+    pub target: f64,
+    /// How long to drag for it.
+    pub enough_s: Option<Second>,
+}
+
+/// A panel with the curve, its band, the target, and how long to drag.
+fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
+    let colour = COLOURS[2];
+    let end = curve.points.last().map_or(1.0, |p| p.scan_s) * 1.05;
+    let low = curve.points.iter().map(|p| p.accuracy_low).fold(curve.target, f64::min);
+    let bottom = (10.0 * low).floor() / 10.0;
+    let mut chart = ChartBuilder::on(area)
+        .caption("scans named right", ("sans-serif", 20))
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(62)
+        .build_cartesian_2d(0.0..end, 100.0 * bottom..100.5)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc("scan time [s]")
+        .y_desc("left-out scans named right [%]")
+        .x_labels(8)
+        .y_labels(6)
+        .label_style(("sans-serif", 15))
+        .draw()
+        .map_err(drawing)?;
+    let line =
+        |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
+    let mut band: Vec<(f64, f64)> = line(|p| p.accuracy_high).collect();
+    band.extend(line(|p| p.accuracy_low).collect::<Vec<_>>().into_iter().rev());
+    chart.draw_series([Polygon::new(band, colour.mix(0.2))]).map_err(drawing)?;
+    chart
+        .draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))
+        .map_err(drawing)?;
+    let target = 100.0 * curve.target;
+    let across = LineSeries::new([(0.0, target), (end, target)], BLACK.mix(0.5));
+    chart.draw_series(across).map_err(drawing)?;
+    if let Some(at) = curve.enough_s {
+        let mark = PathElement::new([(at, 100.0 * bottom), (at, target)], BLACK.stroke_width(1));
+        chart.draw_series([mark]).map_err(drawing)?;
+        let text = format!("drag for {at:.1} s");
+        let beside = (at + 0.01 * end, 100.0 * bottom + 0.08 * (100.0 - 100.0 * bottom));
+        chart.draw_series([Text::new(text, beside, ("sans-serif", 16))]).map_err(drawing)?;
+    }
+    Ok(())
+}
+
+const HSIC: RGBColor = RGBColor(0, 90, 160);
+const KAPPA: RGBColor = RGBColor(200, 70, 0);
+const MARK: RGBColor = RGBColor(30, 30, 30);
+
+/// A panel for one surface and source.
+fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
+    let rate_hz = row.rate_hz.unwrap_or(1.0);
+    let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
+    // The curve far beyond T* is flat: four times T* shows what matters.
+    let last = curve.last().map_or(1, |p| p.lag);
+    let end = row.t_star_samples.map_or(last, |t| last.min((4 * t).max(20)));
+    let inside: Vec<&CurvePoint> = curve.iter().filter(|p| p.lag <= end).collect();
+    let top = inside.iter().map(|p| p.hsic_high.max(p.hsic_quantile).max(p.kappa));
+    let top = 1.25 * top.fold(f64::MIN_POSITIVE, f64::max);
+    let title = format!("{} · {} (Q = {})", row.surface, row.source, row.trials);
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 20))
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(72)
+        .build_cartesian_2d(0.0..ms(end) * 1.02, 0.0..top)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc("time between samples [ms]")
+        .y_desc("HSIC")
+        .x_labels(8)
+        .y_labels(6)
+        .y_label_formatter(&|y| if top < 0.01 { format!("{y:.4}") } else { format!("{y:.3}") })
+        .label_style(("sans-serif", 14))
+        .draw()
+        .map_err(drawing)?;
+
+    let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
+    let mut band: Vec<(f64, f64)> = line(|p| p.hsic_high).collect();
+    band.extend(inside.iter().rev().map(|p| (ms(p.lag), p.hsic_low)));
+    let key = |style: ShapeStyle| {
+        move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 22, y)], style)
+    };
+    chart
+        .draw_series(std::iter::once(Polygon::new(band, HSIC.mix(0.25))))
+        .map_err(drawing)?
+        .label("interval of the mean")
+        .legend(|(x, y)| Rectangle::new([(x, y - 4), (x + 22, y + 4)], HSIC.mix(0.25).filled()));
+    for (label, style, f) in [
+        ("mean HSIC", HSIC.stroke_width(2), (|p| p.hsic_mean) as fn(&CurvePoint) -> f64),
+        ("quantile of HSIC", HSIC.mix(0.45).stroke_width(1), |p| p.hsic_quantile),
+        ("mean threshold κ", KAPPA.stroke_width(2), |p| p.kappa),
+    ] {
+        chart
+            .draw_series(LineSeries::new(line(f), style))
+            .map_err(drawing)?
+            .label(label)
+            .legend(key(style));
+    }
+    if let Some(t) = row.t_star_samples {
+        let at = ms(t);
+        let style = MARK.stroke_width(1);
+        chart
+            .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))
+            .map_err(drawing)?;
+        let text = format!("T* = {at:.2} ms");
+        // Low in the panel, where no curve is.
+        let beside = (at + 0.01 * ms(end), 0.1 * top);
+        chart
+            .draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))
+            .map_err(drawing)?;
+    } else {
+        let text = "no T* within the range";
+        let at = (0.03 * ms(end), 0.07 * top);
+        chart
+            .draw_series(std::iter::once(Text::new(text, at, ("sans-serif", 15))))
+            .map_err(drawing)?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.85))
+        .border_style(BLACK.mix(0.2))
+        .label_font(("sans-serif", 13))
+        .draw()
+        .map_err(drawing)
+}
+
+const GREY: RGBColor = RGBColor(150, 150, 150);
+const FONT: &str = "sans-serif";
+
+/// The rows of a source that have a curve, the one with the longest T* last; without T* counts as
+/// longer than any.
+fn rows_of<'a>(
+    durations: &'a [SourceDuration],
+    source: &SourceId,
+) -> Vec<(&'a SourceDuration, &'a PooledRow)> {
+    let mut rows: Vec<_> = (durations.iter().filter(|d| d.source == *source))
+        .filter_map(|d| match &d.by_rule {
+            ByRule::Pooled(row) if row.dependence.len() > 1 => Some((d, row)),
+            _ => None,
+        })
+        .collect();
+    rows.sort_by(|(a, _), (b, _)| {
+        let length = |d: &SourceDuration| d.t_star_s.unwrap_or(f64::INFINITY);
+        length(a).total_cmp(&length(b))
+    });
+    // One that has a T* can show it.
+    if let Some(last) = rows.iter().rposition(|(d, _)| d.t_star_s.is_some()) {
+        let longest = rows.remove(last);
+        rows.push(longest);
+    }
+    rows
+}
+
+/// A panel with a line for each surface, and a band and T* for the last.
+fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> Drawn {
+    let Some(((longest, row), others)) = rows.split_last() else { return Ok(()) };
+    let ms = |s: f64| 1e3 * s;
+    let lags = || rows.iter().flat_map(|(_, row)| &row.dependence).map(|d| ms(d.lag_s));
+    let (first, last) = lags().fold((f64::INFINITY, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
+    let mut chart = ChartBuilder::on(area)
+        .caption(format!("{}: how long a moment lasts", longest.source), (FONT, 20))
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(62)
+        .build_cartesian_2d((first..last).log_scale(), 0.0..1.0)
+        .map_err(drawing)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc("time between two moments [ms]")
+        .y_desc("dependence (as a correlation)")
+        .x_label_formatter(&|x| format!("{}", (x * 1e6).round() / 1e6))
+        .y_labels(6)
+        .label_style((FONT, 15))
+        .draw()
+        .map_err(drawing)?;
+    let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
+        row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
+    };
+    for (_, row) in others {
+        let faint = GREY.mix(0.55).stroke_width(1);
+        chart.draw_series(LineSeries::new(line(row, |d| d.fitted), faint)).map_err(drawing)?;
+    }
+    let colour = COLOURS[0];
+    let mut band = line(row, |d| d.high);
+    band.extend(line(row, |d| d.low).into_iter().rev());
+    chart.draw_series([Polygon::new(band, colour.mix(0.22))]).map_err(drawing)?;
+    let fitted = LineSeries::new(line(row, |d| d.fitted), colour.stroke_width(2));
+    chart.draw_series(fitted).map_err(drawing)?;
+    let measured = line(row, |d| d.dependence);
+    chart
+        .draw_series(measured.into_iter().map(|at| Circle::new(at, 2, colour.filled())))
+        .map_err(drawing)?;
+    mark(&mut chart, longest, row, others.len(), first, last)
+}
+
+type DependenceChart<'a, 'b> = ChartContext<
+    'a,
+    SVGBackend<'b>,
+    Cartesian2d<
+        plotters::coord::combinators::LogCoord<f64>,
+        plotters::coord::types::RangedCoordf64,
+    >,
+>;
+
+/// The threshold, T* and its upper bound, and what the lines are.
+fn mark(
+    chart: &mut DependenceChart<'_, '_>,
+    longest: &SourceDuration,
+    row: &PooledRow,
+    others: usize,
+    first: f64,
+    last: f64,
+) -> Drawn {
+    let threshold = row.threshold;
+    let across =
+        LineSeries::new([(first, threshold), (last, threshold)], COLOURS[1].stroke_width(1));
+    chart.draw_series(across).map_err(drawing)?;
+    // Upper right, where the curves have fallen; times on a log axis, as shares of it.
+    let at = |share: f64| first * (last / first).powf(share);
+    let mut put = |text: String, y: f64, colour: RGBColor| {
+        let style = (FONT, 16).into_font().color(&colour);
+        chart.draw_series([Text::new(text, (at(0.5), y), style)]).map(|_| ()).map_err(drawing)
+    };
+    put(format!("{} (Q = {})", longest.surface, longest.trials), 0.97, COLOURS[0])?;
+    match (longest.t_star_s, row.t_star_upper_s) {
+        (Some(t_star), Some(upper)) => put(
+            format!("T* = {} ms, surely by {} ms", short(1e3 * t_star), short(1e3 * upper)),
+            0.90,
+            BLACK,
+        )?,
+        _ => put("no T*".into(), 0.90, BLACK)?,
+    }
+    put(format!("small enough: {threshold}"), 0.83, COLOURS[1])?;
+    if others > 0 {
+        let name = if others == 1 { "the other surface" } else { "the other surfaces" };
+        put(name.into(), 0.76, GREY)?;
+    }
+    for (seconds, width) in [(longest.t_star_s, 2), (row.t_star_upper_s, 1)] {
+        let Some(x) = seconds.map(|s| 1e3 * s) else { continue };
+        let style = BLACK.stroke_width(width);
+        chart
+            .draw_series([PathElement::new([(x, 0.0), (x, threshold)], style)])
+            .map_err(drawing)?;
+    }
+    Ok(())
+}
+
+/// Three digits.
+fn short(ms: f64) -> String {
+    let decimals = (2 - ms.log10().floor() as i32).clamp(0, 4) as usize;
+    format!("{ms:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::duration::report::{Estimator, row_of};
+    use crate::duration::{Algorithm1Settings, PooledSettings, simulate};
+    use crate::kernel::Threshold;
+    use crate::recognise::AccuracyAt;
+
+    fn row(surface: &str, tau: f64, estimator: Estimator) -> SourceDuration {
+        let mut rng = crate::seed::rng(1, &[b"figure"]);
+        let series = simulate::trials(10, 1e4, || simulate::ar1(6000, tau, &mut rng)).unwrap();
+        row_of(surface, series, estimator)
+    }
+
+    #[test]
+    fn a_figure_of_algorithm_1_marks_t_star() {
+        let settings = Algorithm1Settings {
+            draws: 50,
+            threshold: Threshold::Gamma,
+            ..Algorithm1Settings::default()
+        };
+        let row = row("G1 <mesh>", 20.0, Estimator::Algorithm1(settings));
+        let svg = figure(std::slice::from_ref(&row), None).unwrap();
+        assert!(svg.contains("T* =") && svg.contains("&lt;mesh&gt;"), "{svg}");
+    }
+
+    #[test]
+    fn a_figure_of_pooled_has_a_panel_a_source_and_one_of_accuracy_where_it_is_known() {
+        let pooled = Estimator::Pooled(PooledSettings { dependence: 0.1 });
+        let rows = [row("felt", 5.0, pooled), row("mesh", 20.0, pooled)];
+        let svg = figure(&rows, None).unwrap();
+        assert!(svg.contains("width=\"640\"") && svg.contains("mesh"), "{svg}");
+        let points = [0.2, 0.5, 1.0]
+            .map(|scan_s| AccuracyAt {
+                scan_s,
+                accuracy: 0.9,
+                accuracy_low: 0.8,
+                accuracy_high: 0.95,
+            })
+            .to_vec();
+        let curve = AccuracyCurve { points, target: 0.99, enough_s: Some(0.5) };
+        let both = figure(&rows, Some(&curve)).unwrap();
+        assert!(both.contains("width=\"1280\"") && both.contains("drag for 0.5 s"), "{both}");
+    }
+
+    #[test]
+    fn without_a_curve_there_is_no_figure() {
+        assert!(figure(&[], None).is_err());
+    }
+}

@@ -1,0 +1,381 @@
+//! Disturbances of one trial: of its levels and drags, its sensors and clocks, noise, and pictures.
+
+use std::f64::consts::TAU;
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    ChannelSpread, Setting, analog, drag, each_picture, each_sample, each_series, many_channels,
+    replace, sensed, slow as in_time, sound, to_sample,
+};
+use crate::scene::SourceSpec;
+use crate::seed::uniform;
+use crate::trial::{Image, Series, Signal, Trial};
+
+/// Vibration grows as force to this power.
+const FORCE_POWER: f64 = 0.7;
+
+/// Every amplifier turned up by a factor.
+pub fn gain(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_sample(trial, setting, analog, |x, _, factor| factor * x);
+}
+
+/// A hand that presses harder by a factor: loads grow with it, vibrations less. Reflectance stays.
+pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, analog, |spec, series, _, factor| {
+        let gain = match spec.id.as_str() {
+            "ir" => 1.0,
+            "fr" => factor,
+            _ => factor.powf(FORCE_POWER),
+        };
+        series.view_mut().mapv_inplace(|x| to_sample(gain * f64::from(x)));
+    });
+}
+
+/// A constant, added: the level, in deviations of the channel.
+pub fn offset(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_sample(trial, setting, analog, |x, spread, level| x + level * spread.deviation);
+}
+
+/// Limits at a share of the largest magnitude about the mean.
+pub fn saturation(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_sample(trial, setting, analog, |x, spread, share| {
+        let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
+        spread.mean + (x - spread.mean).clamp(-limit, limit)
+    });
+}
+
+/// A converter of so few bits, whose full scale is the channel's largest magnitude.
+pub fn quantisation(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_sample(trial, setting, analog, |x, spread, bits| {
+        let step = 2.0 * spread.peak / bits.exp2();
+        if step > 0.0 { (x / step).round() * step } else { x }
+    });
+}
+
+/// Slips a second.
+const SLIPS_HZ: f64 = 5.0;
+/// Length of a lift-off in s.
+const LIFT_S: f64 = 0.1;
+/// Share of every signal that remains in the air.
+const IN_THE_AIR: f64 = 0.02;
+
+/// The stylus sticks and slips five times a second: every signal of the drag swells and breaks off,
+/// by the level, a share of its strength.
+pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, drag, |spec, series, _, depth| {
+        if spec.sigma.is_some() {
+            return;
+        }
+        let rate_hz = series.rate_hz();
+        for (i, mut row) in series.view_mut().rows_mut().into_iter().enumerate() {
+            let phase = (i as f64 / rate_hz * SLIPS_HZ).fract();
+            let gain = 1.0 - depth * (1.0 - phase);
+            row.mapv_inplace(|x| to_sample(gain * f64::from(x)));
+        }
+    });
+}
+
+/// The stylus leaves the surface for 100 ms at a time, for a share of the drag, in all sources at
+/// once.
+pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
+    let seconds = trial.signals.values().map(|signal| match signal {
+        crate::trial::Signal::Series(series) => series.duration_s(),
+        crate::trial::Signal::Image(_) => 0.0,
+    });
+    let pieces = (seconds.fold(0.0, f64::max) / LIFT_S).ceil() as usize;
+    let up: Vec<bool> = (0..pieces).map(|_| uniform(&mut setting.rng) < setting.level).collect();
+    each_series(trial, setting, drag, |_, series, _, _| {
+        let rate_hz = series.rate_hz();
+        for (i, mut row) in series.view_mut().rows_mut().into_iter().enumerate() {
+            let piece = (i as f64 / rate_hz / LIFT_S) as usize;
+            if up.get(piece).copied().unwrap_or(false) {
+                row.mapv_inplace(|x| to_sample(IN_THE_AIR * f64::from(x)));
+            }
+        }
+    });
+}
+
+/// A number of sensors give nothing: series of zeros, black pictures.
+pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
+    for signal in picked(trial, setting, sensed) {
+        match signal {
+            Signal::Series(series) => series.view_mut().fill(0.0),
+            Signal::Image(image) => {
+                let black = vec![0; image.rgb().len()];
+                if let Ok(black) = Image::new(Image::COLS, Image::ROWS, black) {
+                    *image = black;
+                }
+            }
+        }
+    }
+}
+
+/// A number of sensors hold the value that they began with.
+pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
+    for signal in picked(trial, setting, analog) {
+        if let Signal::Series(series) = signal {
+            let first = series.view().row(0).to_owned();
+            series.view_mut().rows_mut().into_iter().for_each(|mut row| row.assign(&first));
+        }
+    }
+}
+
+/// Channels in turn: the second is taken for the first, and so on.
+pub fn swapped(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, many_channels, |_, series, _, by| {
+        for mut row in series.view_mut().rows_mut() {
+            if let Some(row) = row.as_slice_mut() {
+                let by = by as usize % row.len();
+                row.rotate_left(by);
+            }
+        }
+    });
+}
+
+/// As many of the signals as the level says, picked at random; one at least is left alone.
+fn picked<'t>(
+    trial: &'t mut Trial,
+    setting: &mut Setting<'_>,
+    touches: fn(&SourceSpec) -> bool,
+) -> Vec<&'t mut Signal> {
+    let rng = &mut setting.rng;
+    let all = trial.signals.len();
+    let mut signals: Vec<(f64, &mut Signal)> = (trial.signals.iter_mut())
+        .filter(|(id, _)| setting.scene.get(id.as_str()).is_some_and(touches))
+        .map(|(_, signal)| (uniform(rng), signal))
+        .collect();
+    signals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    signals.truncate((setting.level as usize).min(all.saturating_sub(1)));
+    signals.into_iter().map(|(_, signal)| signal).collect()
+}
+
+/// Length of a gap in the line, in s.
+const GAP_S: f64 = 0.05;
+
+/// A share of the samples lost one by one, exactly that many; what follows moves up.
+pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, drag, |_, series, rng, share| {
+        let mut left = series.frames();
+        let mut wanted = ((1.0 - share) * left as f64).round() as usize;
+        // Selection sampling (Knuth, The Art of Computer Programming 2, 3.4.2, algorithm S).
+        let keep = |_: &&[f32]| {
+            let keep = uniform(rng) * (left as f64) < wanted as f64;
+            left -= 1;
+            wanted -= usize::from(keep);
+            keep
+        };
+        let frames = series.samples().chunks_exact(series.channels());
+        let kept = frames.filter(keep).flatten().copied().collect();
+        replace(series, kept);
+    });
+}
+
+/// A share of the time lost in pieces of 50 ms, for which the last value is held.
+pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, drag, |_, series, rng, share| {
+        let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
+        let mut samples = series.samples().to_vec();
+        for start in (piece..series.frames()).step_by(piece.max(1)) {
+            if uniform(rng) < share {
+                let end = (start + piece).min(series.frames());
+                let held = samples[(start - 1) * channels..start * channels].to_vec();
+                for frame in samples[start * channels..end * channels].chunks_exact_mut(channels) {
+                    frame.copy_from_slice(&held);
+                }
+            }
+        }
+        replace(series, samples);
+    });
+}
+
+/// A clock that is wrong by the level, in per cent: pitch and length change.
+pub fn clock(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, analog, |_, series, _, percent| {
+        stretch(series, 1.0 + percent / 100.0);
+    });
+}
+
+/// Only the first seconds of the drag.
+pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, drag, |_, series, _, seconds| {
+        let frames = (seconds * series.rate_hz()).round() as usize;
+        *series = series.crop(0, frames);
+    });
+}
+
+/// A hand that moves slower by a factor, the level, in a scan no longer than before: neighbouring samples
+/// are that much closer than T*.
+pub fn slow(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, in_time, |_, series, _, factor| {
+        let frames = series.frames();
+        *series = series.crop(0, (frames as f64 / factor).ceil() as usize);
+        stretch(series, 1.0 / factor);
+        *series = series.crop(0, frames);
+    });
+}
+
+/// Reads a series `pace` times as fast, by linear interpolation.
+pub(super) fn stretch(series: &mut Series, pace: f64) {
+    let channels = series.channels();
+    let frames = ((series.frames() as f64 / pace).floor() as usize).max(1);
+    let from = series.samples();
+    let last = series.frames() - 1;
+    let mut samples = Vec::with_capacity(frames * channels);
+    for i in 0..frames {
+        let at = (i as f64 * pace).min(last as f64);
+        let before = (at as usize).min(last);
+        let (after, part) = ((before + 1).min(last), (at - before as f64) as f32);
+        for channel in 0..channels {
+            let (a, b) = (from[before * channels + channel], from[after * channels + channel]);
+            samples.push(a + part * (b - a));
+        }
+    }
+    replace(series, samples);
+}
+
+/// Corner of red noise in Hz: above, its amplitude falls as 1/f.
+const CORNER_HZ: f64 = 50.0;
+/// Syllables a second: speech and machines come and go at this rate.
+const SYLLABLES_HZ: f64 = 4.0;
+/// Hum of the mains and its harmonics in Hz.
+const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
+/// Power of the hum in the room's.
+const HUM_SHARE: f64 = 0.2;
+
+/// White noise; the level is the ratio of the signal's deviation to the noise's, in dB.
+pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, analog, |_, series, rng, db| {
+        add(series, db, rng, |rng, frames, _| (0..frames).map(|_| normal(rng)).collect());
+    });
+}
+
+/// Noise that is strongest at low frequencies: handling, cables, drift.
+pub fn red(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, analog, |_, series, rng, db| add(series, db, rng, red_noise));
+}
+
+/// Room noise in what the microphone records: red noise that comes and goes, and hum.
+pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
+    each_series(trial, setting, sound, |_, series, rng, db| add(series, db, rng, room_noise));
+}
+
+fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
+    let keep = (-TAU * CORNER_HZ / rate_hz).exp();
+    let fresh = (1.0 - keep * keep).sqrt();
+    let mut state = normal(rng);
+    let next = |_| {
+        state = keep * state + fresh * normal(rng);
+        state
+    };
+    (0..frames).map(next).collect()
+}
+
+fn room_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
+    let mut noise = red_noise(rng, frames, rate_hz);
+    let (pace, start) = (TAU * SYLLABLES_HZ / rate_hz, TAU * uniform(rng));
+    let hum = (2.0 * HUM_SHARE / HUM_HZ.len() as f64).sqrt();
+    let phases = HUM_HZ.map(|_| TAU * uniform(rng));
+    for (i, x) in noise.iter_mut().enumerate() {
+        let at = i as f64;
+        *x *= 1.0 + 0.8 * (start + pace * at).sin();
+        for (hz, phase) in HUM_HZ.iter().zip(phases) {
+            *x += hum * (phase + TAU * hz / rate_hz * at).sin();
+        }
+    }
+    noise
+}
+
+/// Adds noise of its own to each channel, `db` below the channel's deviation.
+fn add(
+    series: &mut Series,
+    db: f64,
+    rng: &mut ChaCha8Rng,
+    make: impl Fn(&mut ChaCha8Rng, usize, f64) -> Vec<f64>,
+) {
+    for channel in 0..series.channels() {
+        let noise = make(rng, series.frames(), series.rate_hz());
+        let own = ChannelSpread::of(noise.iter().copied()).deviation;
+        let scale = ChannelSpread::of(series.channel(channel)).deviation * 10f64.powf(-db / 20.0)
+            / own.max(1e-12);
+        for (x, noise) in series.view_mut().column_mut(channel).iter_mut().zip(noise) {
+            *x = to_sample(f64::from(*x) + scale * noise);
+        }
+    }
+}
+
+/// A nearly normal number: the sum of twelve uniform ones, less six.
+fn normal(rng: &mut impl Rng) -> f64 {
+    let word = |x: u64| ((x & 0xffff) + (x >> 16 & 0xffff) + (x >> 32 & 0xffff) + (x >> 48)) as f64;
+    let sum: f64 = (0..3).map(|_| word(rng.next_u64())).sum();
+    sum / 65_535.0 - 6.0
+}
+
+/// Less light, by a factor; what is dark loses its steps.
+pub fn dark(trial: &mut Trial, setting: &mut Setting<'_>) {
+    let factor = setting.level;
+    each_picture(trial, |rgb| rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect());
+}
+
+/// Warmer light: red over blue grows by a factor.
+pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
+    let root = setting.level.sqrt();
+    let gains = [root, 1.0, 1.0 / root];
+    each_picture(trial, |rgb| {
+        let channel = |(i, &x): (usize, &u8)| (f64::from(x) * gains[i % 3]).round() as u8;
+        rgb.iter().enumerate().map(channel).collect()
+    });
+}
+
+/// Another place: the picture moves by the level, in pixels, both ways; what leaves on one side enters on the other.
+pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
+    let by = setting.level as usize;
+    each_picture(trial, |rgb| {
+        let mut moved = Vec::with_capacity(rgb.len());
+        for row in 0..Image::ROWS {
+            let from = (row + by) % Image::ROWS * Image::COLS * 3;
+            let line = &rgb[from..from + Image::COLS * 3];
+            let cut = by % Image::COLS * 3;
+            moved.extend_from_slice(&line[cut..]);
+            moved.extend_from_slice(&line[..cut]);
+        }
+        moved
+    });
+}
+
+/// Out of focus: the mean over a square that reaches the level, in pixels, to each side.
+pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
+    let radius = setting.level as usize;
+    each_picture(trial, |rgb| {
+        let across = blur_lines(rgb, Image::ROWS, Image::COLS, Image::COLS * 3, 3, radius);
+        blur_lines(&across, Image::COLS, Image::ROWS, 3, Image::COLS * 3, radius)
+    });
+}
+
+/// Means along lines: `lines` of them, `line_step` bytes apart, each of `len` pixels, `step` bytes
+/// apart.
+fn blur_lines(
+    rgb: &[u8],
+    lines: usize,
+    len: usize,
+    line_step: usize,
+    step: usize,
+    radius: usize,
+) -> Vec<u8> {
+    let mut out = vec![0; rgb.len()];
+    let mut sums = vec![0u32; len + 1];
+    for line in 0..lines {
+        for channel in 0..3 {
+            let at = |i: usize| line * line_step + i * step + channel;
+            for i in 0..len {
+                sums[i + 1] = sums[i] + u32::from(rgb[at(i)]);
+            }
+            for i in 0..len {
+                let (first, end) = (i.saturating_sub(radius), (i + radius + 1).min(len));
+                out[at(i)] = ((sums[end] - sums[first]) / (end - first) as u32) as u8;
+            }
+        }
+    }
+    out
+}
