@@ -242,7 +242,7 @@ fn garbage_costs_the_frames_it_hits_and_no_others() {
     let missing: u64 = b.runs().iter().map(|run| run.2).sum();
     assert_eq!(missing, 20 * 32, "{:?}", b.runs());
     assert!(b.runs().iter().all(|run| run.2 == 0 || run.2 == 32));
-    assert!(b.texts.iter().any(|text| text.contains("damaged frames")), "{:?}", b.texts);
+    assert!(b.texts.iter().any(|text| text.contains("frames were damaged")), "{:?}", b.texts);
 }
 
 #[test]
