@@ -42,9 +42,6 @@ pub struct SourceSays {
     pub for_winner: Option<f64>,
     /// The surface that it would name alone.
     pub alone: Option<String>,
-    /// Whether it counts: sources of which the library cannot say how far to trust them do not, where
-    /// others can.
-    pub counts: bool,
 }
 
 impl Why {
@@ -82,7 +79,6 @@ fn says(evidence: &Evidence, winner: &str, runner_up: Option<&str>) -> Vec<Sourc
     let Evidence { surfaces, sources } = evidence;
     let at = |surface: &str| surfaces.iter().position(|other| other == surface);
     let (first, second) = (at(winner), runner_up.and_then(at));
-    let any_trained = sources.iter().any(|source| source.trained);
     let of = |source: &crate::recognise::SourceEvidence| {
         let term = |index: Option<usize>| index.map(|i| source.terms[i]).filter(|t| t.is_finite());
         let finite = (0..surfaces.len()).filter(|&i| source.terms[i].is_finite());
@@ -91,7 +87,6 @@ fn says(evidence: &Evidence, winner: &str, runner_up: Option<&str>) -> Vec<Sourc
             source: source.source.clone(),
             for_winner: term(second).zip(term(first)).map(|(second, first)| second - first),
             alone: alone.map(|i| surfaces[i].clone()),
-            counts: source.trained || !any_trained,
         }
     };
     sources.iter().map(of).collect()
@@ -106,7 +101,6 @@ mod tests {
     fn sources_speak_for_the_winner_or_the_runner_up() {
         let source = |id: &str, terms: [f64; 3]| SourceEvidence {
             source: SourceId::new(id).unwrap(),
-            trained: true,
             terms: terms.into(),
         };
         let evidence = Evidence {

@@ -87,7 +87,6 @@ impl Model for ReferenceModel {
         }
         let evidence = |(spec, terms): (&&SourceSpec, Vec<f64>)| SourceEvidence {
             source: spec.id.clone(),
-            trained: true,
             terms,
         };
         let sources = query.sources.iter().zip(terms).map(evidence).collect();

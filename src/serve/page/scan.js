@@ -26,7 +26,7 @@ function says(source, most) {
   const value = source.for_winner === null ? "" : Math.abs(source.for_winner).toFixed(1);
   item.append(make("span", source.source), bar, make("b", value));
   const alone = `alone it would say ${source.alone ?? "nothing"}`;
-  item.append(make("small", source.counts ? alone : `${alone}; it does not count`));
+  item.append(make("small", alone));
   return item;
 }
 
