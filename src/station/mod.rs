@@ -9,7 +9,6 @@ mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
-mod enroll;
 mod event;
 mod followed;
 mod orders;

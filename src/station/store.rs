@@ -13,10 +13,10 @@ use crossbeam_channel::{
     Receiver, RecvTimeoutError, Sender, TryRecvError, at, bounded, never, select, unbounded,
 };
 
-use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
 use super::orders::Enrolment;
 use super::recogniser::Recogniser;
+use super::trial_need::faults;
 use crate::library::{About, LibraryError};
 use crate::record::{TrialOptions, append_trial, edit, number_by_names, utc};
 use crate::scan::Scan;
