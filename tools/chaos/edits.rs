@@ -112,7 +112,7 @@ impl Edited<'_> {
         while self.goes_on() {
             std::thread::sleep(Duration::from_millis(dice.below(300)));
             // One that could not be written is no trial.
-            let _ = self.record(dice.pick(&SURFACES));
+            let _ = self.record(dice.pick::<&str>(&SURFACES));
         }
     }
 
