@@ -13,7 +13,7 @@ use surfaced::dataset::synth;
 use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
+    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FreshFrames, TrialFrames,
     GuessSoFar, LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError,
     without_flawed,
 };
@@ -37,7 +37,7 @@ fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
     let frames = |entry: &Entry| {
         let trial = entry.load().unwrap();
-        Arc::new(FrameFeatures::new(&entry.key, &trial, &scene, &shape).unwrap())
+        Arc::new(TrialFrames::new(&entry.key, &trial, &scene, &shape, Some(1)).unwrap())
     };
     let model = embedding(&scene).train(entries.iter().map(frames).collect(), &shape).unwrap();
     (scene, Arc::new(model), users[1].clone())

@@ -11,7 +11,7 @@ use common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FrameFeatures, FreshFrames,
+    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, TrialFrames,
     LibraryShape, Method, Model, Ranking, RecogniseError,
 };
 use surfaced::scene::{Scene, SourceId};
@@ -78,7 +78,7 @@ fn a_gain_changes_nothing_where_means_are_aligned() {
 fn trained(scene: &Scene, method: &Embedding, library: &[Trial]) -> EmbeddingModel {
     let entries: Vec<Entry> = library.iter().cloned().map(Entry::in_memory).collect();
     let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
-    let framed = |t: &Trial| Arc::new(FrameFeatures::new(&t.key, t, scene, &shape).unwrap());
+    let framed = |t: &Trial| Arc::new(TrialFrames::new(&t.key, t, scene, &shape, Some(1)).unwrap());
     method.train(library.iter().map(framed).collect(), &shape).unwrap()
 }
 

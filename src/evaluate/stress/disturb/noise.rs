@@ -2,11 +2,10 @@
 
 use std::f64::consts::TAU;
 
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::setting::{ChannelSpread, Setting, analog, each_series, sound, to_sample};
-use crate::seed::uniform;
+use crate::seed::{nearly_normal, uniform};
 use crate::trial::{Series, Trial};
 
 /// Corner of red noise in Hz: above, its amplitude falls as 1/f.
@@ -21,7 +20,7 @@ const HUM_SHARE: f64 = 0.2;
 /// White noise; the level is the ratio of the signal's deviation to the noise's, in dB.
 pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| {
-        add(series, db, rng, |rng, frames, _| (0..frames).map(|_| normal(rng)).collect());
+        add(series, db, rng, |rng, frames, _| (0..frames).map(|_| f64::from(nearly_normal(rng))).collect());
     });
 }
 
@@ -38,9 +37,9 @@ pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
 fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     let keep = (-TAU * CORNER_HZ / rate_hz).exp();
     let fresh = (1.0 - keep * keep).sqrt();
-    let mut state = normal(rng);
+    let mut state = f64::from(nearly_normal(rng));
     let next = |_| {
-        state = keep * state + fresh * normal(rng);
+        state = keep * state + fresh * f64::from(nearly_normal(rng));
         state
     };
     (0..frames).map(next).collect()
@@ -77,11 +76,4 @@ fn add(
             *x = to_sample(f64::from(*x) + scale * noise);
         }
     }
-}
-
-/// A nearly normal number: the sum of twelve uniform ones, less six.
-fn normal(rng: &mut impl Rng) -> f64 {
-    let word = |x: u64| ((x & 0xffff) + (x >> 16 & 0xffff) + (x >> 32 & 0xffff) + (x >> 48)) as f64;
-    let sum: f64 = (0..3).map(|_| word(rng.next_u64())).sum();
-    sum / 65_535.0 - 6.0
 }
