@@ -2,9 +2,9 @@
 //! and come back.
 //!
 //! A removed trial lies in `LIBRARY/.removed/SURFACE/TRIAL`, whole, where no reader looks.
-//! `steps` lists the edits, so that the last can be taken back, and one that a crash cut short is
-//! finished when the library is opened next. Nothing is moved while somebody reads the library
-//! ([`LibraryLock`]).
+//! `LIBRARY/.removed/steps.jsonl` lists the edits, so that the last can be taken back, and one that a
+//! crash cut short is finished when the library is opened next. Nothing is moved while somebody reads
+//! the library ([`LibraryLock`]).
 
 mod disk;
 mod list;
