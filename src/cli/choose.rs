@@ -42,7 +42,7 @@ impl ValueEnum for ProtocolArg {
     }
 }
 
-/// What a measurement works with.
+/// The trials, sources and folds of a measurement.
 pub(super) struct Choice {
     /// The sources to compare.
     pub scene: Scene,

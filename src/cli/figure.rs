@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use super::choose::ProtocolArg;
 use super::{Done, Failure, SourceArgs, shown};
 
-/// What a figure is measured on, and where it goes.
+/// The data of a figure, and the file to write.
 #[derive(clap::Args)]
 pub struct FigureArgs {
     /// Picture to write, an SVG; the JSON, and other pictures if there are any, go beside it
@@ -37,7 +37,7 @@ impl FigureArgs {
         Ok(())
     }
 
-    /// Where the JSON goes.
+    /// The path of the JSON.
     pub fn beside(&self) -> PathBuf {
         self.out.with_extension("json")
     }
