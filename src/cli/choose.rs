@@ -11,7 +11,7 @@ use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
-/// The data that a measurement works with.
+/// The trials, sources and folds of a measurement.
 pub(super) struct Choice {
     /// The sources to compare.
     pub scene: Scene,

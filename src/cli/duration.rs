@@ -22,7 +22,7 @@ use crate::scene::SourceId;
 
 /// Find how long to drag, and T*, the minimum time between independent samples
 ///
-/// How long: the earliest time by which the library's own trials, each left out in turn, are named
+/// How long to drag: the earliest time by which the library's own trials, each left out in turn, are named
 /// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to say
 /// what the first did not.
 #[derive(clap::Args)]
@@ -114,7 +114,7 @@ impl Args {
     }
 }
 
-/// What programs get.
+/// The answer as JSON.
 #[derive(Serialize)]
 struct DurationDocument<'a> {
     #[serde(flatten)]
@@ -235,7 +235,7 @@ pub fn run(args: &Args) -> Done {
 }
 
 impl Args {
-    /// How many left-out trials are named right by when, by the sources and of the user that were
+    /// The number of left-out trials named right by each time, by the sources and of the user that were
     /// named.
     fn by_time(
         &self,

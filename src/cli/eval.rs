@@ -92,7 +92,7 @@ fn groups(text: &str) -> Result<usize, String> {
     }
 }
 
-/// What is evaluated, and what it is called.
+/// The data to evaluate, and their name.
 struct EvalData<'a> {
     name: &'a str,
     synthetic: bool,
@@ -281,7 +281,7 @@ fn enrolled(
     Ok(enrol(folds, keys, args.enrolled)?)
 }
 
-/// What went wrong, with the option that mends it.
+/// The failure, with the option that avoids it.
 fn mended(error: EvaluateError) -> Failure {
     match error {
         EvaluateError::Follow { .. } => Failure::Failed(format!("{error}; use --method embedding")),

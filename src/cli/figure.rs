@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use super::{Done, Failure, SourceArgs, shown};
 use crate::evaluate::Protocol;
 
-/// The data of a figure, and the file for it.
+/// The data of a figure, and the file to write.
 #[derive(clap::Args)]
 pub struct FigureArgs {
     /// Picture to write, an SVG; the JSON, and other pictures if there are any, go beside it
@@ -37,7 +37,7 @@ impl FigureArgs {
         Ok(())
     }
 
-    /// The file for the JSON.
+    /// The path of the JSON.
     pub fn beside(&self) -> PathBuf {
         self.out.with_extension("json")
     }

@@ -165,7 +165,7 @@ pub fn options_of(method: &MethodSpec) -> String {
     options
 }
 
-/// How to compare, or a plan that says so, for commands that name scans.
+/// The way to compare, given by options or by a plan, for commands that name scans.
 #[derive(clap::Args)]
 pub struct ComparingArgs {
     #[command(flatten)]
@@ -181,7 +181,7 @@ pub struct ComparingArgs {
 }
 
 impl ComparingArgs {
-    /// What the plan says, if there is one, or else the other arguments; says so.
+    /// Reads the plan, if one is given, and says so; otherwise takes the other arguments.
     ///
     /// # Errors
     /// Wrong usage, if the plan cannot be read.
@@ -205,7 +205,7 @@ impl ComparingArgs {
     }
 }
 
-/// How scans are compared.
+/// The way scans are compared.
 #[derive(Clone)]
 pub struct Comparing {
     /// The plan that says so, if one does.
@@ -220,7 +220,7 @@ pub struct Comparing {
 }
 
 impl Comparing {
-    /// Where prepared trials of a folder are kept, if they are.
+    /// The folder that keeps prepared trials, if they are kept.
     pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
         self.cache.then(|| folder.to_path_buf())
     }

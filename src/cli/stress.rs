@@ -113,13 +113,13 @@ fn measured(args: &Args) -> Result<StressReport, Failure> {
         let measured = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
         drop(steps);
         report.methods.push(measured);
-        // What is done stays, should a later method fail or a person lose patience.
+        // Finished work stays if a later method fails or the run is interrupted.
         keep(args, &report)?;
     }
     Ok(report)
 }
 
-/// A method with its usual settings, but for `reference` the quick way.
+/// A method with its usual settings; `reference` the quick way.
 fn quick(method: MethodName) -> MethodSpec {
     match method {
         MethodName::Reference => MethodSpec::Reference(ReferenceOptions {

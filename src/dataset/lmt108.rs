@@ -32,7 +32,7 @@ pub(super) const FOLDERS: [&str; 6] = [
 /// Rate of everything but sound.
 const TEXT_RATE_HZ: f64 = 10_000.0;
 
-/// How deep its folders go: `FricScans/FSR1/Training`, and one to spare.
+/// Depth of its folders: `FricScans/FSR1/Training`, and one to spare.
 const DEEPEST: usize = 4;
 
 /// Whether a folder with these things in it is the database's root.
@@ -235,7 +235,7 @@ fn source_files(
     })
 }
 
-/// What was found and what is missing, a line each, for people.
+/// Lists the sources found and those missing, a line each.
 fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
     let surfaces: BTreeSet<_> = entries.iter().map(|(key, _)| key.surface.as_str()).collect();
     let experts = entries.iter().filter(|(key, _)| key.user == EXPERT).count();

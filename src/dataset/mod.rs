@@ -62,7 +62,7 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     if !listed.iter().any(|item| item.name == DESCRIPTION) {
         let mut found = Vec::new();
         for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
-            // What cannot be listed here is reported where it is needed.
+            // A folder that cannot be listed is reported when it is read.
             let inner = files::list(&item.path).unwrap_or_default();
             if lmt108::is_root(&inner) || is_processed(&inner) {
                 found.push((item, inner));

@@ -12,13 +12,13 @@ use crate::library::files::{self, Listed};
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, TrialKey};
 
-/// What every header begins with.
+/// The first columns of every header.
 const NAMES: &str = "file,surface,split,trial,";
 
 /// Feature tables of some trials.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureTables {
-    /// For people.
+    /// Remarks to show.
     pub name: String,
     /// The sources: the names of the files.
     pub sources: Vec<SourceId>,

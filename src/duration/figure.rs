@@ -61,7 +61,7 @@ pub struct AccuracyCurve {
     pub points: Vec<AccuracyAt>,
     /// The share that is aimed at.
     pub target: f64,
-    /// How long to drag for it.
+    /// The scan time that reaches it.
     pub enough_s: Option<Second>,
 }
 

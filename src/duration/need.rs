@@ -9,7 +9,7 @@ pub const SAMPLES: usize = 400;
 /// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of it.
 pub const START_S: Second = 0.0115 * 4.8;
 
-/// What one source needs of a scan: samples at least T* apart.
+/// The scan that one source needs: samples at least T* apart.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ScanNeed {
     /// T*: minimum time between independent samples.
@@ -21,7 +21,7 @@ pub struct ScanNeed {
 }
 
 impl ScanNeed {
-    /// What `samples` samples with this T* need, sampled from [`START_S`] on.
+    /// The need of `samples` samples with this T*, sampled from [`START_S`] on.
     pub fn new(t_star_s: Second, samples: usize) -> Self {
         Self { t_star_s, start_s: START_S, samples }
     }
@@ -32,8 +32,8 @@ impl ScanNeed {
     }
 }
 
-/// What `samples` samples, equally far apart over a scan that is worth `effective` independent
-/// ones, are worth themselves: n·tanh(n_eff/n).
+/// The worth of `samples` samples, equally far apart over a scan that is worth `effective`
+/// independent ones: n·tanh(n_eff/n).
 ///
 /// Exact for an Ornstein–Uhlenbeck process, whose variance inflation is 2τ for all its samples and
 /// coth(Δ/2τ) for samples Δ apart: never more than n, and never more than the scan is worth.

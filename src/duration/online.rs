@@ -11,7 +11,7 @@ use crate::trial::Series;
 /// Fewest frames to say anything.
 const FEWEST_FRAMES: usize = 500;
 
-/// How the online form works.
+/// Settings of the online form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnlineSettings {
     /// Correlation of a Gaussian process whose dependence is small enough.
@@ -21,7 +21,7 @@ pub struct OnlineSettings {
     pub values: usize,
     /// A new estimate this often.
     pub every_s: Second,
-    /// How much of the past is looked at.
+    /// The part of the past that is used.
     pub window_s: Second,
 }
 
@@ -47,7 +47,7 @@ pub enum OnlineError {
     NotFinite,
 }
 
-/// What the stream shows so far.
+/// The estimate from the stream so far.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OnlineEstimate {
     /// T* in samples; none if it is too long for this recording to show, or if nothing moves.
@@ -58,7 +58,7 @@ pub struct OnlineEstimate {
     pub t_star_s: Option<Second>,
     /// Independent samples that the window is worth.
     pub effective_samples: Option<f64>,
-    /// How much was looked at.
+    /// The part of the stream that was used.
     pub window_s: Second,
 }
 

@@ -7,7 +7,7 @@ use crate::trial::Series;
 const SATURATED: f64 = 0.5;
 /// Share from which saturation is worth a remark.
 const WORTH_SAYING: f64 = 0.02;
-/// How many moments are looked at to see whether trials differ at all.
+/// The number of moments that are compared to see whether trials differ.
 const MOMENTS: usize = 2000;
 
 /// Why T* cannot be computed.
@@ -87,7 +87,7 @@ const FEWEST_POOLED: usize = 40;
 pub struct Trials {
     series: Vec<Series>,
     frames: usize,
-    /// For people: what limits the answer, a line each.
+    /// Limits of the answer, a line each.
     pub remarks: Vec<String>,
 }
 
@@ -117,7 +117,7 @@ impl Trials {
     /// Trials for `pooled`, one or more.
     ///
     /// # Errors
-    /// As [`Self::new`], but for the number of trials.
+    /// As [`Self::new`], without a check of the number of trials.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
         if series.is_empty() {
             return Err(DurationError::TooFewTrials(0));

@@ -24,7 +24,7 @@ const ENOUGH: usize = 5;
 /// Left-out trials that it takes to reject unknown surfaces at 1 % false rejections.
 const FOR_UNKNOWN: usize = 99;
 
-/// What was found in a library.
+/// The audit of a library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
     /// Trials that could be used.
@@ -38,13 +38,13 @@ pub struct CheckReport {
     pub confusion: Option<Confusion>,
     /// Trial by trial, sorted.
     pub each: Vec<TrialCheck>,
-    /// For people: what should be mended, a line each.
+    /// Things to fix, a line each.
     pub mend: Vec<String>,
-    /// For people: what to record next, and what else is worth knowing, a line each.
+    /// Things to record next, and other advice, a line each.
     pub advice: Vec<String>,
 }
 
-/// What was found of a surface.
+/// The audit of a surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SurfaceCheck {
     /// The label.
@@ -56,11 +56,11 @@ pub struct SurfaceCheck {
     /// Those that were left out, and those named right.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
-    /// What it was taken for, the most frequent first.
+    /// The surfaces it was taken for, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
 
-/// What a left-out trial was named.
+/// The answer to a left-out trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TrialVerdict {
@@ -72,13 +72,13 @@ pub enum TrialVerdict {
     Untested,
 }
 
-/// What was found of a trial.
+/// The audit of a trial.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TrialCheck {
     /// The trial.
     #[serde(flatten)]
     pub key: TrialKey,
-    /// What it was named when it was left out.
+    /// The answer when it was left out.
     pub verdict: TrialVerdict,
     /// The surface that it was named, if it was.
     pub named: Option<String>,
@@ -86,7 +86,7 @@ pub struct TrialCheck {
     pub margin: Option<f64>,
     /// It is named another surface more clearly than most trials are named theirs.
     pub mislabelled: bool,
-    /// For people: what is not perfect about its signals, a line each.
+    /// Flaws of its signals, a line each.
     pub flaws: Vec<String>,
 }
 
@@ -212,7 +212,7 @@ fn trials(
     let mut right: Vec<f64> =
         predictions.iter().filter(|p| p.is_correct()).map(|p| p.margin).collect();
     right.sort_by(f64::total_cmp);
-    // Where most are wrong, nothing is clear.
+    // If most are wrong, nothing is clear.
     let clear = match right.len() * 2 > predictions.len() {
         true => right[right.len() / 2],
         false => f64::INFINITY,
@@ -286,7 +286,7 @@ fn missing(entries: &[Entry]) -> Vec<String> {
     all.into_iter().filter_map(of).collect()
 }
 
-/// What to record next.
+/// Advice on what to record next.
 fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     let mut advice = Vec::new();
     let most = surfaces.iter().map(|surface| surface.trials).max().unwrap_or(0).min(2 * ENOUGH);
@@ -311,14 +311,13 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     }
     if keys.len() < FOR_UNKNOWN {
         let n = FOR_UNKNOWN - keys.len();
-        advice.push(format!(
-            "{n} more trials let unknown surfaces be recognised at 1 % false rejections"
-        ));
+        advice
+            .push(format!("record {n} more trials to detect unknown surfaces at 1 % false alarms"));
     }
     advice
 }
 
-/// What the signals of one trial show.
+/// The flaws of one trial's signals.
 struct Inspected {
     flaws: Vec<(SourceId, Flaw)>,
     plain: Vec<SourceId>,
@@ -390,7 +389,7 @@ mod tests {
         assert_eq!(folds.len(), MOST_FOLDS);
         let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
         left.sort_unstable();
-        assert_eq!(left, (0..26).collect::<Vec<_>>(), "each once, but for the only one of c");
+        assert_eq!(left, (0..26).collect::<Vec<_>>(), "each once, except the only one of c");
         for fold in &folds {
             for surface in ["a", "b", "c"] {
                 assert!(fold.library.iter().any(|&i| keys[i].surface == surface));

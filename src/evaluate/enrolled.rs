@@ -1,4 +1,4 @@
-//! What a new user gains by enrolling: one scan or a few of every surface, added to the library.
+//! The gain of enrolling a new user: one scan or a few of every surface, added to the library.
 
 use std::collections::BTreeMap;
 

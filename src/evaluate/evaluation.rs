@@ -24,7 +24,7 @@ use crate::trial::{Trial, TrialKey};
 /// Called after each step: what is being done, how much is done, how much there is to do.
 pub type ProgressFn<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
 
-/// What is evaluated.
+/// The trials to evaluate.
 #[derive(Clone, Copy)]
 pub enum EvaluatedTrials<'a> {
     /// Recordings.
@@ -43,7 +43,7 @@ impl<'a> EvaluatedTrials<'a> {
     }
 }
 
-/// What a method is evaluated on, and how its queries are changed. Libraries are taken as they are.
+/// The data of an evaluation, and changes to its queries. Libraries are taken as they are.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
     /// The sources that are compared.
@@ -52,13 +52,13 @@ pub struct Evaluation<'a> {
     pub trials: EvaluatedTrials<'a>,
     /// Queries and libraries.
     pub folds: &'a [Fold],
-    /// How much of each query's drag is used, in seconds; `None` for all of it.
+    /// The part of each query's drag that is used, in seconds; `None` for all of it.
     pub query_seconds: Option<f64>,
     /// Compare sources of a query whose sensor is dead or stuck, instead of leaving them out.
     pub keep_dead_sources: bool,
     /// The folder whose trials are kept prepared, if they are.
     pub cache: Option<&'a Path>,
-    /// Where progress goes.
+    /// Receives progress.
     pub progress: ProgressFn<'a>,
 }
 
@@ -114,15 +114,15 @@ pub struct Run<'a, 'm> {
 
 /// A query, ready to be compared.
 pub struct Query {
-    /// What the model compares.
+    /// The form that the model compares.
     pub prepared: Prepared,
-    /// For people: the sources that were left out, and why.
+    /// The sources that were left out, and why.
     pub left_out: Vec<String>,
     /// When its raw samples were in memory, and its preparation began.
     pub started: Instant,
 }
 
-/// For people: sources that were left out of queries and why, each with these queries.
+/// Why sources were left out of queries, each reason with its queries.
 pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
 
 /// The result of naming all queries.
@@ -137,7 +137,7 @@ pub struct Measured {
 }
 
 impl<'a> Run<'a, '_> {
-    /// What is evaluated.
+    /// The trials to evaluate.
     pub fn on(&self) -> &Evaluation<'a> {
         &self.on
     }
@@ -147,7 +147,7 @@ impl<'a> Run<'a, '_> {
         self.method
     }
 
-    /// For people: what was wrong with the cache, a line each.
+    /// Problems with the cache, a line each.
     pub fn cache_remarks(&self) -> &[String] {
         &self.library.remarks
     }

@@ -8,7 +8,7 @@ use super::EvaluateError;
 use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
-/// How queries and library are split.
+/// The way queries and library are split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// The expert's trials are the library; each other user is a fold of queries (1 vs 10).

@@ -1,6 +1,6 @@
 //! A negative control, not a method to name surfaces by: how loud a trial is, and nothing else.
 //!
-//! What it gets right, a session's gain or a hand's pressure may give away as well as a surface.
+//! A session's gain or a hand's pressure may explain its right answers as well as a surface.
 
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ impl Loudness {
     pub fn new(scene: &Scene) -> Option<Self> {
         let ids: Vec<SourceId> =
             scene.sources().filter(|s| has_spectrum(s)).map(|s| s.id.clone()).collect();
-        // The scene's own sources, so there is no error to be had.
+        // These are the scene's own sources, so this cannot fail.
         let scene = scene.clone().only(&ids).ok()?;
         (!ids.is_empty()).then_some(Self { scene })
     }

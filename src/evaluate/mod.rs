@@ -1,4 +1,4 @@
-//! How well a method names surfaces: protocols, folds, accuracies.
+//! Measures how well a method names surfaces: protocols, folds, accuracies.
 //!
 //! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
 //! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure

@@ -52,7 +52,7 @@ impl serde::Serialize for FoldAccuracy {
     }
 }
 
-/// How often each surface was taken for which.
+/// Counts of answers for each surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Confusion {
     /// The surfaces, sorted.

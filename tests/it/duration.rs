@@ -94,7 +94,7 @@ fn pooled_ends_with_what_t_star_means_for_each_source() {
     let (code, stdout, stderr) = surfaced(&args);
     assert_eq!(code, 0, "{stderr}");
     let last = stdout.lines().find(|line| line.starts_with("ir:")).unwrap();
-    assert!(last.contains("fresh evidence") && last.contains("(foam)"), "{last}");
+    assert!(last.contains("apart repeat each other") && last.contains("(foam)"), "{last}");
     assert!(last.contains("independent samples") && last.contains("400 samples"), "{last}");
 }
 

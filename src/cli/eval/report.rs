@@ -1,4 +1,4 @@
-//! What `surfaced eval` prints.
+//! The report of `surfaced eval`, as text and JSON.
 
 use crate::cli::show;
 use crate::evaluate::{
@@ -26,7 +26,7 @@ pub struct EvalReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enrolled: Option<EnrolmentOutcome>,
     pub predictions: Vec<EvalAnswer>,
-    /// For people: what was left out, and why, a line each.
+    /// Sources that were left out and the reason, a line each.
     pub warnings: Vec<String>,
 }
 
@@ -54,7 +54,7 @@ impl From<Prediction> for EvalAnswer {
 }
 
 impl EvalReport {
-    /// For people.
+    /// Prints the report as text.
     pub fn print(&self) {
         let o = &self.outcome;
         let percent = show::percent;

@@ -1,4 +1,4 @@
-//! What a file of LMT108 is, by its name and its folders.
+//! The trial and source of a file of LMT108, by its name and its folders.
 //!
 //! Some names are known, others inferred (method.md §7), so upper and lower case do not matter, and
 //! what the folders say need not be said again by the name.
@@ -38,7 +38,7 @@ enum Split {
     Testing,
 }
 
-/// What a file is; `folders` are those above it, from the database's root, in lower case, and
+/// Parses a file's name; `folders` are those above it, from the database's root, in lower case, and
 /// `stem` is its name without the extension.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! What the sensors pick up of a contact: the hand that moves the stylus, the tap, vibrations, forces
+//! The signals of a contact: the hand that moves the stylus, the tap, vibrations, forces
 //! (fr), reflectance (ir) and metal (me).
 
 use std::f64::consts::TAU;
@@ -92,7 +92,7 @@ const DRIFT_KNOTS: usize = 12;
 /// Frames over which that change is taken to be linear.
 const BLOCK: usize = 64;
 
-/// How one trial was made.
+/// The movement of one trial.
 #[derive(Debug)]
 pub(super) struct Hand {
     /// ln of the mean force

@@ -1,4 +1,4 @@
-//! How a physical value comes about: a centre, moved by the surface, by the user and by the trial.
+//! A physical value: a centre, moved by the surface, by the user and by the trial.
 //!
 //! Every quantity of the scene is a sum of independent normal effects (a random-effects model), so
 //! the whole scene is calibrated by changing numbers in `Difficulty`, and what separates surfaces
@@ -29,7 +29,7 @@ impl Effect {
     }
 }
 
-/// What is drawn for one trial. Keyed by name, so a quantity does not depend on which others exist,
+/// The draws of one trial. Keyed by name, so a quantity does not depend on which others exist,
 /// nor a trial on which others are made.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Draws<'a> {

@@ -192,13 +192,13 @@ pub struct Embedded {
     /// Four trials of each surface but one by the expert, to compare with, and a trial of every
     /// surface by each of three users, to be named.
     pub library: Library,
-    /// For people: what is hard about it, a line each.
+    /// What makes it hard, a line each, to be shown.
     pub remarks: Vec<String>,
 }
 
 /// The scene that is played where no data are given.
 ///
-/// A dozen surfaces that are easy to distinguish, but for three things that stations meet: two of
+/// A dozen surfaces that are easy to distinguish, except for three things that stations meet: two of
 /// them are almost alike, the library lacks a thirteenth, and a sensor is dead in one scan.
 pub fn embedded() -> Embedded {
     let size = Parameters { surfaces: SURFACES, trials: 4, users: 3, ..Parameters::default() };

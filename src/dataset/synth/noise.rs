@@ -101,7 +101,7 @@ pub(super) fn correlated(rng: &mut impl Rng, frames: usize, time_frames: f64) ->
     noise
 }
 
-/// What a 16-bit converter makes of a value: 1 is its full scale.
+/// Rounds a value as a 16-bit converter does: 1 is its full scale.
 pub(super) fn quantised(x: f32) -> f32 {
     // Between 256 and 512 an f32 has steps of 2^-15, so this sum rounds to 16 bits.
     ((x.clamp(-1.0, 1.0 - 1.0 / 32_768.0)) + 384.0) - 384.0

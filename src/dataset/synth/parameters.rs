@@ -5,7 +5,7 @@
 
 use super::effect::Effect;
 
-/// What to generate.
+/// The scene to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// number of surfaces; surface k is the same however many there are

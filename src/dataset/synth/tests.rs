@@ -1,4 +1,4 @@
-//! What any scene promises.
+//! Properties of every scene.
 
 use rayon::prelude::*;
 

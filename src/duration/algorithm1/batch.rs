@@ -39,7 +39,7 @@ pub struct Batch {
     top: Vec<F64Lanes>,
 }
 
-/// What eight tests gave.
+/// The results of eight tests.
 #[derive(Clone, Copy, Debug)]
 pub struct Tests {
     /// HSIC_b.
@@ -49,7 +49,7 @@ pub struct Tests {
 }
 
 impl Batch {
-    /// How many tests there are.
+    /// The number of tests.
     pub const TESTS: usize = LANES;
 
     /// Room for tests of `n` pairs of samples with `channels` channels at level `alpha`.

@@ -26,7 +26,7 @@ mod search;
 
 pub use search::{Search, t_star};
 
-/// What the upper bound CB+ of HSIC is.
+/// The upper bound CB+ of HSIC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {
@@ -49,7 +49,7 @@ impl std::fmt::Display for Rule {
 /// Parameters of Algorithm 1. The defaults are the paper's, with the authors' program's rule.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Algorithm1Settings {
-    /// What CB+ is.
+    /// The upper bound CB+.
     pub rule: Rule,
     /// R: how often a start t₁ is drawn for each lag.
     pub draws: usize,
@@ -57,7 +57,7 @@ pub struct Algorithm1Settings {
     pub latest_start: usize,
     /// Significance level α.
     pub alpha: f64,
-    /// How κ is found.
+    /// The way to find κ.
     pub threshold: Threshold,
     /// Largest lag t that is looked at, in samples.
     pub largest_lag: usize,
@@ -86,7 +86,7 @@ impl Default for Algorithm1Settings {
     }
 }
 
-/// What was found at one lag, over all R draws.
+/// The result at one lag, over all R draws.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct CurvePoint {
     /// Lag t in samples.
@@ -118,7 +118,7 @@ impl CurvePoint {
     }
 }
 
-/// What came of the search.
+/// The result of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(tag = "outcome", rename_all = "kebab-case")]
 pub enum SearchOutcome {
@@ -145,10 +145,10 @@ pub enum SearchOutcome {
 /// T* of one surface and source, with the curve that it was read from.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Estimate {
-    /// What came of the search.
+    /// The result of the search.
     #[serde(flatten)]
     pub outcome: SearchOutcome,
-    /// What CB+ was.
+    /// The upper bound CB+.
     pub rule: Rule,
     /// Q, the number of trials: say it wherever T* is said.
     pub trials: usize,

@@ -58,7 +58,7 @@ struct Block<'a> {
     lag: usize,
     /// Of its trial.
     starts: Range<usize>,
-    /// Where the mean of f(s)·f(s + lag)ᵀ goes; zeros before.
+    /// Receives the mean of f(s)·f(s + lag)ᵀ; zeros before.
     mean: &'a mut [f64],
 }
 
@@ -253,7 +253,7 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     (total(&first) + total(&second)) + (total(&third) + total(&fourth)) + rest
 }
 
-/// How many values a sum goes over, at least one.
+/// The number of values in a sum, at least one.
 #[derive(Clone, Copy)]
 pub(super) struct Length {
     /// Whole registers before the last one.

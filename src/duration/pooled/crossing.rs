@@ -1,4 +1,4 @@
-//! Where the dependence falls below the threshold for good, and by when it surely has.
+//! The lag at which the dependence falls below the threshold for good, and an upper bound of it.
 
 use super::size::Size;
 
@@ -21,7 +21,7 @@ pub struct Curve {
     pub fitted: Vec<f64>,
 }
 
-/// Where a curve falls below a threshold.
+/// The lag at which a curve falls below a threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
     /// The estimate, in frames; none if it stays above.
@@ -49,7 +49,7 @@ impl Curve {
         self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
     }
 
-    /// How many times the data must be for the upper bound of no dependence at the longer half of
+    /// The factor by which the data must grow for the upper bound of no dependence at the longer half of
     /// the lags to be half of the threshold.
     pub fn lacking(&self, threshold: f64) -> f64 {
         let bins = self.lags.len() / 2..self.lags.len();
@@ -65,7 +65,7 @@ impl Curve {
         UPPER * (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
     }
 
-    /// Where the fit and its upper bound cross a threshold of the size.
+    /// The lags at which the fit and its upper bound cross a threshold of the size.
     pub fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();
         let fit = |bin: usize| self.fitted[bin].max(0.0).sqrt();

@@ -4,7 +4,7 @@ use super::features::Samples;
 use super::{Pooled, PooledAnswer, pooled};
 use crate::trial::Series;
 
-/// How large a dependence still counts: that of a Gaussian process with this correlation.
+/// The smallest dependence that counts: that of a Gaussian process with this correlation.
 pub const CORRELATION: f64 = 0.1;
 /// Values of a channel that are looked at, over all trials: 10 trials of 4.8 s at 10 kHz.
 pub const VALUES: usize = 500_000;
@@ -28,7 +28,7 @@ pub struct PooledDependence {
     pub high: f64,
 }
 
-/// What `pooled` found, in samples of the source.
+/// The result of `pooled`, in samples of the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PooledEstimate {
     /// T*, or why there is none, in samples.

@@ -18,7 +18,7 @@ pub struct Lag {
     pub frames: usize,
     /// Distance of one start to the next, a power of two.
     pub stride: usize,
-    /// How many lags it stands for: half of the way to its neighbours.
+    /// The number of lags it stands for: half of the way to its neighbours.
     pub weight: f64,
 }
 

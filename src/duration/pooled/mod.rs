@@ -29,10 +29,10 @@ use lags::{Lags, lags};
 
 /// The answer must be shorter than the longest lag by this factor, or what lies beyond is not seen.
 const BEYOND: f64 = 1.5;
-/// How often the correction for the trials' means is made: it needs T*, and T* needs it.
+/// Repetitions of the correction for the trials' means: it needs T*, and T* needs it.
 const CORRECTIONS: usize = 3;
 
-/// What came of it, in frames.
+/// The result, in frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PooledAnswer {
     /// T* and its upper bound.
@@ -69,7 +69,7 @@ pub struct DependencePoint {
     pub high: f64,
 }
 
-/// What `pooled` found.
+/// The result of `pooled`.
 #[derive(Clone, Debug)]
 pub struct Pooled {
     /// T*, or why there is none.

@@ -1,4 +1,4 @@
-//! How large the dependence is at a lag: the Hilbert–Schmidt norm of the cross-covariance, squared
+//! The size of the dependence at a lag: the Hilbert–Schmidt norm of the cross-covariance, squared
 //! (HSIC of a kernel of finite rank), without the bias that squaring noise gives.
 
 use std::ops::Range;

@@ -14,7 +14,7 @@ use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
 use crate::trial::{Series, Signal};
 pub use rows::{ByRule, Estimator, PooledRow, PooledSettings, SceneDuration, SourceDuration};
 
-/// What of a library T* is computed for, and how.
+/// The part of a library that T* is computed for, and the way.
 #[derive(Clone, Debug)]
 pub struct Question {
     /// Sources. If none is named: by `pooled` all that are recorded while dragging, by Algorithm 1
@@ -30,7 +30,7 @@ pub struct Question {
     pub as_time: bool,
     /// n, the samples that a scan must yield.
     pub samples: usize,
-    /// How T* is computed.
+    /// The way T* is computed.
     pub estimator: Estimator,
 }
 
@@ -58,7 +58,7 @@ pub struct DurationReport {
     pub samples: usize,
     /// Start t₀ of the sampling.
     pub start_s: Second,
-    /// How T* was computed.
+    /// The way T* was computed.
     pub settings: Estimator,
     /// For each surface and source.
     pub durations: Vec<SourceDuration>,

@@ -6,7 +6,7 @@ use crate::duration::pooled::{PooledAnswer, PooledDependence, PooledEstimate};
 use crate::duration::trials::Trials;
 use crate::scene::SourceId;
 
-/// How T* is computed.
+/// The way T* is computed.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 pub enum Estimator {
@@ -37,27 +37,27 @@ pub struct SourceDuration {
     pub t_star_samples: Option<usize>,
     /// T* in seconds.
     pub t_star_s: Option<Second>,
-    /// What a scan must last for n samples that are T* apart, by the upper bound of T* where there
+    /// The length of a scan that holds n samples that are T* apart, by the upper bound of T* where there
     /// is one.
     pub scan_s: Option<Second>,
     /// Why there is no T*.
     pub reason: Option<String>,
-    /// What limits the answer.
+    /// The limit of the answer.
     pub remarks: Vec<String>,
     /// Samples a second.
     pub rate_hz: Option<f64>,
-    /// What this rule alone gives.
+    /// Results of this rule alone.
     #[serde(flatten)]
     pub by_rule: ByRule,
 }
 
-/// What one of the rules gives beside T*.
+/// Results of a rule beside T*.
 #[derive(Clone, Debug, serde::Serialize)]
 #[serde(untagged)]
 pub enum ByRule {
     /// Algorithm 1.
     Algorithm1 {
-        /// What CB+ was.
+        /// The upper bound CB+.
         rule: Rule,
         /// The latest start t₁,max that was used, in samples.
         latest_start: Option<usize>,
@@ -68,7 +68,7 @@ pub enum ByRule {
     Pooled(PooledRow),
 }
 
-/// What `pooled` gives beside T*.
+/// Results of `pooled` beside T*.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 #[serde(tag = "rule", rename = "pooled")]
 pub struct PooledRow {
@@ -80,7 +80,7 @@ pub struct PooledRow {
     pub trial_s: Option<Second>,
     /// Independent samples that a trial of that length is worth.
     pub effective_samples: Option<f64>,
-    /// What the n samples of a method that compares n are worth, drawn from such a trial.
+    /// The worth of n samples drawn from such a trial, for a method that compares n.
     pub effective_of_n: Option<f64>,
     /// Share of the variance that differs between trials for good.
     pub lasting_share: Option<f64>,
@@ -92,7 +92,7 @@ pub struct PooledRow {
     pub dependence: Vec<PooledDependence>,
 }
 
-/// What one source needs of a scan, over all surfaces.
+/// The scan that one source needs, over all surfaces.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct SceneDuration {
     /// The source.
@@ -117,7 +117,7 @@ impl SourceDuration {
         }
     }
 
-    /// What Algorithm 1 found.
+    /// The result of Algorithm 1.
     pub(super) fn set_algorithm1(&mut self, estimate: Estimate, samples: usize) {
         self.t_star_samples = estimate.t_star();
         self.t_star_s = estimate.t_star_s();
@@ -131,7 +131,7 @@ impl SourceDuration {
         };
     }
 
-    /// What `pooled` found in `trials`, for a method that compares n samples.
+    /// The result of `pooled` on `trials`, for a method that compares n samples.
     pub(super) fn set_pooled(&mut self, estimate: PooledEstimate, trials: &Trials, n: usize) {
         let rate_hz = trials.rate_hz();
         let seconds = |samples: usize| samples as f64 / rate_hz;

@@ -37,9 +37,8 @@ impl DurationReport {
         table(&head, &self.durations.iter().map(row).collect::<Vec<_>>())
     }
 
-    /// What T* by `pooled` means for people, a line for each source: how far apart two moments must
-    /// lie, and how many of them a scan of `scan_s` seconds and a whole trial hold. The published
-    /// rules say nothing of it.
+    /// T* by `pooled` in words, a line for each source: how far apart two moments must lie, and how
+    /// many of them a scan of `scan_s` seconds and a whole trial hold. Nothing for the published rules.
     pub(crate) fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
@@ -64,17 +63,15 @@ impl DurationReport {
         let mut text = match spacings[..] {
             [] => format!("{source}: no surface has a T*"),
             [first, .., last] if ms(first) != ms(last) => format!(
-                "{source}: two moments of a drag are fresh evidence when {} ms ({}) to {} ms ({}) \
-                 lie between them",
+                "{source}: samples less than {} ms ({}) to {} ms ({}) apart repeat each other",
                 ms(first),
                 named(rows(), first),
                 ms(last),
                 named(rows(), last)
             ),
-            [first, ..] => format!(
-                "{source}: two moments of a drag are fresh evidence when {} ms lie between them",
-                ms(first)
-            ),
+            [first, ..] => {
+                format!("{source}: samples less than {} ms apart repeat each other", ms(first))
+            }
         };
         let fewest = rows()
             .filter_map(|(_, row)| Some((row.effective_samples?, row)))

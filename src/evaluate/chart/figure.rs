@@ -236,7 +236,7 @@ fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// Where a value lies in an area.
+/// The place of a value in an area.
 fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,

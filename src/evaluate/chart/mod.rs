@@ -24,12 +24,12 @@ use crate::library::Entry;
 use crate::recognise::{Method, RecogniseError};
 use crate::scene::{Scene, SourceId};
 
-/// What a chart is measured on.
+/// The data of a chart.
 #[derive(Clone, Copy)]
 pub struct Charting<'a> {
     /// The trials.
     pub entries: &'a [Entry],
-    /// How they are split.
+    /// The protocol that splits them.
     pub protocol: Protocol,
     /// Queries and libraries.
     pub folds: &'a [Fold],

@@ -13,7 +13,7 @@ pub struct ChartPoint {
     pub setting: String,
     /// Sources that were compared.
     pub sources: Vec<String>,
-    /// How much of each query's drag was used, in seconds; none for all of it.
+    /// The part of each query's drag that was used, in seconds; none for all of it.
     pub query_seconds: Option<f64>,
     /// Share of queries named right.
     pub accuracy: f64,
@@ -103,11 +103,11 @@ pub(super) fn front<'a>(
 /// A whole chart, as JSON holds it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Chart {
-    /// What was measured on.
+    /// The name of the data.
     pub data: String,
     /// Made by a generator, not recorded.
     pub synthetic: bool,
-    /// How queries and library were split.
+    /// The protocol that split queries and library.
     pub protocol: String,
     /// Sources that a method is given, unless its point says otherwise.
     pub sources: Vec<String>,
@@ -150,7 +150,7 @@ impl Chart {
         self.points.iter().any(|point| !point.users.is_empty())
     }
 
-    /// What the bars of its points are.
+    /// The kind of interval that its bars show.
     pub(super) fn bars(&self) -> &'static str {
         if self.points.iter().any(|point| is_over_users(&point.users)) {
             "95 % interval over users"

@@ -1,4 +1,4 @@
-//! What a chart measures: settings of methods, subsets of the sources, negative controls.
+//! The measurements of a chart: settings of methods, subsets of the sources, negative controls.
 
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
@@ -39,18 +39,18 @@ fn on_subsets() -> MethodSpec {
     MethodName::Embedding.into()
 }
 
-/// What is measured in one run.
+/// One run of a chart.
 #[derive(Clone, Debug)]
 pub struct Charted {
-    /// What compares the trials.
+    /// The method or control.
     pub what: Comparer,
     /// The sources.
     pub scene: Scene,
-    /// How much of each query's drag is used, in seconds; `None` for all of it.
+    /// The part of each query's drag that is used, in seconds; `None` for all of it.
     pub seconds: Vec<Option<f64>>,
 }
 
-/// What compares trials.
+/// A method or a control.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Comparer {
     /// A method that a person may choose.
@@ -94,7 +94,7 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     all
 }
 
-/// What a room and a session give away: the lowest band of spectra that reach far beyond it, and
+/// Controls for what a room and a session give away: the lowest band of spectra that reach far beyond it, and
 /// loudness.
 fn controls(scene: &Scene) -> Vec<Charted> {
     let named =

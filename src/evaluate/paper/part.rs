@@ -78,7 +78,7 @@ pub struct PaperPart {
     pub data: String,
     /// Made by a generator.
     pub synthetic: bool,
-    /// What was set, for people and for comparison.
+    /// The settings, to show and to compare.
     pub settings: String,
     /// Which queries.
     pub shard: Shard,

@@ -10,11 +10,11 @@ use crate::trial::TrialKey;
 /// printed.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ReportRow {
-    /// Where the paper has it; `beside` where it has not.
+    /// The table of the paper; `beside` if it has none.
     pub place: &'static str,
     /// What it is.
     pub name: String,
-    /// How queries and library are split.
+    /// The way queries and library are split.
     pub protocol: &'static str,
     /// Sources that were compared.
     pub sources: Vec<&'static str>,

@@ -23,7 +23,7 @@ pub struct Row {
     pub place: &'static str,
     /// What it is; unique together with the protocol and the place.
     pub name: String,
-    /// How queries and library are split.
+    /// The way queries and library are split.
     pub protocol: Protocol,
     /// Weights and streams.
     pub terms: Vec<(f64, SampledSource)>,

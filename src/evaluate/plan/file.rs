@@ -52,7 +52,7 @@ pub struct Expected {
     pub queries: usize,
     /// Number of surfaces.
     pub surfaces: usize,
-    /// How queries and library were split.
+    /// The protocol that split queries and library.
     pub protocol: String,
     /// From raw samples to the answer, in milliseconds: the median on the machine that planned.
     pub latency_ms: f64,

@@ -17,7 +17,7 @@ use crate::trial::TrialKey;
 pub struct PlanOptions {
     /// The accuracy to reach, a fraction.
     pub target: f64,
-    /// How queries and library are split.
+    /// The way queries and library are split.
     pub protocol: Protocol,
 }
 

@@ -4,8 +4,7 @@
 //! disturb (Trial ─► Trial, seeded) ─► run (method × disturbance × level) ─► report ─► figure
 //! ```
 //!
-//! Queries are disturbed and the library stays clean, but for the disturbances that are named for
-//! the library. At every level there is
+//! Queries are disturbed and the library stays clean, except for the disturbances of the library. At every level there is
 //! - the accuracy,
 //! - how many queries of surfaces that the library lacks would be rejected, if what is less sure
 //!   than all but one in twenty of the undisturbed answers is rejected; every fourth surface is

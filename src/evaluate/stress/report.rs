@@ -86,11 +86,11 @@ impl MethodReport {
 /// What `surfaced stress` writes as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StressReport {
-    /// What was measured on.
+    /// The name of the data.
     pub data: String,
     /// Made by a generator, not recorded.
     pub synthetic: bool,
-    /// How queries and library were split.
+    /// The protocol that split queries and library.
     pub protocol: String,
     /// The sources.
     pub sources: Vec<String>,
