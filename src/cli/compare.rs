@@ -132,7 +132,7 @@ fn show(report: &CompareReport, alpha: f64) {
     result!("{}", table(&head, &sources.collect::<Vec<_>>()));
     result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
     show::next(
-        "surfaced eval my-library says how well the surfaces of a library are distinguished",
+        "surfaced eval my-library measures how well the surfaces of a library are told apart",
     );
 }
 
@@ -223,7 +223,7 @@ pub fn dependence(args: &DependenceArgs) -> Done {
     let verdict = if result.hsic > result.kappa {
         "they depend on each other"
     } else {
-        "no dependence seen, which is not a proof of independence"
+        "no dependence was found; this does not prove independence"
     };
     result!("at level {}: {verdict}", args.alpha);
     show::next("surfaced duration my-library says how far apart samples of a recording must lie");

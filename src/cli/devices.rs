@@ -1,9 +1,9 @@
-//! `surfaced devices`: what is plugged in, by names that stay, and what is wrong with each.
+//! `surfaced devices`: lists devices with permanent names, and the problems of each.
 
 use super::{Done, Failure, show};
 use crate::device::list::{self, ListedDevice};
 
-/// List serial ports, microphones and cameras with stable ids, and what is wrong with each
+/// List serial ports, microphones and cameras with stable ids, and the problems of each
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second"

@@ -142,8 +142,8 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
         false => " (for sound and pictures, build with `--features live`)",
     };
     format!(
-        "{}: it has {}, but the devices of this station give {}, so no scan can ever be named; \
-         record a library with these devices (`surfaced enroll LABEL`), or configure those that it \
+        "{}: it has {}, but the devices of this station give {}, so no scan can be named; record \
+         a library with these devices (`surfaced enroll LABEL`), or configure the devices that it \
          was recorded with{live}",
         path.display(),
         list(library.iter().collect()),
@@ -346,7 +346,7 @@ impl Listener for Supervisor {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
-                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until it is ended; an answer comes some 10 ms after its scan")]
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,

@@ -13,7 +13,6 @@ mod check;
 mod choose;
 mod common;
 mod compare;
-mod completion;
 mod devices;
 mod duration;
 mod enroll;
@@ -79,7 +78,7 @@ enum CliCommand {
     Devices(devices::Args),
     Export(export::ExportArgs),
     Import(export::ImportArgs),
-    Completion(completion::Args),
+    Completion(CompletionArgs),
 }
 
 /// The exit code of [`Failure::Damaged`].
@@ -107,7 +106,7 @@ pub fn run() -> ExitCode {
         CliCommand::Devices(args) => devices::run(&args),
         CliCommand::Export(args) => export::export(&args),
         CliCommand::Import(args) => export::import(&args),
-        CliCommand::Completion(args) => completion::run(&args, Cli::command()),
+        CliCommand::Completion(args) => completion(&args, Cli::command()),
     };
     let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -117,6 +116,27 @@ pub fn run() -> ExitCode {
     };
     say!("{}{}{message}", say::priority(level), say::word(level));
     ExitCode::from(code)
+}
+
+/// Print what a shell needs to complete commands and options
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced completion bash > surfaced.bash\n  \
+                        surfaced completion zsh > _surfaced\n  \
+                        surfaced completion fish > surfaced.fish\n\n\
+                        For all users: bash, /usr/share/bash-completion/completions/surfaced; zsh, \
+                        /usr/share/zsh/vendor-completions/_surfaced; fish, \
+                        /usr/share/fish/vendor_completions.d/surfaced.fish.\n\nTime: immediate")]
+struct CompletionArgs {
+    /// The shell
+    #[arg(value_enum)]
+    shell: clap_complete::Shell,
+}
+
+fn completion(args: &CompletionArgs, mut program: clap::Command) -> Done {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);
+    // A reader that has gone away wants no more.
+    Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
 }
 
 #[cfg(test)]
