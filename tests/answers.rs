@@ -13,8 +13,8 @@ use surfaced::dataset::synth;
 use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FreshFrames, TrialFrames,
-    GuessSoFar, LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError,
+    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FreshFrames, GuessSoFar,
+    LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError, TrialFrames,
     without_flawed,
 };
 use surfaced::scene::{Phase, Scene};

@@ -11,8 +11,8 @@ use common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, TrialFrames,
-    LibraryShape, Method, Model, Ranking, RecogniseError,
+    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, LibraryShape, Method,
+    Model, Ranking, RecogniseError, TrialFrames,
 };
 use surfaced::scene::{Scene, SourceId};
 use surfaced::seed;

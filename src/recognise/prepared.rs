@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::error::RecogniseError;
 use super::embedding::TrialFrames;
+use super::error::RecogniseError;
 use super::features::FeatureVector;
 use super::reference::prepared_trial::PreparedTrial;
 use super::reference::storage::{decode, encode};
@@ -56,10 +56,7 @@ impl Prepared {
     ///
     /// # Errors
     /// If these are not what `method` works with.
-    pub(crate) fn frames(
-        &self,
-        method: &'static str,
-    ) -> Result<&Arc<TrialFrames>, RecogniseError> {
+    pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>, RecogniseError> {
         match self {
             Self::Frames(trial) => Ok(trial),
             other => Err(other.is_not_for(method)),

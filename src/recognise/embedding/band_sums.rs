@@ -113,8 +113,10 @@ impl Counts {
         let power: Vec<f64> = self.levels().map(f64::exp).collect();
         let of_channel = |counts: &[f32]| {
             let bands = counts.chunks_exact(self.bins.max(1));
-            let sum: f64 =
-                bands.flat_map(|band| band.iter().zip(&power)).map(|(n, p)| f64::from(*n) * p).sum();
+            let sum: f64 = bands
+                .flat_map(|band| band.iter().zip(&power))
+                .map(|(n, p)| f64::from(*n) * p)
+                .sum();
             (sum / (self.frames.max(1) * self.bands()) as f64).max(f64::MIN_POSITIVE).ln()
         };
         let per_channel = (self.bands() * self.bins).max(1);
@@ -243,9 +245,8 @@ fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> Band
     }
     let n = frames.max(1) as f64;
     let mean = |(sum, _): &(f64, f64)| (sum / n) as f32;
-    let deviation = |(sum, square): &(f64, f64)| {
-        (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32
-    };
+    let deviation =
+        |(sum, square): &(f64, f64)| (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
     let deviations: Vec<f32> = total.iter().map(deviation).collect();
     BandScale::new(total.iter().map(mean).collect(), &deviations)
 }

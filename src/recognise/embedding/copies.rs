@@ -102,7 +102,8 @@ fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
         let before = (at as usize).min(last);
         let (after, part) = ((before + 1).min(last), (at - before as f64) as f32);
         for channel in 0..channels {
-            let (a, b) = (samples[before * channels + channel], samples[after * channels + channel]);
+            let (a, b) =
+                (samples[before * channels + channel], samples[after * channels + channel]);
             twin.push(a + part * (b - a) + noise[channel] * seed::nearly_normal(rng));
         }
     }
@@ -138,7 +139,10 @@ mod tests {
         assert_eq!(copies(&key(1), 1), copies(&key(1), 1));
         assert_ne!(copies(&key(1), 1), copies(&key(2), 1));
         assert_ne!(copies(&key(1), 1), copies(&key(1), 2));
-        assert_eq!(copies(&key(1), 1).map(|copy| copy.place.is_none()), [false, false, false, true]);
+        assert_eq!(
+            copies(&key(1), 1).map(|copy| copy.place.is_none()),
+            [false, false, false, true]
+        );
         let of = |source| samples(&copies(&key(1), 1)[EXCERPTS], (&key(1), 1, source), 1, &wave());
         assert_eq!(of("ac"), of("ac"));
         assert_ne!(of("ac"), of("fr"));

@@ -292,7 +292,8 @@ impl<'a> Metric<'a> {
 
     fn all(&self) -> Option<Discriminant> {
         let classes = self.vectors.classes;
-        let present: Vec<bool> = self.residuals.counts[..classes].iter().map(|n| *n > 0.5).collect();
+        let present: Vec<bool> =
+            self.residuals.counts[..classes].iter().map(|n| *n > 0.5).collect();
         let centre = self.centre(&present);
         let white = self.white(&centre, &present);
         Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)

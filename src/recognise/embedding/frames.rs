@@ -151,9 +151,8 @@ pub struct Piece {
 
 impl Piece {
     fn new(views: &SourceViews, samples: &[f32]) -> Self {
-        let frames = |view: &FrameView| {
-            PackedFrames::new(&ViewFrames::new(view.clone(), samples).values)
-        };
+        let frames =
+            |view: &FrameView| PackedFrames::new(&ViewFrames::new(view.clone(), samples).values);
         Self {
             frames: views.0.each_ref().map(frames),
             moments: Moments::new(views.0[0].channels, views.block(), samples),
@@ -319,7 +318,9 @@ impl TrialFrames {
     pub fn framing_key(scene: &Scene, shape: &LibraryShape, seed: u64) -> u64 {
         let views = scene.sources().map(|spec| {
             let of_shape = |s: crate::recognise::shape::SourceShape| (s.rate_hz, s.median_frames);
-            shape.get(&spec.id).map(|s| (&spec.id, spec.phase, SourceViews::new(spec, of_shape(s), shape)))
+            shape
+                .get(&spec.id)
+                .map(|s| (&spec.id, spec.phase, SourceViews::new(spec, of_shape(s), shape)))
         });
         let views: Vec<_> = views.collect();
         crate::seed::stable_hash(&[format!("{views:?}").as_bytes(), &seed.to_le_bytes()])

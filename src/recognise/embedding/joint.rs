@@ -57,9 +57,8 @@ impl SourceEmbedder {
                 embedder.embed(piece, series.rate_hz(), ln_gain)
             }
             (Self::Picture(embedder), SourceFrames::Picture(tiles)) => {
-                let copied = |(_, copy): (usize, &Copy)| {
-                    (Part::Quarter(copy.quarter), copy.picture_ln_gain)
-                };
+                let copied =
+                    |(_, copy): (usize, &Copy)| (Part::Quarter(copy.quarter), copy.picture_ln_gain);
                 let (part, ln_gain) = copy.map_or((Part::Whole, 0.0), copied);
                 embedder.vector(tiles, part, ln_gain)
             }

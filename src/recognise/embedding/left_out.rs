@@ -93,9 +93,9 @@ impl Trained {
             })
             .collect();
         let excerpts = |of_each: usize| {
-            let all = full.iter().flat_map(|&i| {
-                training.excerpts(i).into_iter().map(move |vector| (i, vector))
-            });
+            let all = full
+                .iter()
+                .flat_map(|&i| training.excerpts(i).into_iter().map(move |vector| (i, vector)));
             let scans = all.filter_map(|(i, vector)| strange(i, vector[..].into()));
             Calibration::new(excerpt_s, of_each, scans)
         };
@@ -203,7 +203,12 @@ impl LeftOut {
     }
 
     /// The discriminant that a trial did not train, if its class is known without it.
-    pub fn without(&self, labels: &Labels, present: &Present, trial: usize) -> Option<&Discriminant> {
+    pub fn without(
+        &self,
+        labels: &Labels,
+        present: &Present,
+        trial: usize,
+    ) -> Option<&Discriminant> {
         let without = self.trained.get(present)?.without.get(labels.group[trial])?.as_ref();
         without.filter(|without| without.knows(labels.class[trial]))
     }

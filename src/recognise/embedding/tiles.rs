@@ -186,7 +186,8 @@ impl PixelSums {
         sums.pixels = (rows.len() * columns.len()) as f64;
         let length = columns.len() - REACH;
         for r in (rows.start..rows.end - REACH).step_by(ROW_STEP) {
-            let of = |(dr, dc)| (0..CHANNELS).map(move |c| row(r + dr, columns.start + dc, c, length));
+            let of =
+                |(dr, dc)| (0..CHANNELS).map(move |c| row(r + dr, columns.start + dc, c, length));
             let stacked: Vec<&[f32]> = DISPLACED.into_iter().flat_map(of).collect();
             add_products(&stacked, &mut sums.sums, &mut sums.products);
             sums.stacks += length as f64;
@@ -368,9 +369,8 @@ fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
     for two in tiles.chunks(2) {
         pair.fill(Complex::default());
         for (i, &(column, channel)) in two.iter().enumerate() {
-            let line = |y: usize| {
-                &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE]
-            };
+            let line =
+                |y: usize| &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE];
             let sum: f32 = (0..SIDE).map(|y| line(y).iter().sum::<f32>()).sum();
             let mean = sum / (SIDE * SIDE) as f32;
             for (y, out) in pair.chunks_exact_mut(SIDE).enumerate() {
@@ -419,14 +419,12 @@ mod tests {
     #[test]
     fn a_pair_of_tiles_has_the_powers_of_each_alone() {
         let rings = rings();
-        let tile = |k: usize| {
-            move |i: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0
-        };
+        let tile =
+            |k: usize| move |i: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0;
         let (a, b) = (tile(1), tile(2));
         let mut scratch = vec![Complex::default(); rings.plan.get_inplace_scratch_len()];
         let mut of = |re: &dyn Fn(usize) -> f32, im: &dyn Fn(usize) -> f32| {
-            let mut pair: Vec<_> =
-                (0..SIDE * SIDE).map(|i| Complex::new(re(i), im(i))).collect();
+            let mut pair: Vec<_> = (0..SIDE * SIDE).map(|i| Complex::new(re(i), im(i))).collect();
             rings.transform(&mut pair, &mut scratch)
         };
         let both = of(&a, &b);
@@ -447,8 +445,7 @@ mod tests {
         };
         let n = (rows.len() * columns.len()) as f64;
         let mean = pixels().map(brightness).sum::<f64>() / n;
-        let deviation =
-            (pixels().map(|p| (brightness(p) - mean).powi(2)).sum::<f64>() / n).sqrt();
+        let deviation = (pixels().map(|p| (brightness(p) - mean).powi(2)).sum::<f64>() / n).sqrt();
         assert!((stats.moments[0][0] - mean).abs() < 1e-5);
         assert!((stats.moments[0][1] - deviation).abs() < 1e-5);
         // Brightness here and 4 columns to the right: places 0 and 9.
@@ -458,9 +455,16 @@ mod tests {
             .map(|(r, c)| (brightness((r, c)), brightness((r, c + 4))))
             .collect();
         let n = pairs.len() as f64;
-        let (a, b) = (pairs.iter().map(|p| p.0).sum::<f64>() / n, pairs.iter().map(|p| p.1).sum::<f64>() / n);
+        let (a, b) = (
+            pairs.iter().map(|p| p.0).sum::<f64>() / n,
+            pairs.iter().map(|p| p.1).sum::<f64>() / n,
+        );
         let expected = pairs.iter().map(|p| (p.0 - a) * (p.1 - b)).sum::<f64>() / n;
-        assert!((stats.covariance[9] - expected).abs() < 1e-6, "{} {expected}", stats.covariance[9]);
+        assert!(
+            (stats.covariance[9] - expected).abs() < 1e-6,
+            "{} {expected}",
+            stats.covariance[9]
+        );
     }
 
     #[test]
@@ -471,7 +475,9 @@ mod tests {
         assert!((of(Part::Whole) - mean).abs() < 1e-9);
         let plain = picture(|_, _| [9; 3]);
         let stats = plain.statistics(Part::Whole);
-        assert!(stats.covariance.iter().chain(stats.moments.iter().flatten()).all(|x| x.is_finite()));
+        assert!(
+            stats.covariance.iter().chain(stats.moments.iter().flatten()).all(|x| x.is_finite())
+        );
         assert!(plain.counts(Part::Quarter(3)).ln_mean_power().iter().all(|x| x.is_finite()));
     }
 }

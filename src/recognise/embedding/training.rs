@@ -153,7 +153,8 @@ impl Training {
             let inner = |a: usize, b: usize| f64::from(residuals.row(a).dot(&residuals.row(b)));
             own.iter().flat_map(|&a| own.iter().map(move |&b| inner(a, b).powi(2))).sum()
         };
-        let within: f64 = (0..trials).into_par_iter().map(of_trial).collect::<Vec<_>>().iter().sum();
+        let within: f64 =
+            (0..trials).into_par_iter().map(of_trial).collect::<Vec<_>>().iter().sum();
         let spread = square - trace * trace / d;
         let shrinkage = (within / (n * n) - square / trials.max(1) as f64) / spread;
         if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }

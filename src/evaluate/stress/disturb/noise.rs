@@ -20,7 +20,9 @@ const HUM_SHARE: f64 = 0.2;
 /// White noise; the level is the ratio of the signal's deviation to the noise's, in dB.
 pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| {
-        add(series, db, rng, |rng, frames, _| (0..frames).map(|_| f64::from(nearly_normal(rng))).collect());
+        add(series, db, rng, |rng, frames, _| {
+            (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
+        });
     });
 }
 
