@@ -40,6 +40,15 @@ pub fn normal(rng: &mut impl Rng) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
 }
 
+/// A nearly normal number, quickly: the sum of four uniform ones, brought to mean 0 and variance 1
+/// (Irwin and Hall). It never exceeds 3.47; kurtosis is 2.7.
+pub(crate) fn nearly_normal(rng: &mut impl Rng) -> f32 {
+    const SCALE: f32 = 1.732_050_8 / 65_536.0;
+    let x = rng.next_u64();
+    let sum = (x & 0xffff) + (x >> 16 & 0xffff) + (x >> 32 & 0xffff) + (x >> 48);
+    (sum as f32 + 2.0 - 131_072.0) * SCALE
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -60,9 +69,12 @@ mod tests {
     #[test]
     fn normal_numbers_have_mean_0_and_variance_1() {
         let mut rng = rng(1, &[b"test"]);
-        let xs: Vec<f64> = (0..20_000).map(|_| normal(&mut rng)).collect();
-        let mean = xs.iter().sum::<f64>() / xs.len() as f64;
-        let variance = xs.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / xs.len() as f64;
-        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        let exact: Vec<f64> = (0..20_000).map(|_| normal(&mut rng)).collect();
+        let nearly: Vec<f64> = (0..20_000).map(|_| f64::from(nearly_normal(&mut rng))).collect();
+        for xs in [exact, nearly] {
+            let mean = xs.iter().sum::<f64>() / xs.len() as f64;
+            let variance = xs.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / xs.len() as f64;
+            assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        }
     }
 }

@@ -48,9 +48,9 @@ pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
 #[doc(hidden)] // For the project's own tests and tools.
 pub use decide::dead_sensor::without_flawed;
 #[doc(hidden)]
-pub use embedding::EmbeddingModel;
+pub use embedding::{EmbeddingModel, TrialFrames};
 #[doc(hidden)]
-pub use features::{FrameFeatures, hsv};
+pub use features::hsv;
 #[doc(hidden)]
 pub use follow::LOOK_S;
 #[doc(hidden)]

@@ -2,15 +2,16 @@
 
 use std::sync::Arc;
 
+use super::embedding::TrialFrames;
 use super::error::RecogniseError;
-use super::features::{FeatureVector, FrameFeatures};
+use super::features::FeatureVector;
 use super::reference::prepared_trial::PreparedTrial;
 use super::reference::storage::{decode, encode};
 use crate::library::Entry;
 use crate::trial::TrialKey;
 
 /// Changes whenever the bytes of [`Prepared::encode`] mean something else.
-pub(super) const FORMAT: u64 = 1;
+pub(super) const FORMAT: u64 = 2;
 
 /// A trial, ready to be compared. A copy is cheap.
 #[derive(Clone)]
@@ -18,7 +19,7 @@ pub enum Prepared {
     /// Samples, for `reference`.
     Samples(Arc<PreparedTrial>),
     /// Frames, for `embedding`.
-    Frames(Arc<FrameFeatures>),
+    Frames(Arc<TrialFrames>),
     /// Fixed lists of numbers, for the comparison classifiers. Of a feature table no more is known.
     Features(Arc<FeatureVector>),
 }
@@ -55,10 +56,7 @@ impl Prepared {
     ///
     /// # Errors
     /// If these are not what `method` works with.
-    pub(crate) fn frames(
-        &self,
-        method: &'static str,
-    ) -> Result<&Arc<FrameFeatures>, RecogniseError> {
+    pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>, RecogniseError> {
         match self {
             Self::Frames(trial) => Ok(trial),
             other => Err(other.is_not_for(method)),
@@ -107,7 +105,7 @@ impl Prepared {
             (&SAMPLES, bytes) => Self::Samples(Arc::new(decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;
-                Self::Frames(Arc::new(FrameFeatures { key, sources }))
+                Self::Frames(Arc::new(TrialFrames { key, sources }))
             }
             (&FEATURES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;

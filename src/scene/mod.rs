@@ -75,6 +75,16 @@ pub enum Domain {
     Image,
 }
 
+impl Domain {
+    /// The lowest and the highest frequency that are compared, in Hz, where they are configured.
+    pub fn band_hz(&self) -> Option<(f64, f64)> {
+        match *self {
+            Self::Spectrum { band_hz } => Some(band_hz),
+            Self::Time | Self::Image => None,
+        }
+    }
+}
+
 /// What of a pixel is compared.
 #[derive(
     Clone,

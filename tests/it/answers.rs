@@ -11,8 +11,8 @@ use surfaced::dataset::synth;
 use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FrameFeatures, FreshFrames,
-    GuessSoFar, LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError,
+    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FreshFrames, GuessSoFar,
+    LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError, TrialFrames,
     without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
@@ -35,7 +35,7 @@ fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
     let frames = |entry: &Entry| {
         let trial = entry.load().unwrap();
-        Arc::new(FrameFeatures::new(&entry.key, &trial, &scene, &shape).unwrap())
+        Arc::new(TrialFrames::new(&entry.key, &trial, &scene, &shape, Some(1)).unwrap())
     };
     let model = embedding(&scene).train(entries.iter().map(frames).collect(), &shape).unwrap();
     (scene, Arc::new(model), users[1].clone())

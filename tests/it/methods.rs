@@ -9,8 +9,8 @@ use crate::common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FrameFeatures, FreshFrames,
-    LibraryShape, Method, Model, Ranking, RecogniseError,
+    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, LibraryShape, Method,
+    Model, Ranking, RecogniseError, TrialFrames,
 };
 use surfaced::scene::{Scene, SourceId};
 use surfaced::seed;
@@ -76,7 +76,7 @@ fn a_gain_changes_nothing_where_means_are_aligned() {
 fn trained(scene: &Scene, method: &Embedding, library: &[Trial]) -> EmbeddingModel {
     let entries: Vec<Entry> = library.iter().cloned().map(Entry::in_memory).collect();
     let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
-    let framed = |t: &Trial| Arc::new(FrameFeatures::new(&t.key, t, scene, &shape).unwrap());
+    let framed = |t: &Trial| Arc::new(TrialFrames::new(&t.key, t, scene, &shape, Some(1)).unwrap());
     method.train(library.iter().map(framed).collect(), &shape).unwrap()
 }
 

@@ -1,12 +1,15 @@
 //! Whether a query is any surface of the library at all: a conformal test.
 //!
-//! Nonconformity is d₁²/d₂, with d₁ and d₂ the smallest and second smallest distance in discriminant
-//! space: large where the nearest surface is far, or hardly nearer than the next. A query's p-value
-//! (`fit` in JSON) is the share of left-out library trials that are at least as strange, itself counted among them:
-//! for a surface of the library, whatever the distribution, it is below α with probability at most
-//! α (Vovk, Gammerman & Shafer 2005, "Algorithmic learning in a random world", §2.2). Left-out
-//! trials meet a model trained with a tenth fewer trials, which errs to the same side.
-//! A scan is compared with beginnings of trials that are no longer than it is.
+//! Nonconformity is the distance to the nearest surface in discriminant space. The library's trials are
+//! left out group by group, and each is measured by the model that did not learn from its group; a
+//! query is measured by all of these models, and compared with each group's trials by that group's. Its
+//! p-value (`fit` in JSON) is the share of left-out trials that are at least as strange, itself
+//! counted among them (cross-conformal prediction, Vovk 2015, "Cross-conformal predictors", Annals of
+//! Mathematics and Artificial Intelligence 74): for a surface of the library, and a person like the
+//! library's, it is about as often below α as α says. A scan is compared with beginnings of trials
+//! that are no longer than it is. Where the library has one person only, another hand differs more
+//! than that person's trials do from each other; excerpts of 40 % stand for them there, and three
+//! excerpts of a trial count as one trial.
 //!
 //! Only a method that can leave its library's trials out cheaply has such a measure: `embedding`.
 //! For `reference` it would take comparing every trial of the library with all others
@@ -28,54 +31,81 @@ use super::interval::beta_quantile;
 /// A scan at least this share of the median trial's length counts as whole.
 const WHOLE: f64 = 0.95;
 
-/// d₁²/d₂; `None` for fewer than two finite distances. 0 where the nearest is at no distance.
-pub fn nonconformity(distances: &[f64]) -> Option<f64> {
-    let (mut first, mut second) = (f64::INFINITY, f64::INFINITY);
-    for &d in distances {
-        if d < first {
-            (first, second) = (d, first);
-        } else if d < second {
-            second = d;
+/// The distance to the nearest surface; infinite without one.
+pub fn nonconformity(distances: &[f64]) -> f64 {
+    distances.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+/// Nonconformity of left-out library trials of one length.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Calibration {
+    /// Length in seconds.
+    pub scan_s: f64,
+    /// Scans of a trial that count as one.
+    pub of_each: usize,
+    /// Group by group, rising.
+    by_group: Vec<Vec<f64>>,
+}
+
+impl Calibration {
+    /// From scans, each with its group and its nonconformity by the model without that group.
+    pub fn new(scan_s: f64, of_each: usize, scans: impl Iterator<Item = (usize, f64)>) -> Self {
+        let mut by_group: Vec<Vec<f64>> = Vec::new();
+        for (group, value) in scans {
+            by_group.resize(by_group.len().max(group + 1), Vec::new());
+            by_group[group].push(value);
         }
+        by_group.iter_mut().for_each(|values| values.sort_by(f64::total_cmp));
+        Self { scan_s, of_each, by_group }
     }
-    if !second.is_finite() {
-        return None;
+
+    /// Number of trials.
+    fn trials(&self) -> f64 {
+        self.by_group.iter().map(Vec::len).sum::<usize>() as f64 / self.of_each as f64
     }
-    Some(if first > 0.0 { first * (first / second) } else { 0.0 })
+
+    /// The share of trials, the query among them, that are at least as strange as the query is by
+    /// the model without their group.
+    fn p_value(&self, of_query: impl Fn(usize) -> f64) -> f64 {
+        let at_least = |(group, values): (usize, &Vec<f64>)| {
+            let own = of_query(group);
+            values.len() - values.partition_point(|&value| value < own)
+        };
+        let stranger: usize = self.by_group.iter().enumerate().map(at_least).sum();
+        (stranger as f64 / self.of_each as f64 + 1.0) / (self.trials() + 1.0)
+    }
 }
 
 /// Nonconformity of left-out library trials, whole and their beginnings.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformity {
-    /// Length in seconds and nonconformity, both rising; whole trials come last.
-    by_length: Vec<(f64, Vec<f64>)>,
+    /// Of rising length; what stands for whole scans comes last.
+    by_length: Vec<Calibration>,
 }
 
 impl Conformity {
-    /// From lengths in seconds, rising, with the nonconformity of each trial that is longer; the
-    /// median length of whole trials comes last.
-    pub(crate) fn new(mut by_length: Vec<(f64, Vec<f64>)>) -> Self {
-        by_length.iter_mut().for_each(|(_, values)| values.sort_by(f64::total_cmp));
-        by_length.retain(|(_, values)| !values.is_empty());
+    /// From calibrations of rising length; what stands for whole scans comes last.
+    pub(crate) fn new(mut by_length: Vec<Calibration>) -> Self {
+        by_length.retain(|calibration| calibration.trials() > 0.0);
         Self { by_length }
     }
 
-    /// Number of whole trials.
+    /// Number of trials that a p-value of a whole scan rests on.
     pub fn trials(&self) -> usize {
-        self.by_length.last().map_or(0, |(_, values)| values.len())
+        self.by_length.last().map_or(0, |calibration| calibration.trials().round() as usize)
     }
 
     /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1) to
-    /// 1. `None` if the scan is shorter than all that was left out.
-    pub fn p_value(&self, scan_s: f64, nonconformity: f64) -> Option<f64> {
+    /// 1; `of_query` is its nonconformity by the model without a group. `None` if the scan is
+    /// shorter than all that was left out.
+    pub fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
-        let (_, values) = if scan_s >= WHOLE * whole.0 {
+        let calibration = if scan_s >= WHOLE * whole.scan_s {
             whole
         } else {
-            beginnings.iter().rev().find(|(seconds, _)| *seconds <= scan_s + 1e-9)?
+            beginnings.iter().rev().find(|c| c.scan_s <= scan_s + 1e-9)?
         };
-        let at_least = values.len() - values.partition_point(|&s| s < nonconformity);
-        Some((at_least + 1) as f64 / (values.len() + 1) as f64)
+        Some(calibration.p_value(of_query))
     }
 }
 
@@ -171,11 +201,9 @@ impl Rejection {
 mod tests {
     use super::*;
 
-    #[test]
-    fn nonconformity_is_of_the_two_nearest() {
-        assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY, 4.0]), Some(1.0));
-        assert_eq!(nonconformity(&[0.0, 0.0]), Some(0.0));
-        assert_eq!(nonconformity(&[1.0, f64::INFINITY]), None);
+    fn calibration(scan_s: f64, values: Vec<f64>) -> Calibration {
+        let groups = values.len() / 2;
+        Calibration::new(scan_s, 1, values.into_iter().enumerate().map(|(i, x)| (i % groups, x)))
     }
 
     #[test]
@@ -209,8 +237,8 @@ mod tests {
         let test = Rejection::new(199, 0.05).unwrap();
         let rejected = (0..1000).filter(|&q| {
             let others = (1..=199).map(|j| value((q + 5 * j) % 1000)).collect();
-            let p_value = Conformity::new(vec![(4.8, others)]).p_value(4.8, value(q)).unwrap();
-            test.rejects(p_value)
+            let conformity = Conformity::new(vec![calibration(4.8, others)]);
+            test.rejects(conformity.p_value(4.8, |_| value(q)).unwrap())
         });
         let share = rejected.count() as f64 / 1000.0;
         assert!((0.03..=0.06).contains(&share), "{share}");
@@ -220,10 +248,21 @@ mod tests {
     fn a_short_scan_is_compared_with_short_beginnings() {
         let long: Vec<f64> = (0..99).map(f64::from).collect();
         let short: Vec<f64> = long.iter().map(|x| x + 50.0).collect();
-        let conformity = Conformity::new(vec![(0.5, short), (4.8, long)]);
-        assert_eq!(conformity.p_value(4.7, 90.0), Some(0.10));
-        assert_eq!(conformity.p_value(1.0, 90.0), Some(0.60));
-        assert_eq!(conformity.p_value(0.4, 90.0), None);
+        let conformity = Conformity::new(vec![calibration(0.5, short), calibration(4.8, long)]);
+        assert_eq!(conformity.p_value(4.7, |_| 90.0), Some(0.10));
+        assert_eq!(conformity.p_value(1.0, |_| 90.0), Some(0.60));
+        assert_eq!(conformity.p_value(0.4, |_| 90.0), None);
         assert_eq!(conformity.trials(), 99);
+    }
+
+    #[test]
+    fn each_group_is_compared_by_the_model_without_it_and_excerpts_of_one_trial_count_as_one() {
+        let scans = [(0, 1.0), (0, 2.0), (0, 3.0), (1, 10.0), (1, 20.0), (1, 30.0)];
+        let excerpts = Conformity::new(vec![Calibration::new(1.0, 3, scans.into_iter())]);
+        assert_eq!(excerpts.trials(), 2);
+        // Two of three excerpts of the one, one of the other: (2/3 + 1/3 + 1)/3.
+        let p_value = excerpts.p_value(2.0, |group| [1.5, 25.0][group]).unwrap();
+        assert!((p_value - 2.0 / 3.0).abs() < 1e-12, "{p_value}");
+        assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY]), 2.0);
     }
 }

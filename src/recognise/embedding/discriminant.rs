@@ -1,27 +1,33 @@
-//! The shrinkage discriminant: linear discriminant analysis on embeddings.
+//! The shrinkage discriminant: linear discriminant analysis on embeddings, from all trials and from
+//! those outside each group.
 //!
 //! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
-//! classes on are of excerpts. The class means m_c are those of whole trials; the scatter W pools
-//! all vectors, by their weights, about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
-//! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S:
-//! they order classes as the full Mahalanobis distance does, and what is left out does not separate
+//! classes on are of copies. The class means m_c are those of whole trials; the scatter W pools all
+//! vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances
+//! d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S: they
+//! order classes as the full Mahalanobis distance does, and what is left out does not separate
 //! classes.
+//!
+//! S = L·Lᵀ is factored once. Without the rows of a group, W is less by R_gᵀ·Q·R_g, R_g the group's rows
+//! about the means of their labels, and Q⁻¹ = I less 1/n over the rows of each label of n rows, since
+//! the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white coordinates is
+//! I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which costs as much as the group is large.
+
+use std::ops::Range;
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::evidence_weights::EvidenceWeights;
-use super::linear::{
-    cholesky, orthonormal_rows, solve_lower, solve_lower_transposed, subtract_lower_product,
-};
-use super::scatter::Scatter;
-
-/// γ: how much of the metric is a multiple of the identity (method §9).
-pub const SHRINKAGE: f64 = 0.03;
+use super::linear::{add_lower_gram, cholesky, solve_lower, solve_lower_transposed};
 
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
 const LEAST_WITHIN: f64 = 1e-3;
+
+/// Class means that add less than this share of the farthest's squared length to the space of the
+/// others lie in it.
+const INSIDE: f64 = 1e-10;
 
 /// A trained discriminant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -36,75 +42,135 @@ pub struct Discriminant {
     present: Vec<bool>,
 }
 
-impl Discriminant {
-    /// Trains on sums over whole trials and excerpts of `classes`. `dims` is the number of features
-    /// that the identity stands for: more than the columns where these are coordinates of a space
-    /// within.
-    ///
-    /// Returns `None` where all vectors are equal, no label has two, or fewer than two classes have
-    /// any.
-    pub fn new(scatter: Scatter, classes: usize, dims: usize) -> Option<Self> {
-        let present: Vec<bool> = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
-        let known = present.iter().filter(|&&p| p).count();
-        let there = || scatter.weighted_counts().filter(|(_, n)| *n > 0.5);
-        let vectors: f64 = there().map(|(weight, n)| weight * n).sum();
-        let freedom: f64 = there().map(|(weight, n)| weight * (n - 1.0)).sum();
-        if known < 2 || there().all(|(_, n)| n < 1.5) {
-            return None;
-        }
-        let mut weighted = scatter.sums.clone();
-        for (mut sum, &weight) in weighted.rows_mut().into_iter().zip(&scatter.weights) {
-            sum *= weight;
-        }
-        let mut means = scatter.sums.clone();
-        for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
-            mean /= n.max(1.0);
-        }
-        let mean_square = scatter.gram.diag().sum() / vectors;
-        let overall = weighted.sum_axis(Axis(0)) / vectors;
-        let total = (mean_square - overall.dot(&overall)) / dims as f64;
-        // The sums of squares are good to about 1e-6 of themselves: less is noise.
-        if total.is_nan() || total <= 1e-5 * mean_square / dims as f64 {
-            return None;
-        }
-        // The lower triangle alone, as `cholesky` reads no more.
-        let mut metric = scatter.gram;
-        subtract_lower_product(&weighted.t(), &means.view(), &mut metric.view_mut());
-        let within = metric.diag().iter().map(|x| x.max(0.0)).sum::<f64>() / freedom / dims as f64;
-        let trace = within.max(LEAST_WITHIN * total);
-        metric *= (1.0 - SHRINKAGE) / freedom;
-        metric.diag_mut().map_inplace(|x| *x = x.max(0.0) + SHRINKAGE * trace);
-        let mut means = means.slice_move(s![..classes, ..]);
-        let factor = cholesky(metric)?;
+/// Training vectors, and what they are of.
+pub struct Vectors<'a> {
+    /// Shape (n, D).
+    pub rows: &'a Array2<f32>,
+    /// Label of each row, below a multiple of the number of classes.
+    pub labels: &'a [usize],
+    /// Group of each row.
+    pub groups: &'a [usize],
+    /// Number of classes.
+    pub classes: usize,
+    /// Number of groups.
+    pub group_count: usize,
+}
 
-        let mut centre = Array1::zeros(means.ncols());
-        for (mean, _) in means.rows().into_iter().zip(&present).filter(|(_, p)| **p) {
-            centre += &mean;
+/// Training vectors about the means of their labels.
+pub struct Residuals {
+    /// Number of rows of each label.
+    counts: Vec<f64>,
+    /// Mean of each label, shape (labels, D).
+    means: Array2<f64>,
+    /// Shape (n, D).
+    pub rows: Array2<f32>,
+}
+
+impl Residuals {
+    /// Of some vectors.
+    pub fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
+        let count = labels.iter().max().map_or(0, |last| last + 1);
+        let mut counts = vec![0.0; count];
+        let mut means = Array2::<f64>::zeros((count, rows.ncols()));
+        for (row, &label) in rows.rows().into_iter().zip(labels) {
+            counts[label] += 1.0;
+            means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
         }
-        centre /= known as f64;
-        for (mut mean, &present) in means.rows_mut().into_iter().zip(&present) {
-            if present { mean -= &centre } else { mean.fill(0.0) }
+        for (mut mean, &n) in means.rows_mut().into_iter().zip(&counts) {
+            mean /= f64::max(n, 1.0);
         }
-        let mut white = means.t().to_owned();
-        solve_lower(&factor, &mut white);
-        let white = white.t().to_owned();
-        let basis = orthonormal_rows(&white);
-        let means = white.dot(&basis.t());
-        let mut projection = basis.t().to_owned();
-        solve_lower_transposed(&factor, &mut projection);
-        let origin = projection.t().dot(&centre);
-        let projection = projection.t().mapv(|x| x as f32).as_standard_layout().into_owned();
+        let mut residuals = rows.clone();
+        for (mut row, &label) in residuals.rows_mut().into_iter().zip(labels) {
+            row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
+        }
+        Self { counts, means, rows: residuals }
+    }
+
+    /// Σ r·rᵀ; the lower triangle alone.
+    pub fn scatter(&self) -> Array2<f64> {
+        let mut scatter = Array2::zeros((self.rows.ncols(), self.rows.ncols()));
+        add_lower_gram(&mut scatter, &self.rows);
+        scatter
+    }
+}
+
+/// S of some vectors, factored.
+struct Metric<'a> {
+    vectors: &'a Vectors<'a>,
+    residuals: Residuals,
+    /// L.
+    factor: Array2<f64>,
+    /// How much Σ r·rᵀ counts in S.
+    weight: f64,
+    freedom: f64,
+}
+
+impl Discriminant {
+    /// Trains on all vectors, and on those outside each group. `dims` is the number of features that
+    /// the identity stands for: more than the columns where these are coordinates of a space
+    /// within. `shrinkage` is γ.
+    ///
+    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes have
+    /// any.
+    pub fn train(
+        vectors: &Vectors<'_>,
+        dims: usize,
+        shrinkage: f64,
+    ) -> (Option<Self>, Vec<Option<Self>>) {
+        let Some(metric) = Metric::new(vectors, dims, shrinkage) else {
+            return (None, vec![None; vectors.group_count]);
+        };
+        let without = (0..vectors.group_count).into_par_iter();
+        (metric.all(), without.map(|group| metric.without(group)).collect())
+    }
+
+    /// From the class means in white coordinates, shape (D, C), the same times the metric's inverse
+    /// in these coordinates, their centre, and what distances are to be scaled by. Classes without
+    /// vectors are 0.
+    fn of_white(
+        (white, inverse): (&Array2<f64>, &Array2<f64>),
+        factor: &Array2<f64>,
+        centre: &Array1<f64>,
+        present: Vec<bool>,
+        scale: f64,
+    ) -> Option<Self> {
+        // Cholesky factor of the means' inner products; those that lie in the space of the ones
+        // before them add no column.
+        let inner = white.t().dot(inverse);
+        let largest = inner.diag().iter().copied().fold(0.0, f64::max);
+        let classes = present.len();
+        let mut means = Array2::<f64>::zeros((classes, classes));
+        let mut independent: Vec<usize> = Vec::new();
+        for class in 0..classes {
+            for (column, &other) in independent.iter().enumerate() {
+                let known = means.slice(s![class, ..column]).dot(&means.slice(s![other, ..column]));
+                means[[class, column]] = (inner[[class, other]] - known) / means[[other, column]];
+            }
+            let own = means.row(class);
+            let rest = inner[[class, class]] - own.dot(&own);
+            if rest > INSIDE * largest {
+                means[[class, independent.len()]] = rest.sqrt();
+                independent.push(class);
+            }
+        }
+        let space = independent.len();
+        let means = means.slice_move(s![.., ..space]);
+        let mut back = inverse.select(Axis(1), &independent);
+        solve_lower_transposed(factor, &mut back);
+        let mut projection = back.reversed_axes().as_standard_layout().into_owned();
+        solve_lower(&means.select(Axis(0), &independent), &mut projection);
+        let scale = scale.sqrt();
+        let origin = projection.dot(centre) * scale;
+        let (projection, means) = (projection.mapv(|x| (x * scale) as f32), means * scale);
         let sound = projection.iter().all(|x| x.is_finite()) && means.iter().all(|x| x.is_finite());
         sound.then_some(Self { projection, origin, means, present })
     }
 
-    /// Distances in the features' own units, to the means of the first `classes` labels.
-    pub fn of_means(scatter: &Scatter, classes: usize) -> Self {
-        let mut means = scatter.sums.slice(s![..classes, ..]).to_owned();
-        for (mut mean, &n) in means.rows_mut().into_iter().zip(&scatter.counts) {
-            mean /= n.max(1.0);
-        }
-        let present = scatter.counts[..classes].iter().map(|&n| n > 0.5).collect();
+    /// Distances in the features' own units, to the class means of whole trials.
+    pub fn of_means(vectors: &Vectors<'_>) -> Self {
+        let Residuals { counts, means, .. } = Residuals::new(vectors.rows, vectors.labels);
+        let means = means.slice_move(s![..vectors.classes, ..]);
+        let present = counts[..vectors.classes].iter().map(|&n| n > 0.5).collect();
         let dims = means.ncols();
         Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
     }
@@ -187,9 +253,145 @@ impl Discriminant {
     }
 }
 
+impl<'a> Metric<'a> {
+    fn new(vectors: &'a Vectors<'a>, dims: usize, shrinkage: f64) -> Option<Self> {
+        let residuals = Residuals::new(vectors.rows, vectors.labels);
+        let there = || residuals.counts.iter().filter(|n| **n > 0.5);
+        let freedom: f64 = there().map(|n| n - 1.0).sum();
+        let known = residuals.counts.iter().take(vectors.classes).filter(|n| **n > 0.5).count();
+        if known < 2 || freedom < 0.5 {
+            return None;
+        }
+        let n = vectors.rows.nrows() as f64;
+        let square: f64 = vectors.rows.iter().map(|x| f64::from(*x).powi(2)).sum();
+        let overall = vectors.rows.mapv(f64::from).sum_axis(Axis(0)) / n;
+        let total = (square / n - overall.dot(&overall)) / dims as f64;
+        // The sums of squares are good to about 1e-6 of themselves: less is noise.
+        if total.is_nan() || total <= 1e-5 * square / n / dims as f64 {
+            return None;
+        }
+        let mut factor = residuals.scatter();
+        let within = factor.diag().sum() / freedom / dims as f64;
+        let weight = (1.0 - shrinkage) / freedom;
+        factor *= weight;
+        let ridge = shrinkage * within.max(LEAST_WITHIN * total);
+        factor.diag_mut().map_inplace(|x| *x += ridge);
+        Some(Self { factor: cholesky(factor)?, vectors, residuals, weight, freedom })
+    }
+
+    /// The class means of whole trials, less `centre`, as columns in white coordinates.
+    fn white(&self, centre: &Array1<f64>, present: &[bool]) -> Array2<f64> {
+        let mut white = self.residuals.means.slice(s![..present.len(), ..]).to_owned();
+        for (mut mean, &present) in white.rows_mut().into_iter().zip(present) {
+            if present { mean -= centre } else { mean.fill(0.0) }
+        }
+        let mut white = white.reversed_axes().as_standard_layout().into_owned();
+        solve_lower(&self.factor, &mut white);
+        white
+    }
+
+    fn all(&self) -> Option<Discriminant> {
+        let classes = self.vectors.classes;
+        let present: Vec<bool> =
+            self.residuals.counts[..classes].iter().map(|n| *n > 0.5).collect();
+        let centre = self.centre(&present);
+        let white = self.white(&centre, &present);
+        Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)
+    }
+
+    /// Mean of the means of some classes.
+    fn centre(&self, present: &[bool]) -> Array1<f64> {
+        let known: Vec<usize> = (0..present.len()).filter(|&c| present[c]).collect();
+        self.residuals.means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len().max(1) as f64
+    }
+
+    fn without(&self, group: usize) -> Option<Discriminant> {
+        let Vectors { labels, groups, classes, .. } = *self.vectors;
+        let rows: Vec<usize> = (0..labels.len()).filter(|&row| groups[row] == group).collect();
+        let mut left = self.residuals.counts.clone();
+        rows.iter().for_each(|&row| left[labels[row]] -= 1.0);
+        let freedom: f64 = left.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
+        let present: Vec<bool> = left[..classes].iter().map(|n| *n > 0.5).collect();
+        if present.iter().filter(|p| **p).count() < 2 || freedom < 0.5 {
+            return None;
+        }
+        let selected = self.residuals.rows.select(Axis(0), &rows).mapv(f64::from);
+        let mut moved = selected.reversed_axes().as_standard_layout().into_owned();
+        solve_lower(&self.factor, &mut moved);
+        // Q⁻¹ over the weight, less VᵀV.
+        let mut rest = moved.t().dot(&moved);
+        rest.map_inplace(|x| *x = -*x);
+        for (i, &a) in rows.iter().enumerate() {
+            rest[[i, i]] += 1.0 / self.weight;
+            for (j, &b) in rows.iter().enumerate() {
+                if labels[a] == labels[b] && left[labels[a]] > 0.5 {
+                    rest[[i, j]] -= 1.0 / (self.residuals.counts[labels[a]] * self.weight);
+                }
+            }
+        }
+        let rest = cholesky(rest)?;
+        // The class means move away from the group's whole trials.
+        let mut centre = self.centre(&present);
+        let mut white = self.white(&centre, &present);
+        let mut move_by = Array2::<f64>::zeros((rows.len(), classes));
+        for (i, &row) in rows.iter().enumerate().filter(|(_, row)| labels[**row] < classes) {
+            if present[labels[row]] {
+                move_by[[i, labels[row]]] = -1.0 / left[labels[row]];
+            }
+        }
+        let known = present.iter().filter(|p| **p).count() as f64;
+        let of_centre = move_by.sum_axis(Axis(1)) / known;
+        for (mut column, _) in
+            move_by.columns_mut().into_iter().zip(&present).filter(|(_, present)| **present)
+        {
+            column -= &of_centre;
+        }
+        white += &moved.dot(&move_by);
+        for (&row, &by) in rows.iter().zip(&of_centre) {
+            let residual = self.residuals.rows.row(row);
+            centre.zip_mut_with(&residual, |x, r| *x += by * f64::from(*r));
+        }
+        let mut along = moved.t().dot(&white);
+        solve_lower(&rest, &mut along);
+        solve_lower_transposed(&rest, &mut along);
+        let inverse = &white + &moved.dot(&along);
+        let scale = freedom / self.freedom;
+        Discriminant::of_white((&white, &inverse), &self.factor, &centre, present, scale)
+    }
+}
+
+/// What makes inner products with the class means of vectors, stretch by stretch.
+pub struct EvidenceWeights {
+    /// Shape (C, D).
+    of_class: Array2<f32>,
+    /// One a class.
+    offset: Array1<f64>,
+}
+
+impl EvidenceWeights {
+    /// u·m_c, taken apart by stretches of the vector: how much each speaks for the class. The
+    /// class's distance is |u|² + |m_c|² less twice their sum.
+    pub fn terms(
+        &self,
+        class: usize,
+        vector: ArrayView1<'_, f32>,
+        stretches: &[Range<usize>],
+    ) -> Vec<f64> {
+        let offset = self.offset[class] / stretches.len() as f64;
+        let term = |stretch: &Range<usize>| {
+            let stretch = s![stretch.clone()];
+            let own = self.of_class.row(class).slice(stretch).dot(&vector.slice(stretch));
+            f64::from(own) - offset
+        };
+        stretches.iter().map(term).collect()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const SHRINKAGE: f64 = 0.03;
 
     fn data() -> (Array2<f32>, Vec<usize>) {
         let labels: Vec<usize> = (0..90).map(|i| i % 3).collect();
@@ -200,101 +402,118 @@ mod tests {
         (vectors, labels)
     }
 
-    fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::new(
-            Scatter::new(vectors, labels, vec![1.0; 2 * classes]),
-            classes,
-            vectors.ncols(),
-        )
+    fn vectors<'a>(rows: &'a Array2<f32>, labels: &'a [usize], classes: usize) -> Vectors<'a> {
+        Vectors { rows, labels, groups: &[], classes, group_count: 0 }
+    }
+
+    fn trained(rows: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
+        Discriminant::train(&vectors(rows, labels, classes), rows.ncols(), SHRINKAGE).0
+    }
+
+    /// Mahalanobis distances of a vector to the first `classes` means, by the definition: about the
+    /// scatter of `kept` rows, with the ridge of all of them.
+    fn by_definition(
+        (rows, labels): (&Array2<f32>, &[usize]),
+        kept: &[usize],
+        classes: usize,
+        vector: ArrayView1<'_, f32>,
+    ) -> Vec<f64> {
+        let z = rows.mapv(f64::from);
+        let scatter = |kept: &[usize]| {
+            let mut means = Array2::<f64>::zeros((2 * classes, z.ncols()));
+            let mut freedom = 0.0;
+            let mut w = Array2::<f64>::zeros((z.ncols(), z.ncols()));
+            for label in 0..2 * classes {
+                let members: Vec<usize> =
+                    kept.iter().copied().filter(|&i| labels[i] == label).collect();
+                let Some(mean) = z.select(Axis(0), &members).mean_axis(Axis(0)) else { continue };
+                for &i in &members {
+                    let r = (&z.row(i) - &mean).insert_axis(Axis(1));
+                    w += &r.dot(&r.t());
+                }
+                freedom += members.len() as f64 - 1.0;
+                means.row_mut(label).assign(&mean);
+            }
+            (w, freedom, means)
+        };
+        let all: Vec<usize> = (0..labels.len()).collect();
+        let (w_all, freedom_all, _) = scatter(&all);
+        let (w, freedom, means) = scatter(kept);
+        let ridge = SHRINKAGE * w_all.diag().sum() / z.ncols() as f64;
+        let metric = w * ((1.0 - SHRINKAGE) / freedom)
+            + Array2::<f64>::eye(z.ncols()) * (ridge / freedom_all * (freedom_all / freedom));
+        let factor = cholesky(metric).unwrap();
+        let distance = |class: usize| {
+            let mut d = (&vector.mapv(f64::from) - &means.row(class)).insert_axis(Axis(1));
+            solve_lower(&factor, &mut d);
+            d.iter().map(|x| x * x).sum::<f64>()
+        };
+        (0..classes).map(distance).collect()
+    }
+
+    fn differ_alike(ours: &[f64], full: &[f64]) {
+        for (a, b) in [(0, 1), (1, 2)] {
+            let (ours, full) = (ours[a] - ours[b], full[a] - full[b]);
+            assert!((ours - full).abs() < 1e-3 * (1.0 + full.abs()), "{ours} vs {full}");
+        }
     }
 
     #[test]
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
-        let (vectors, labels) = data();
-        // Every third round is of excerpts, whose means are their own.
+        let (rows, labels) = data();
+        // Every third round is of copies, whose means are their own.
         let labels: Vec<usize> = labels
             .iter()
             .enumerate()
             .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
             .collect();
-        let trained = trained(&vectors, &labels, 3).unwrap();
-        let z = vectors.mapv(f64::from);
-        let mut means = Array2::<f64>::zeros((6, 8));
-        for label in 0..6 {
-            let members: Vec<usize> = (0..90).filter(|&i| labels[i] == label).collect();
-            let mean = z.select(Axis(0), &members).mean_axis(Axis(0)).unwrap();
-            means.row_mut(label).assign(&mean);
-        }
-        let mut w = Array2::<f64>::zeros((8, 8));
-        for (row, &label) in z.rows().into_iter().zip(&labels) {
-            let r = (&row - &means.row(label)).insert_axis(Axis(1));
-            w += &(r.dot(&r.t()) / 84.0);
-        }
-        let trace = w.diag().sum() / 8.0;
-        let metric = w * (1.0 - SHRINKAGE) + Array2::<f64>::eye(8) * (SHRINKAGE * trace);
-        let factor = cholesky(metric).unwrap();
-        let full = |c: usize| {
-            let mut d = (&z.row(5) - &means.row(c)).insert_axis(Axis(1));
-            solve_lower(&factor, &mut d);
-            d.iter().map(|x| x * x).sum::<f64>()
-        };
-        let ours = trained.distances(vectors.row(5));
-        for (a, b) in [(0, 1), (1, 2)] {
-            let (ours, full) = (ours[a] - ours[b], full(a) - full(b));
-            assert!((ours - full).abs() < 1e-3 * (1.0 + full.abs()), "{ours} vs {full}");
-        }
-        assert!(ours[0] <= full(0) + 1e-3, "a projection shortens");
-    }
-
-    #[test]
-    fn leaving_out_is_subtracting() {
-        let (vectors, labels) = data();
-        let some = |from: usize, to: usize| vectors.slice(s![from..to, ..]).to_owned();
-        // The last class's label is of excerpts here.
-        let weights = vec![1.0, 1.0, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0];
-        let sums = |from: usize, to: usize| {
-            Scatter::new(&some(from, to), &labels[from..to], weights.clone())
-        };
-        let mut all = sums(0, 90);
-        let distances = |s: Scatter| Discriminant::new(s, 4, 8).unwrap().distances(vectors.row(2));
-        assert_eq!(distances(all.clone())[3], f64::INFINITY, "a class without vectors");
-        all.subtract(&some(0, 30), &labels[..30]);
-        for (a, b) in distances(all).iter().zip(distances(sums(30, 90))) {
-            assert!((a - b).abs() < 1e-3 * (1.0 + b) || a == &b, "{a} vs {b}");
-        }
-    }
-
-    #[test]
-    fn an_excerpt_of_weight_two_counts_as_two() {
-        let (mut vectors, labels) = data();
-        let of_excerpts = |i: usize| i / 3 % 3 == 2;
-        // Excerpts vary more, so that their weight matters.
-        (0..90).filter(|&i| of_excerpts(i)).for_each(|i| vectors[[i, 0]] *= 3.0);
-        let label = |i: usize| if of_excerpts(i) { labels[i] + 3 } else { labels[i] };
-        let twice: Vec<usize> =
-            (0..90).flat_map(|i| vec![i; 1 + usize::from(of_excerpts(i))]).collect();
-        let distances = |rows: &[usize], weight: f64| {
-            let labels: Vec<usize> = rows.iter().map(|&i| label(i)).collect();
-            let weights = [[1.0; 3], [weight; 3]].concat();
-            let scatter = Scatter::new(&vectors.select(Axis(0), rows), &labels, weights);
-            Discriminant::new(scatter, 3, 8).unwrap().distances(vectors.row(5))
-        };
-        // One degree of freedom less for each mean, which scales all distances alike.
         let all: Vec<usize> = (0..90).collect();
-        let (weighted, repeated) = (distances(&all, 2.0), distances(&twice, 1.0));
-        for (a, b) in weighted.iter().zip(&repeated) {
-            assert!((a / weighted[0] - b / repeated[0]).abs() < 1e-3, "{weighted:?} {repeated:?}");
+        let ours = trained(&rows, &labels, 3).unwrap().distances(rows.row(5));
+        let full = by_definition((&rows, &labels), &all, 3, rows.row(5));
+        differ_alike(&ours, &full);
+        assert!(ours[0] <= full[0] + 1e-3, "a projection shortens");
+    }
+
+    #[test]
+    fn leaving_a_group_out_is_training_without_it() {
+        let (rows, labels) = data();
+        let labels: Vec<usize> = labels
+            .iter()
+            .enumerate()
+            .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
+            .collect();
+        let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
+        let of = Vectors { groups: &groups, group_count: 5, ..vectors(&rows, &labels, 3) };
+        let (all, without) = Discriminant::train(&of, 8, SHRINKAGE);
+        assert!(all.is_some() && without.len() == 5);
+        for (group, without) in without.into_iter().enumerate() {
+            let kept: Vec<usize> = (0..90).filter(|&i| groups[i] != group).collect();
+            for query in [3, 40, 80] {
+                let ours = without.as_ref().unwrap().distances(rows.row(query));
+                let full = by_definition((&rows, &labels), &kept, 3, rows.row(query));
+                differ_alike(&ours, &full);
+            }
         }
-        let lighter = distances(&all, 1.0);
-        assert!((weighted[1] / weighted[0] - lighter[1] / lighter[0]).abs() > 1e-2, "{lighter:?}");
+    }
+
+    #[test]
+    fn a_class_that_is_only_in_one_group_is_unknown_without_it() {
+        let (rows, labels) = data();
+        let groups: Vec<usize> = labels.iter().map(|&class| usize::from(class == 2)).collect();
+        let of = Vectors { groups: &groups, group_count: 2, ..vectors(&rows, &labels, 3) };
+        let (_, without) = Discriminant::train(&of, 8, SHRINKAGE);
+        let left = without[1].as_ref().unwrap();
+        assert!(left.knows(0) && left.knows(1) && !left.knows(2));
+        assert_eq!(left.distances(rows.row(2))[2], f64::INFINITY);
+        assert!(without[0].is_none(), "one class is nothing to choose between");
     }
 
     #[test]
     fn columns_that_are_left_out_count_for_nothing() {
         let (vectors, labels) = data();
         let columns = [0, 1, 2, 5];
-        let some = Scatter::new(&vectors, &labels, vec![1.0; 6]).select(&columns);
-        let wide = Discriminant::new(some, 3, 4).unwrap().spread(&columns, 8);
+        let some = vectors.select(Axis(1), &columns);
+        let wide = trained(&some, &labels, 3).unwrap().spread(&columns, 8);
         let mut changed = vectors.row(7).to_owned();
         changed[6] = 1e6;
         assert_eq!(wide.distances(vectors.row(7)), wide.distances(changed.view()));

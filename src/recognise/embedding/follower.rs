@@ -1,17 +1,26 @@
 //! Follows a scan with a trained model, look by look.
+//!
+//! A scan that grows is kept as sums that new samples add to, so that a look costs the same at its
+//! hundredth second as at its first; its vector is that of the trial that its samples make.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::model::EmbeddingModel;
-use super::posterior::Posterior;
-use super::scan::ScanSums;
+use super::band_sums::BandSums;
+use super::frames::{PackedFrames, SourceViews};
+use super::joint::{JointEmbedder, Present, SourceEmbedder};
+use super::model::{EmbeddingModel, Posterior};
+use super::moments::GrowingMoments;
+use super::series::{SeriesEmbedder, counted};
+use super::tiles::{Part, PictureTiles};
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{Look, Settling, Watch};
 use crate::recognise::error::RecogniseError;
+use crate::recognise::features::windowed_frames::ViewFrames;
 use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::rank::Ranking;
+use crate::recognise::shape::LibraryShape;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
 
@@ -100,7 +109,7 @@ impl Follower {
         if !present.contains(&true) {
             return None;
         }
-        let posterior = self.model.posterior_at(&vector, &present, scan_s);
+        let posterior = self.model.posterior(&vector, &present, scan_s);
         let label = posterior.best();
         let rejection = self.rejection.as_ref();
         let rejected = posterior.p_value.zip(rejection).is_some_and(|(p, r)| r.rejects(p));
@@ -267,5 +276,157 @@ impl Follow for Follower {
 
     fn settling(&self) -> &Settling {
         &self.settling
+    }
+}
+
+/// The scan so far. Its vector equals that of the trial that its samples make.
+struct ScanSums {
+    shape: Arc<LibraryShape>,
+    /// In the order of the vector.
+    sources: Vec<Option<SourceSums>>,
+}
+
+enum SourceSums {
+    Series(Box<SeriesScan>),
+    /// Its stretch of the vector.
+    Picture(Vec<f32>),
+}
+
+struct SeriesScan {
+    views: SourceViews,
+    /// Samples so far.
+    samples: usize,
+    frames: [BandSums; 2],
+    moments: GrowingMoments,
+    /// Samples that are not yet used up, one list a view: all, until its first frame is complete.
+    pending: [Vec<f32>; 2],
+}
+
+impl ScanSums {
+    /// Before the first sample.
+    pub fn new(joint: &JointEmbedder, shape: &Arc<LibraryShape>) -> Self {
+        let sources = joint.stretches.iter().map(|_| None).collect();
+        Self { shape: shape.clone(), sources }
+    }
+
+    /// Takes the next samples of a source, interleaved. Sources that the library lacks are passed
+    /// over.
+    ///
+    /// # Errors
+    /// If the rate cannot be compared with the library's, or changes during the scan.
+    pub fn push(
+        &mut self,
+        joint: &JointEmbedder,
+        id: &SourceId,
+        rate_hz: f64,
+        samples: &[f32],
+    ) -> Result<(), RecogniseError> {
+        let Some(place) = joint.stretches.iter().position(|s| s.spec.id == *id) else {
+            return Ok(());
+        };
+        let stretch = &joint.stretches[place];
+        let SourceEmbedder::Series(embedder) = &stretch.embedder else { return Ok(()) };
+        let slot = &mut self.sources[place];
+        if slot.is_none() {
+            let views = SourceViews::new(&stretch.spec, (rate_hz, 0), &self.shape);
+            *slot = Some(SourceSums::Series(Box::new(SeriesScan::new(views))));
+        }
+        let Some(SourceSums::Series(scan)) = slot else { return Ok(()) };
+        let own_hz = scan.views.0[0].rate_hz;
+        if own_hz != rate_hz || !scan.views.comparable(&embedder.views) {
+            return Err(RecogniseError::Rates {
+                source_name: id.clone(),
+                query_hz: rate_hz,
+                library_hz: if own_hz == rate_hz { embedder.views.0[0].rate_hz } else { own_hz },
+                trial: "the scan's library".into(),
+            });
+        }
+        scan.push(samples);
+        Ok(())
+    }
+
+    /// Takes a picture.
+    pub fn push_picture(&mut self, joint: &JointEmbedder, id: &SourceId, picture: &Image) {
+        let place = joint.stretches.iter().position(|s| s.spec.id == *id);
+        if let Some(place) = place
+            && let SourceEmbedder::Picture(embedder) = &joint.stretches[place].embedder
+        {
+            let vector = embedder.vector(&PictureTiles::new(picture), Part::Whole, 0.0);
+            self.sources[place] = Some(SourceSums::Picture(vector));
+        }
+    }
+
+    /// As [`JointEmbedder::says_something`], of those sources that `keep` wants.
+    pub fn says_something(&self, joint: &JointEmbedder, keep: impl Fn(&SourceId) -> bool) -> bool {
+        let mut sources = joint.stretches.iter().zip(&self.sources);
+        sources.any(|(stretch, source)| match source {
+            Some(SourceSums::Series(scan)) if keep(&stretch.spec.id) => {
+                scan.samples >= scan.views.0[1].points
+                    && (stretch.has_resting() || !scan.moments.so_far().is_constant())
+            }
+            Some(SourceSums::Picture(_)) => keep(&stretch.spec.id),
+            _ => false,
+        })
+    }
+
+    /// The vector so far, in the library's deviations, of those sources that came and that `keep`
+    /// wants.
+    pub fn vector(
+        &self,
+        joint: &JointEmbedder,
+        keep: impl Fn(&SourceId) -> bool,
+    ) -> (Vec<f32>, Present) {
+        let mut vector = vec![0.0; joint.dims()];
+        let mut present = vec![false; self.sources.len()];
+        for (place, (stretch, source)) in joint.stretches.iter().zip(&self.sources).enumerate() {
+            let Some(source) = source.as_ref().filter(|_| keep(&stretch.spec.id)) else { continue };
+            let of_source = match (source, &stretch.embedder) {
+                (SourceSums::Series(scan), SourceEmbedder::Series(embedder)) => {
+                    scan.vector(embedder)
+                }
+                (SourceSums::Picture(of_picture), _) => of_picture.clone(),
+                _ => continue,
+            };
+            vector[stretch.columns.clone()].copy_from_slice(&of_source);
+            present[place] = true;
+        }
+        joint.standardise(&mut vector, &present);
+        (vector, present)
+    }
+}
+
+impl SeriesScan {
+    fn new(views: SourceViews) -> Self {
+        Self {
+            frames: [0, 1].map(|view| counted(&views, &PackedFrames::default(), view)),
+            moments: GrowingMoments::new(views.0[0].channels, views.block()),
+            pending: Default::default(),
+            samples: 0,
+            views,
+        }
+    }
+
+    fn push(&mut self, samples: &[f32]) {
+        self.samples += samples.len() / self.views.0[0].channels;
+        self.moments.extend(samples);
+        for (v, view) in self.views.0.iter().enumerate() {
+            let pending = &mut self.pending[v];
+            pending.extend_from_slice(samples);
+            let mut fresh = ViewFrames { view: view.clone(), values: Vec::new() };
+            let used = fresh.extend(pending) * view.channels;
+            pending.drain(..used);
+            self.frames[v].add(&PackedFrames::new(&fresh.values).values());
+        }
+    }
+
+    fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
+        let mut frames = self.frames.clone();
+        for (v, view) in self.views.0.iter().enumerate() {
+            if frames[v].frames() == 0 {
+                let padded = ViewFrames::new(view.clone(), &self.pending[v]);
+                frames[v].add(&PackedFrames::new(&padded.values).values());
+            }
+        }
+        embedder.vector(&frames, &self.moments.so_far(), self.views.0[0].rate_hz, 0.0)
     }
 }

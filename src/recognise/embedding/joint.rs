@@ -7,34 +7,19 @@ use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::copies::{Copy, copies};
+use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use super::picture::PictureEmbedder;
-use super::series::{Level, SeriesEmbedder, Window};
+use super::series::{SeriesEmbedder, counted};
+use super::tiles::Part;
 use crate::recognise::checks::nothing_in_common;
 use crate::recognise::error::RecogniseError;
-use crate::recognise::features::frame_features::{FrameFeatures, SeriesFrames, SourceFrames};
-use crate::recognise::features::image_features::Part;
-use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
+use crate::recognise::follow::LOOK_S;
+use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 
 /// Features are held within this many deviations of the library.
 const CLIP: f32 = 8.0;
-
-/// A band of at least this share of all frequencies counts as all of them.
-const NEARLY_ALL: f64 = 0.9;
-
-/// A part of a trial: of all its sources the same.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Excerpt {
-    /// Of series.
-    pub window: Window,
-    /// Of pictures.
-    pub part: Part,
-}
-
-impl Excerpt {
-    /// All of it.
-    pub const WHOLE: Self = Self { window: Window::Whole, part: Part::Whole };
-}
 
 /// How one source becomes its stretch of the vector.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -45,16 +30,10 @@ pub(super) enum SourceEmbedder {
 
 impl SourceEmbedder {
     fn new(spec: &SourceSpec, trials: &[&SourceFrames]) -> Option<Self> {
-        let level = match (spec.align_mean, &spec.domain) {
-            (false, _) => Level::Mean,
-            (true, Domain::Spectrum { .. }) => Level::Shape,
-            (true, _) => Level::Loudness,
-        };
         let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
         let pictures: Vec<_> = trials.iter().filter_map(|source| source.picture()).collect();
         if !series.is_empty() {
-            let all_frequencies = is_whole(&spec.domain, 0.5 * series[0].rate_hz());
-            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, level, all_frequencies))))
+            Some(Self::Series(Box::new(SeriesEmbedder::new(&series, spec.domain.band_hz()))))
         } else if !pictures.is_empty() {
             Some(Self::Picture(PictureEmbedder::new(&pictures)))
         } else {
@@ -69,29 +48,23 @@ impl SourceEmbedder {
         }
     }
 
-    fn embed(&self, source: &SourceFrames, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
+    /// The whole of a source, or copy number `i`.
+    fn embed(&self, source: &SourceFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         match (self, source) {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
-                let windows: Vec<Window> = excerpts.iter().map(|excerpt| excerpt.window).collect();
-                embedder.embed(series, &windows)
+                let copied = copy.and_then(|(i, copy)| Some((series.copies.get(i)?, copy.ln_gain)));
+                let (piece, ln_gain) = copied.unwrap_or((&series.whole, 0.0));
+                embedder.embed(piece, series.rate_hz(), ln_gain)
             }
-            (Self::Picture(embedder), SourceFrames::Picture(grid)) => {
-                let parts: Vec<Part> = excerpts.iter().map(|excerpt| excerpt.part).collect();
-                embedder.embed(grid, &parts)
+            (Self::Picture(embedder), SourceFrames::Picture(tiles)) => {
+                let copied =
+                    |(_, copy): (usize, &Copy)| (Part::Quarter(copy.quarter), copy.picture_ln_gain);
+                let (part, ln_gain) = copy.map_or((Part::Whole, 0.0), copied);
+                embedder.vector(tiles, part, ln_gain)
             }
             // The checks of a trial against its scene give a source one kind of data.
-            _ => vec![vec![0.0; self.dims()]; excerpts.len()],
+            _ => vec![0.0; self.dims()],
         }
-    }
-}
-
-/// Whether a source is compared by all frequencies up to half its rate, or nearly all.
-fn is_whole(domain: &Domain, highest_hz: f64) -> bool {
-    match *domain {
-        Domain::Spectrum { band_hz: (low, high) } => {
-            high.min(highest_hz) - low >= NEARLY_ALL * highest_hz
-        }
-        Domain::Time | Domain::Image => true,
     }
 }
 
@@ -107,9 +80,14 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    /// Whether a series says something by its level alone, as a switch does.
-    pub fn level_counts(&self) -> bool {
-        !self.spec.align_mean && self.spec.domain == Domain::Time
+    /// Whether a channel of the source rests in the library: its level is compared.
+    pub fn has_resting(&self) -> bool {
+        match &self.embedder {
+            SourceEmbedder::Series(embedder) => {
+                (0..self.spec.channels).any(|channel| !embedder.moves(channel))
+            }
+            SourceEmbedder::Picture(_) => false,
+        }
     }
 
     /// Checks that a series can be compared with those of the library, by frequency in Hz. Rates
@@ -153,9 +131,9 @@ pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
     /// In units of a library.
-    pub fn new(scene: &Scene, library: &[Arc<FrameFeatures>]) -> Self {
+    pub fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let of_source = |spec: &SourceSpec| {
-            let with = |t: &'_ Arc<FrameFeatures>| t.sources.contains_key(&spec.id);
+            let with = |t: &'_ Arc<TrialFrames>| t.sources.contains_key(&spec.id);
             let first = library.iter().find(|t| with(t))?.key.clone();
             let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
             Some((spec.clone(), SourceEmbedder::new(spec, &trials)?, first))
@@ -200,7 +178,7 @@ impl JointEmbedder {
     }
 
     /// Checks that a query, or a trial of the library itself, can be compared with the library.
-    pub fn check(&self, query: &FrameFeatures) -> Result<(), RecogniseError> {
+    pub fn check(&self, query: &TrialFrames) -> Result<(), RecogniseError> {
         let known = |id: &SourceId| self.stretches.iter().any(|stretch| stretch.spec.id == *id);
         if !query.sources.keys().any(known) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
@@ -220,25 +198,33 @@ impl JointEmbedder {
     }
 
     /// Which of the sources a trial has.
-    pub fn present(&self, trial: &FrameFeatures) -> Present {
+    pub fn present(&self, trial: &TrialFrames) -> Present {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
 
-    /// The vectors of some excerpts of a trial, in the features' own units; 0 for sources that it
-    /// lacks.
-    pub fn raw(&self, trial: &FrameFeatures, excerpts: &[Excerpt]) -> Vec<Vec<f32>> {
+    /// The vector of the whole of a trial, or of copy number `i`, in the features' own units; 0 for
+    /// sources that it lacks.
+    fn raw(&self, trial: &TrialFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         let of_source = |stretch: &Stretch| {
             let source = trial.sources.get(&stretch.spec.id)?;
-            Some(stretch.embedder.embed(source, excerpts))
+            Some(stretch.embedder.embed(source, copy))
         };
         let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
-        let mut all = vec![vec![0.0; self.dims()]; excerpts.len()];
+        let mut vector = vec![0.0; self.dims()];
         for (stretch, part) in self.stretches.iter().zip(parts) {
-            for (vector, of_source) in all.iter_mut().zip(part.into_iter().flatten()) {
+            if let Some(of_source) = part {
                 vector[stretch.columns.clone()].copy_from_slice(&of_source);
             }
         }
-        all
+        vector
+    }
+
+    /// The vectors of a library's trial, in the features' own units: of the whole, then of its
+    /// copies by the `seed` of their draws.
+    pub fn training_vectors(&self, trial: &TrialFrames, seed: u64) -> Vec<Vec<f32>> {
+        let copies = copies(&trial.key, seed);
+        let copies = copies.iter().enumerate().map(|copy| self.raw(trial, Some(copy)));
+        std::iter::once(self.raw(trial, None)).chain(copies).collect()
     }
 
     /// Takes mean and deviation of each feature from the vectors of whole trials in their own
@@ -276,46 +262,50 @@ impl JointEmbedder {
         debug_assert!(vector.iter().all(|x| x.is_finite()));
     }
 
-    /// The standardised vectors of the beginnings of a trial's drag, of these lengths in seconds.
-    /// What is not of the drag is as in `whole`, the vector of the whole trial.
+    /// The standardised vectors of the beginnings of a library trial's drag, after each of some
+    /// looks, counted from 1 and rising. What is not of the drag, or ended before, is as in `whole`,
+    /// the vector of the whole trial.
     pub fn beginnings(
         &self,
-        trial: &FrameFeatures,
+        trial: &TrialFrames,
         whole: ArrayView1<'_, f32>,
-        seconds: &[f64],
+        looks: &[usize],
     ) -> Vec<Vec<f32>> {
-        let windows: Vec<Window> = seconds.iter().map(|&s| Window::Beginning(s)).collect();
         let of_source = |stretch: &Stretch| match &stretch.embedder {
             SourceEmbedder::Series(embedder) if stretch.spec.phase == Phase::Drag => {
-                Some(embedder.embed(trial.sources.get(&stretch.spec.id)?.series()?, &windows))
+                let series = trial.sources.get(&stretch.spec.id)?.series()?;
+                Some(beginnings(embedder, series, looks))
             }
             _ => None,
         };
         let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
-        let mut all = vec![whole.to_vec(); seconds.len()];
+        let mut all = vec![whole.to_vec(); looks.len()];
         for (stretch, part) in self.stretches.iter().zip(parts) {
             for (vector, of_source) in all.iter_mut().zip(part.into_iter().flatten()) {
-                vector[stretch.columns.clone()].copy_from_slice(&of_source);
-                self.standardise_source(stretch, vector);
+                if let Some(of_source) = of_source {
+                    vector[stretch.columns.clone()].copy_from_slice(&of_source);
+                    self.standardise_source(stretch, vector);
+                }
             }
         }
         all
     }
 
-    /// The standardised vectors of some excerpts of a trial, and which sources it has.
-    pub fn embed(&self, trial: &FrameFeatures, excerpts: &[Excerpt]) -> (Vec<Vec<f32>>, Present) {
+    /// The standardised vector of a trial, and which sources it has.
+    pub fn embed(&self, trial: &TrialFrames) -> (Vec<f32>, Present) {
         let present = self.present(trial);
-        let mut vectors = self.raw(trial, excerpts);
-        vectors.iter_mut().for_each(|vector| self.standardise(vector, &present));
-        (vectors, present)
+        let mut vector = self.raw(trial, None);
+        self.standardise(&mut vector, &present);
+        (vector, present)
     }
 
-    /// Whether there is anything in a trial to compare: a picture, a series that moves and is as
-    /// long as a short frame, or one at rest whose level counts, as a switch's does.
-    pub fn says_something(&self, trial: &FrameFeatures) -> bool {
+    /// Whether there is anything in a trial to compare: a picture, or a series that is as long as a
+    /// short frame, and moves or has a channel that rests in the library, as a switch does.
+    pub fn says_something(&self, trial: &TrialFrames) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
-                series.is_a_frame_long() && (stretch.level_counts() || !series.blocks.is_constant())
+                series.is_a_frame_long()
+                    && (stretch.has_resting() || !series.whole.moments.is_constant())
             }
             Some(SourceFrames::Picture(_)) => true,
             None => false,
@@ -332,7 +322,7 @@ impl JointEmbedder {
     }
 
     /// Length in seconds of a trial's drag: of its longest source that is dragged, if it has one.
-    pub fn drag_s(&self, trial: &FrameFeatures) -> Option<f64> {
+    pub fn drag_s(&self, trial: &TrialFrames) -> Option<f64> {
         let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
         let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());
         lengths.map(|series| series.duration_s()).max_by(f64::total_cmp)
@@ -343,4 +333,34 @@ impl JointEmbedder {
 pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
     let there = stretches.iter().zip(present).filter(|(_, has)| **has);
     there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
+}
+
+/// The vectors of the beginnings of a series after each of some looks; none once it has ended.
+fn beginnings(
+    embedder: &SeriesEmbedder,
+    series: &SeriesFrames,
+    looks: &[usize],
+) -> Vec<Option<Vec<f32>>> {
+    let rate_hz = series.rate_hz();
+    let mut sums = [0, 1].map(|view| counted(&series.views, &Default::default(), view));
+    let mut taken = [0; 2];
+    let mut values = Vec::new();
+    let of_look = |&number: &usize| {
+        let look = series.looks.get(number.checked_sub(1)?)?;
+        let samples = samples_by(number as f64 * LOOK_S, rate_hz);
+        for (v, view) in series.views.0.iter().enumerate() {
+            let end = view.frames_in(samples).max(taken[v]);
+            series.whole.frames[v].unpack(view.width(), taken[v]..end, &mut values);
+            sums[v].add(&values);
+            taken[v] = end;
+        }
+        let mut filled = sums.clone();
+        for (v, view) in series.views.0.iter().enumerate() {
+            let padded = &look.padded[v];
+            padded.unpack(view.width(), 0..padded.frames(view.width()), &mut values);
+            filled[v].add(&values);
+        }
+        Some(embedder.vector(&filled, &look.moments, rate_hz, 0.0))
+    };
+    looks.iter().map(of_look).collect()
 }

@@ -1,147 +1,216 @@
-//! What left-out library trials show of a model: how sure it may be, how unlike all surfaces a trial
-//! of the library can look, and when an answer is settled.
+//! Library trials that are left out, group by group: how sure a model may be, how unlike all surfaces
+//! a trial of the library can look, when an answer is settled, and how many are right by when.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::calibrated_probability::{HeldOut, Temperature, best_fit};
+use super::calibrated_probability::{HeldOut, Temperature};
+use super::copies::EXCERPTS;
 use super::discriminant::Discriminant;
+use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
 use super::training::Training;
-use crate::recognise::decide::conformal::{Conformity, nonconformity};
-use crate::recognise::features::frame_features::FrameFeatures;
+use crate::recognise::decide::conformal::{Calibration, Conformity, nonconformity};
+use crate::recognise::decide::scan_time::{LeftOutScan, looked_after};
+use crate::recognise::decide::settle::{Look, Stops};
+use crate::recognise::follow::{FollowOptions, LOOK_S};
 
 /// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
+
+/// Length of an excerpt as a share of its trial.
+const EXCERPT: f64 = 0.4;
 
 /// Trials whose beginnings are looked at, at most: as many more would change no digit that is
 /// stated.
 const MOST_BEGUN: usize = 400;
 
-/// Weights of excerpts that are tried beside that of a whole trial, down to next to nothing.
-const LIGHTER_EXCERPTS: [f64; 3] = [0.1, 0.01, 0.001];
+/// Discriminants of the sources that something has: from all trials, and from those outside each
+/// group.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Trained {
+    /// Where the library cannot train one, classes are as far as their means.
+    pub all: Discriminant,
+    /// By group; none where too little is left.
+    pub without: Vec<Option<Discriminant>>,
+    /// How unlike all surfaces left-out trials look by these sources.
+    pub conformity: Conformity,
+}
+
+/// Scans of left-out trials of one length: trial and standardised vector.
+type Begun = (f64, Vec<(usize, Vec<f32>)>);
+
+impl Trained {
+    /// Trains without a measure of what is strange.
+    fn new(joint: &JointEmbedder, training: &Training, present: &Present) -> Self {
+        let (all, without) = training.discriminants(joint, present);
+        Self { all, without, conformity: Conformity::default() }
+    }
+
+    /// Trains, and measures the library's trials that have these sources; `drag_s` is their median
+    /// drag.
+    pub fn measured(
+        joint: &JointEmbedder,
+        training: &Training,
+        labels: &Labels,
+        present: &Present,
+        drag_s: f64,
+    ) -> Self {
+        let mut trained = Self::new(joint, training, present);
+        trained.measure(training, labels, present, (drag_s, &[]));
+        trained
+    }
+
+    /// Where the library has one person, excerpts stand for another's whole scans.
+    fn measure(
+        &mut self,
+        training: &Training,
+        labels: &Labels,
+        present: &Present,
+        (drag_s, begun): (f64, &[Begun]),
+    ) {
+        let full: Vec<usize> = (0..labels.class.len())
+            .filter(|&i| present.iter().zip(&training.present[i]).all(|(want, has)| has | !want))
+            .collect();
+        let strange = |trial: usize, vector: ArrayView1<'_, f32>| {
+            let group = labels.group[trial];
+            let without = self.without[group].as_ref()?;
+            Some((group, nonconformity(&without.distances(vector))))
+        };
+        let excerpt_s = EXCERPT * drag_s;
+        let longest_s = if labels.across_users { f64::INFINITY } else { excerpt_s - 1e-9 };
+        let shorter = begun.iter().filter(|(scan_s, _)| *scan_s < longest_s);
+        let mut by_length: Vec<Calibration> = shorter
+            .map(|(scan_s, vectors)| {
+                let kept = vectors.iter().filter(|(trial, _)| full.contains(trial));
+                let scans = kept.filter_map(|(trial, vector)| strange(*trial, vector.into()));
+                Calibration::new(*scan_s, 1, scans)
+            })
+            .collect();
+        let excerpts = |of_each: usize| {
+            let all = full
+                .iter()
+                .flat_map(|&i| training.excerpts(i).into_iter().map(move |vector| (i, vector)));
+            let scans = all.filter_map(|(i, vector)| strange(i, vector[..].into()));
+            Calibration::new(excerpt_s, of_each, scans)
+        };
+        if labels.across_users {
+            if begun.is_empty() {
+                by_length.push(excerpts(EXCERPTS));
+            }
+            let wholes = full.iter().filter_map(|&i| strange(i, training.whole(i)));
+            by_length.push(Calibration::new(drag_s, 1, wholes));
+        } else {
+            by_length.push(excerpts(EXCERPTS));
+        }
+        self.conformity = Conformity::new(by_length);
+    }
+
+    /// The p-value of a scan of `scan_s` seconds.
+    pub fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
+        let of_group = |without: &Option<Discriminant>| {
+            without.as_ref().map_or(f64::INFINITY, |w| nonconformity(&w.distances(vector)))
+        };
+        let scores: Vec<f64> = self.without.iter().map(of_group).collect();
+        self.conformity.p_value(scan_s, |group| scores[group])
+    }
+}
 
 /// What left-out trials showed.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
     /// τ by the length of a scan.
     pub temperature: Temperature,
-    /// How unlike all surfaces left-out trials look.
-    pub conformity: Conformity,
     /// Distances of whole left-out trials, with their classes.
     pub held_out: Vec<HeldOut>,
+    /// Median length of the drag of trials that have all sources; 0 without one.
+    pub drag_s: f64,
+    /// The discriminants of the sources that trials of the library have.
+    pub trained: BTreeMap<Present, Arc<Trained>>,
 }
 
 impl LeftOut {
-    /// What trials show that are left out with their groups; `without` is of the same library.
+    /// Leaves the trials of a library out with their groups.
     pub fn new(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
-        library: &[Arc<FrameFeatures>],
-        without: &WithoutGroups,
+        library: &[Arc<TrialFrames>],
     ) -> Self {
-        let trained = |i: usize| without.of(labels, training, i);
-        let whole = without.whole_trials(labels, training);
+        let mut trained: BTreeMap<Present, Trained> = BTreeMap::new();
+        let all = vec![true; joint.stretches.len()];
+        for present in training.present.iter().chain([&all]) {
+            let train = || Trained::new(joint, training, present);
+            trained.entry(present.clone()).or_insert_with(train);
+        }
+        let without = |i: usize| {
+            let without = trained[&training.present[i]].without[labels.group[i]].as_ref();
+            without.filter(|without| without.knows(labels.class[i]))
+        };
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
             (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();
         lengths.sort_by(f64::total_cmp);
-        let middle_s = lengths.get(lengths.len() / 2).copied();
-        let begun_s: Vec<f64> = middle_s.map_or(Vec::new(), |s| BEGINNINGS.map(|b| b * s).to_vec());
+        let drag_s = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
+        let mut looks: Vec<usize> = BEGINNINGS
+            .map(|share| (share * drag_s / LOOK_S).round().max(1.0) as usize)
+            .into_iter()
+            .filter(|look| *look as f64 * LOOK_S < drag_s)
+            .collect();
+        looks.dedup();
+        let last_s = looks.last().map_or(f64::INFINITY, |last| *last as f64 * LOOK_S);
         let begun = |i: usize| {
-            let trained = trained(i)?;
-            if joint.drag_s(&library[i])? < *begun_s.last()? {
-                return None;
-            }
-            let vectors = joint.beginnings(&library[i], training.whole(i), &begun_s);
-            let distances = trained.distances_of_each(&vectors).into_iter();
-            Some((i, distances.map(|d| (d, labels.class[i])).collect::<Vec<HeldOut>>()))
+            without(i)?;
+            let long_enough = joint.drag_s(&library[i])? >= last_s;
+            let begin = || joint.beginnings(&library[i], training.whole(i), &looks);
+            long_enough.then(|| (i, begin()))
         };
-        let begun: Vec<(usize, Vec<HeldOut>)> = if begun_s.is_empty() {
-            Vec::new()
-        } else {
-            evenly(library.len()).into_par_iter().filter_map(begun).collect()
+        let vectors: Vec<(usize, Vec<Vec<f32>>)> =
+            evenly(library.len()).into_par_iter().filter_map(begun).collect();
+        let of_look = |(at, look): (usize, &usize)| -> Begun {
+            let of_look = |(i, vectors): &(usize, Vec<Vec<f32>>)| (*i, vectors[at].clone());
+            (*look as f64 * LOOK_S, vectors.iter().map(of_look).collect())
         };
-        let held_out = |keep: &dyn Fn(&usize) -> bool| -> Vec<(f64, Vec<HeldOut>)> {
-            let of_beginning = |(b, &s): (usize, &f64)| {
-                let kept = begun.iter().filter(|(i, _)| keep(i));
-                (s, kept.map(|(_, of_trial)| of_trial[b].clone()).collect())
-            };
-            let mut all: Vec<_> = begun_s.iter().enumerate().map(of_beginning).collect();
-            let kept = (0..library.len()).filter(|i| keep(i));
-            all.push((middle_s.unwrap_or(0.0), kept.filter_map(|i| whole[i].clone()).collect()));
-            all
+        let begun: Vec<Begun> = looks.iter().enumerate().map(of_look).collect();
+        let held_out = |i: usize, vector: ArrayView1<'_, f32>| -> Option<HeldOut> {
+            Some((without(i)?.distances(vector), labels.class[i]))
         };
-        let strange = |(s, of_length): (f64, Vec<HeldOut>)| {
-            (s, of_length.iter().filter_map(|(d, _)| nonconformity(d)).collect())
-        };
+        let whole: Vec<HeldOut> = (0..library.len())
+            .into_par_iter()
+            .filter_map(|i| held_out(i, training.whole(i)))
+            .collect();
+        let mut by_length: Vec<(f64, Vec<HeldOut>)> = (begun.iter())
+            .map(|(scan_s, vectors)| {
+                let of_trial = |(i, vector): &(usize, Vec<f32>)| held_out(*i, vector.into());
+                (*scan_s, vectors.iter().filter_map(of_trial).collect())
+            })
+            .collect();
+        by_length.push((drag_s, whole.clone()));
+        trained.iter_mut().for_each(|(present, trained)| {
+            trained.measure(training, labels, present, (drag_s, &begun));
+        });
         Self {
-            temperature: Temperature::fit(&held_out(&|_| true)),
-            conformity: Conformity::new(held_out(&is_full).into_iter().map(strange).collect()),
-            held_out: whole.into_iter().flatten().collect(),
+            temperature: Temperature::fit(&by_length),
+            held_out: whole,
+            drag_s,
+            trained: trained.into_iter().map(|(has, trained)| (has, Arc::new(trained))).collect(),
         }
-    }
-}
-
-/// Discriminants trained without each group of trials, by the sources that these have.
-pub(super) struct WithoutGroups(BTreeMap<(usize, Present), Option<Discriminant>>);
-
-impl WithoutGroups {
-    /// Leaves each group of trials out in turn. Where groups are people, excerpts get the weight by
-    /// which left-out people's trials are named best: that of least log loss.
-    pub fn new(joint: &JointEmbedder, training: &mut Training, labels: &Labels) -> Self {
-        let mut best = Self::train(joint, training, labels);
-        if !labels.across_users {
-            return best;
-        }
-        let (mut least, mut weight) = (best.log_loss(labels, training), training.excerpt_weight());
-        for lighter in LIGHTER_EXCERPTS {
-            training.weigh_excerpts(lighter);
-            let without = Self::train(joint, training, labels);
-            let loss = without.log_loss(labels, training);
-            if loss < least {
-                (least, weight, best) = (loss, lighter, without);
-            }
-        }
-        training.weigh_excerpts(weight);
-        best
-    }
-
-    /// That of whole trials, by the temperature that fits them best.
-    fn log_loss(&self, labels: &Labels, training: &Training) -> f64 {
-        let held_out: Vec<HeldOut> =
-            self.whole_trials(labels, training).into_iter().flatten().collect();
-        best_fit(&held_out).1
-    }
-
-    fn train(joint: &JointEmbedder, training: &Training, labels: &Labels) -> Self {
-        let parts: BTreeSet<(usize, Present)> =
-            (labels.group.iter().copied()).zip(training.present.iter().cloned()).collect();
-        let train = |(group, present): (usize, Present)| {
-            let trained = training.discriminant(joint, &present, Some(group));
-            ((group, present), trained)
-        };
-        Self(parts.into_par_iter().map(train).collect())
-    }
-
-    /// Distances of each whole trial, and its class, where that is known without it.
-    fn whole_trials(&self, labels: &Labels, training: &Training) -> Vec<Option<HeldOut>> {
-        let whole = |i: usize| {
-            let trained = self.of(labels, training, i)?;
-            Some((trained.distances(training.whole(i)), labels.class[i]))
-        };
-        (0..labels.class.len()).into_par_iter().map(whole).collect()
     }
 
     /// The discriminant that a trial did not train, if its class is known without it.
-    pub fn of(&self, labels: &Labels, training: &Training, trial: usize) -> Option<&Discriminant> {
-        let part = (labels.group[trial], training.present[trial].clone());
-        self.0.get(&part)?.as_ref().filter(|trained| trained.knows(labels.class[trial]))
+    pub fn without(
+        &self,
+        labels: &Labels,
+        present: &Present,
+        trial: usize,
+    ) -> Option<&Discriminant> {
+        let without = self.trained.get(present)?.without.get(labels.group[trial])?.as_ref();
+        without.filter(|without| without.knows(labels.class[trial]))
     }
 }
 
@@ -149,4 +218,64 @@ impl WithoutGroups {
 pub(super) fn evenly(trials: usize) -> Vec<usize> {
     let used = trials.min(MOST_BEGUN);
     (0..used).map(|i| i * trials / used).collect()
+}
+
+/// What a left-out trial looks like as its drag grows, by a model trained without it. No option of
+/// following changes that.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct FollowedTrial {
+    /// Trials of one group were left out together.
+    pub group: usize,
+    /// Its class.
+    pub truth: usize,
+    /// The class that it is named by its whole length.
+    pub whole: usize,
+    /// Length of its drag in seconds.
+    pub drag_s: f64,
+    /// After each [`LOOK_S`] of it.
+    pub looks: Vec<LeftOutLook>,
+}
+
+/// One look at a left-out trial.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct LeftOutLook {
+    pub class: usize,
+    pub probability: f64,
+    pub p_value: Option<f64>,
+}
+
+impl FollowedTrial {
+    /// Where each stop rule would have stopped.
+    pub fn stops(&self, options: &FollowOptions) -> Stops {
+        let fits = |p_value| options.rejection.as_ref().is_none_or(|r| !r.rejects(p_value));
+        let look = |(i, look): (usize, &LeftOutLook)| Look {
+            scan_s: (i + 1) as f64 * LOOK_S,
+            label: look.class,
+            probability: look.probability,
+            fits: look.p_value.is_none_or(fits),
+        };
+        Stops::new(self.looks.iter().enumerate().map(look), self.truth, self.whole, self.drag_s)
+    }
+
+    /// Whether it is named right after each time that is looked at.
+    pub fn scan(&self) -> LeftOutScan {
+        let right = |step: usize| self.looks[step - 1].class == self.truth;
+        LeftOutScan {
+            group: self.group,
+            scan_s: self.drag_s,
+            right: looked_after(self.drag_s).map(right).collect(),
+            right_whole: self.whole == self.truth,
+        }
+    }
+
+    /// Whether following a trial can give this, with this number of classes.
+    pub fn is_sound(&self, classes: usize) -> bool {
+        let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
+        self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)
+    }
+}
+
+/// Number of looks at a drag.
+pub(super) fn looks_in(drag_s: f64) -> usize {
+    (drag_s / LOOK_S + 1e-9).floor() as usize
 }

@@ -4,9 +4,19 @@
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
+use rayon::prelude::*;
 
 /// Columns that are worked on one by one.
 const BLOCK: usize = 48;
+
+/// Vectors that are summed in f32 before the sum goes to f64.
+const ROWS_A_SUM: usize = 512;
+
+/// Columns of a matrix of sums that one thread works out at a time.
+const COLUMNS_A_SUM: usize = 256;
+
+/// Rows that are worth a thread of their own.
+const ROWS_A_THREAD: usize = 512;
 
 /// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads the
 /// lower triangle alone; what stands above the diagonal afterwards means nothing.
@@ -57,7 +67,12 @@ fn half_of(n: usize) -> usize {
 
 /// Solves X·Lᵀ = B in place, L lower triangular.
 fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
-    let n = l.nrows();
+    let (n, rows) = (l.nrows(), b.nrows());
+    if rows > 2 * ROWS_A_THREAD {
+        let (above, below) = b.split_at(Axis(0), rows / 2);
+        rayon::join(|| solve_from_right(l, above), || solve_from_right(l, below));
+        return;
+    }
     if n > BLOCK {
         let half = half_of(n);
         let (mut first, mut second) = b.split_at(Axis(1), half);
@@ -75,7 +90,7 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
 }
 
 /// A ← A − X·Y in the lower triangle of A, at least; X·Y is symmetric.
-pub fn subtract_lower_product(
+fn subtract_lower_product(
     x: &ArrayView2<'_, f64>,
     y: &ArrayView2<'_, f64>,
     a: &mut ArrayViewMut2<'_, f64>,
@@ -91,9 +106,13 @@ pub fn subtract_lower_product(
     let (y1, y2) = y.split_at(Axis(1), half);
     let (mut above, below) = a.view_mut().split_at(Axis(0), half);
     let (mut below, mut last) = below.split_at(Axis(1), half);
-    subtract_lower_product(&x1, &y1, &mut above.slice_mut(s![.., ..half]));
-    general_mat_mul(-1.0, &x2, &y1, 1.0, &mut below);
-    subtract_lower_product(&x2, &y2, &mut last);
+    rayon::join(
+        || general_mat_mul(-1.0, &x2, &y1, 1.0, &mut below),
+        || {
+            subtract_lower_product(&x1, &y1, &mut above.slice_mut(s![.., ..half]));
+            subtract_lower_product(&x2, &y2, &mut last);
+        },
+    );
 }
 
 /// Solves L·X = B in place; `b` holds one column a right-hand side.
@@ -139,62 +158,78 @@ pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     }
 }
 
-/// An orthonormal basis of the span of the rows of `a`, row by row: Gram–Schmidt, done twice
-/// ("twice is enough", Giraud et al. 2005). Rows that add less than 1e-9 of the largest are left
-/// out.
-pub fn orthonormal_rows(a: &Array2<f64>) -> Array2<f64> {
-    let norm = |x: &ndarray::Array1<f64>| x.dot(x).sqrt();
-    let largest = a.rows().into_iter().map(|row| norm(&row.to_owned())).fold(0.0, f64::max);
-    let mut basis: Vec<ndarray::Array1<f64>> = Vec::new();
-    for row in a.rows() {
-        let mut rest = row.to_owned();
-        for _ in 0..2 {
-            for e in &basis {
-                let along = rest.dot(e);
-                rest.scaled_add(-along, e);
-            }
+/// Adds Σ z·zᵀ of the rows to the lower triangle of a matrix of shape (D, D). What stands
+/// above the diagonal means nothing.
+pub fn add_lower_gram(gram: &mut Array2<f64>, vectors: &Array2<f32>) {
+    let n = vectors.nrows();
+    let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
+    blocks.into_par_iter().for_each(|(block, mut columns)| {
+        let from = block * COLUMNS_A_SUM;
+        let to = from + columns.ncols();
+        let mut below = columns.slice_mut(s![from.., ..]);
+        for begin in (0..n).step_by(ROWS_A_SUM) {
+            let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
+            let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
+            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
         }
-        let length = norm(&rest);
-        if length > 1e-9 * largest {
-            basis.push(rest / length);
-        }
-    }
-    let mut rows = Array2::zeros((basis.len(), a.ncols()));
-    rows.rows_mut().into_iter().zip(&basis).for_each(|(mut row, e)| row.assign(e));
-    rows
+    });
 }
 
-/// Eigenvalues of a matrix logarithm's argument are at least this.
-const LEAST_EIGENVALUE: f64 = 1e-12;
+/// Eigenvalues and eigenvectors of a small symmetric matrix.
+pub struct EigenPairs {
+    n: usize,
+    values: Vec<f64>,
+    /// Vectors in columns, shape (n, n).
+    vectors: Vec<f64>,
+}
 
-/// ln of a symmetric matrix of shape (n, n), row by row, by its eigenvalues (those below 1e-12 count
-/// as that): cyclic Jacobi rotations (Golub & Van Loan, §8.5), right for small n.
-pub fn log_symmetric(mut a: Vec<f64>, n: usize) -> Vec<f64> {
-    /// Sweeps converge quadratically: ten are plenty.
-    const SWEEPS: usize = 30;
-    let mut v = vec![0.0; n * n];
-    (0..n).for_each(|i| v[i * n + i] = 1.0);
-    let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
-    for _ in 0..SWEEPS {
-        let off: f64 = (0..n)
-            .flat_map(|i| (0..i).map(move |j| (i, j)))
-            .map(|(i, j)| a[i * n + j].powi(2))
-            .sum();
-        if off <= 1e-24 * diagonal {
-            break;
-        }
-        for p in 0..n {
-            for q in p + 1..n {
-                rotate(&mut a, &mut v, n, (p, q));
+impl EigenPairs {
+    /// Of a matrix of shape (n, n), row by row: cyclic Jacobi rotations (Golub & Van Loan, §8.5),
+    /// right for small n.
+    pub fn new(mut a: Vec<f64>, n: usize) -> Self {
+        /// Sweeps converge quadratically: ten are plenty.
+        const SWEEPS: usize = 30;
+        let mut vectors = vec![0.0; n * n];
+        (0..n).for_each(|i| vectors[i * n + i] = 1.0);
+        let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
+        for _ in 0..SWEEPS {
+            let off: f64 = (0..n)
+                .flat_map(|i| (0..i).map(move |j| (i, j)))
+                .map(|(i, j)| a[i * n + j].powi(2))
+                .sum();
+            if off <= 1e-24 * diagonal {
+                break;
+            }
+            for p in 0..n {
+                for q in p + 1..n {
+                    rotate(&mut a, &mut vectors, n, (p, q));
+                }
             }
         }
+        Self { n, values: (0..n).map(|i| a[i * n + i]).collect(), vectors }
     }
-    let logs: Vec<f64> = (0..n).map(|i| a[i * n + i].max(LEAST_EIGENVALUE).ln()).collect();
-    let entry = |k: usize| {
-        let (i, j) = (k / n, k % n);
-        (0..n).map(|e| v[i * n + e] * logs[e] * v[j * n + e]).sum()
-    };
-    (0..n * n).map(entry).collect()
+
+    /// The matrix of the same vectors whose values are `f` of these, row by row.
+    pub fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        let (n, v) = (self.n, &self.vectors);
+        let values: Vec<f64> = self.values.iter().map(|&x| f(x)).collect();
+        let entry = |k: usize| {
+            let (i, j) = (k / n, k % n);
+            (0..n).map(|e| v[i * n + e] * values[e] * v[j * n + e]).sum()
+        };
+        (0..n * n).map(entry).collect()
+    }
+}
+
+/// Appends the upper triangle of a symmetric matrix of shape (n, n), what is off the diagonal times
+/// √2: the squared distance of two such lists is that of the matrices.
+pub fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
+    for row in 0..n {
+        for column in row..n {
+            let factor = if row == column { 1.0 } else { std::f64::consts::SQRT_2 };
+            vector.push((factor * matrix[row * n + column]) as f32);
+        }
+    }
 }
 
 /// One rotation that makes a_pq zero.
@@ -252,14 +287,17 @@ mod tests {
     }
 
     #[test]
-    fn dependent_rows_add_nothing_to_a_basis() {
-        let mut a = Array2::from_shape_fn((4, 9), |(i, j)| ((i * 9 + j).pow(2) as f64).sin());
-        let sum = &a.row(0) + &a.row(1);
-        a.row_mut(2).assign(&sum);
-        let basis = orthonormal_rows(&a);
-        assert_eq!(basis.nrows(), 3);
-        let gram = basis.dot(&basis.t());
-        assert!((gram - Array2::<f64>::eye(3)).iter().all(|x| x.abs() < 1e-12));
+    fn the_lower_triangle_of_the_sums_is_that_of_the_product() {
+        let (n, dims) = (ROWS_A_SUM + 60, COLUMNS_A_SUM + 30);
+        let value = |(i, j)| (((i * 31 + j * 17) % 97) as f32 - 48.0) / 16.0;
+        let vectors = Array2::from_shape_fn((n, dims), value);
+        let wide = vectors.mapv(f64::from);
+        let full = wide.t().dot(&wide);
+        let mut lower = Array2::zeros((dims, dims));
+        add_lower_gram(&mut lower, &vectors);
+        for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
+            assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
+        }
     }
 
     #[test]
@@ -273,10 +311,12 @@ mod tests {
             term = term.dot(&m) / f64::from(k);
             exponential += &term;
         }
-        let log = log_symmetric(exponential.into_raw_vec_and_offset().0, n);
+        let log = EigenPairs::new(exponential.into_raw_vec_and_offset().0, n).map(f64::ln);
         for (got, expected) in log.iter().zip(m.iter()) {
             assert!((got - expected).abs() < 1e-9, "{got} vs {expected}");
         }
-        assert_eq!(log_symmetric(vec![0.0], 1), [LEAST_EIGENVALUE.ln()]);
+        let mut upper = Vec::new();
+        push_upper(&[1.0, 2.0, 2.0, 5.0], 2, &mut upper);
+        assert_eq!(upper, [1.0, 2.0 * 2f32.sqrt(), 5.0]);
     }
 }

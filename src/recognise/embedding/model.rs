@@ -1,80 +1,435 @@
-//! A library that the method `embedding` has been trained on.
+//! A library that the method `embedding` has been trained on: from a query to its answer.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::calibrated_probability::HeldOut;
-use super::discriminant::Discriminant;
-use super::joint::{Excerpt, JointEmbedder, Present};
+use ndarray::{Array2, ArrayView1};
+use rayon::prelude::*;
+use serde::Deserialize;
+
+use super::NAME;
+use super::calibrated_probability::{HeldOut, held_back, log_posterior};
+use super::follower::Follower;
+use super::frames::TrialFrames;
+use super::joint::{JointEmbedder, Present, StoredJoint, Stretch, columns};
 use super::labels::Labels;
-use super::left_out::LeftOut;
-use super::left_out_scans::{FollowedTrial, Unfollowed};
+use super::left_out::{FollowedTrial, LeftOut, LeftOutLook, Trained, evenly, looks_in};
 use super::training::Training;
-use crate::recognise::decide::settle::Settling;
+use crate::library::Entry;
+use crate::recognise::decide::conformal::{Rejection, RejectionError, nonconformity};
+use crate::recognise::decide::scan_time::{LeftOutAccuracy, LeftOutScan, LibraryCounts};
+use crate::recognise::decide::settle::{Settling, Stops};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::features::FrameFeatures;
-use crate::recognise::follow::FollowOptions;
+use crate::recognise::follow::{Follow, FollowOptions, LOOK_S};
+use crate::recognise::method::{BySources, Evidence, Model, SourceEvidence};
+use crate::recognise::prepared::Prepared;
+use crate::recognise::rank::{Candidate, Ranking, rank};
 use crate::recognise::shape::LibraryShape;
-use crate::scene::Scene;
-use crate::trial::TrialKey;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Trial, TrialKey};
 
 /// A library, embedded and trained.
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(super) shape: Arc<LibraryShape>,
     /// The library's trials, sorted.
-    pub(super) keys: Vec<TrialKey>,
+    keys: Vec<TrialKey>,
     pub(super) labels: Labels,
     pub(super) joint: JointEmbedder,
-    pub(super) training: Training,
-    pub(super) left_out: LeftOut,
-    /// By the sources of the queries so far.
-    pub(super) discriminants: Mutex<HashMap<Present, Arc<Discriminant>>>,
-    /// What following left-out trials takes, until that is done.
-    pub(super) unfollowed: Mutex<Option<Unfollowed>>,
-    /// What it showed.
-    pub(super) followed: OnceLock<Vec<FollowedTrial>>,
+    training: Training,
+    left_out: LeftOut,
+    /// By the sources of queries that have others than trials of the library.
+    trained: Mutex<HashMap<Present, Arc<Trained>>>,
+    /// The library's trials, until they are followed.
+    unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
+    /// What following them showed.
+    followed: OnceLock<Vec<FollowedTrial>>,
     /// The stop rule by the options that were wanted first: scans are followed by them again and
     /// again.
-    pub(super) settling: OnceLock<(FollowOptions, Settling)>,
-    /// For people: what the library was too small for.
-    pub(super) remarks: Vec<String>,
+    settling: OnceLock<(FollowOptions, Settling)>,
+    /// What the library was too small for, a line each.
+    remarks: Vec<String>,
+}
+
+/// How far a query is from each surface, and what that means.
+pub(super) struct Posterior {
+    /// ln of softmax(−distance/2τ).
+    pub log_posterior: Vec<f64>,
+    /// Probability of each, held to what the left-out trials of the library can show.
+    pub probabilities: Vec<f64>,
+    /// As [`Ranking::p_value`].
+    pub p_value: Option<f64>,
+}
+
+impl Posterior {
+    /// Index of the most probable surface; the first of equal ones.
+    pub fn best(&self) -> usize {
+        let mut best = 0;
+        for (i, p) in self.log_posterior.iter().enumerate() {
+            if *p > self.log_posterior[best] {
+                best = i;
+            }
+        }
+        best
+    }
 }
 
 impl EmbeddingModel {
+    /// Trains on a library, sorted by key; `seed` is that of its trials' copies.
+    pub(super) fn train(
+        scene: &Scene,
+        shape: &Arc<LibraryShape>,
+        library: Vec<Arc<TrialFrames>>,
+        seed: u64,
+    ) -> Result<Self, RecogniseError> {
+        let labels = Labels::new(&library.iter().map(|trial| &trial.key).collect::<Vec<_>>());
+        let mut joint = JointEmbedder::new(scene, &library);
+        for trial in &library {
+            joint.check(trial)?;
+        }
+        let training = Training::new(&mut joint, &library, &labels, seed);
+        let left_out = LeftOut::new(&joint, &training, &labels, &library);
+        let keys = library.iter().map(|trial| trial.key.clone()).collect();
+        let model = Self::of(scene, shape, (keys, labels, joint, training, left_out));
+        Ok(Self { unfollowed: Mutex::new(Some(library)), ..model })
+    }
+
+    fn of(
+        scene: &Scene,
+        shape: &Arc<LibraryShape>,
+        parts: (Vec<TrialKey>, Labels, JointEmbedder, Training, LeftOut),
+    ) -> Self {
+        let (keys, labels, joint, training, left_out) = parts;
+        Self {
+            scene: scene.clone(),
+            shape: shape.clone(),
+            remarks: remarks(&keys, &labels, &left_out),
+            keys,
+            labels,
+            joint,
+            training,
+            left_out,
+            trained: Mutex::default(),
+            unfollowed: Mutex::default(),
+            followed: OnceLock::new(),
+            settling: OnceLock::new(),
+        }
+    }
+
     /// Distances of left-out library trials under models trained without them, with the index of
     /// each trial's surface. Empty where there is nothing to leave out.
     pub fn held_out(&self) -> &[HeldOut] {
         &self.left_out.held_out
     }
 
-    pub(super) fn scan_s(&self, query: &FrameFeatures) -> f64 {
+    fn scan_s(&self, query: &TrialFrames) -> f64 {
         self.joint.drag_s(query).unwrap_or(f64::INFINITY)
     }
 
-    pub(super) fn embed(
-        &self,
-        query: &FrameFeatures,
-    ) -> Result<(Vec<f32>, Present), RecogniseError> {
+    fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {
         self.joint.check(query)?;
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
         }
-        let (mut vectors, present) = self.joint.embed(query, &[Excerpt::WHOLE]);
-        Ok((vectors.swap_remove(0), present))
+        Ok(self.joint.embed(query))
     }
 
-    /// The discriminant of some sources. Where the library cannot train one, classes are as far as
-    /// their means.
-    pub(super) fn discriminant(&self, present: &Present) -> Arc<Discriminant> {
-        let lock = || self.discriminants.lock().unwrap_or_else(PoisonError::into_inner);
+    /// The discriminants of some sources: made when they are first wanted, and kept.
+    fn trained(&self, present: &Present) -> Arc<Trained> {
+        if let Some(known) = self.left_out.trained.get(present) {
+            return known.clone();
+        }
+        let lock = || self.trained.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = lock().get(present) {
             return known.clone();
         }
-        let trained = self.training.discriminant(&self.joint, present, None);
-        let trained =
-            Arc::new(trained.unwrap_or_else(|| self.training.untrained(&self.joint, present)));
+        let (joint, training, labels) = (&self.joint, &self.training, &self.labels);
+        let trained = Trained::measured(joint, training, labels, present, self.left_out.drag_s);
+        let trained = Arc::new(trained);
         lock().insert(present.clone(), trained.clone());
         trained
     }
+
+    /// Distances to all surfaces, and a p-value, mean this for a scan of `scan_s` seconds.
+    fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
+        let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
+        Posterior {
+            probabilities: held_back(&log_posterior, self.left_out.held_out.len()),
+            log_posterior,
+            p_value,
+        }
+    }
+
+    /// The posterior of a vector in the library's deviations.
+    pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
+        let trained = self.trained(present);
+        let p_value = trained.p_value(vector.into(), scan_s);
+        self.posterior_of(&trained.all.distances(vector.into()), p_value, scan_s)
+    }
+
+    /// The sources that something has.
+    fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
+        self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
+    }
+
+    /// The ranking of a vector.
+    pub(super) fn ranking(&self, vector: &[f32], present: &Present, scan_s: f64) -> Ranking {
+        let posterior = self.posterior(vector, present, scan_s);
+        let best = posterior.best();
+        let candidate = |(class, p): (usize, &f64)| {
+            let key = if class == best {
+                self.nearest(vector, present, class)
+            } else {
+                TrialKey::new(&self.labels.surfaces[class], "", 0)
+            };
+            Candidate { key, log_ds: -p }
+        };
+        let candidates = posterior.log_posterior.iter().enumerate().map(candidate).collect();
+        let sources = self.stretches(present).map(|stretch| stretch.spec.id.clone()).collect();
+        // There is a candidate: a library has two surfaces.
+        let mut ranking = rank(candidates, 1, sources).expect("at least two candidates");
+        let calibrated = !self.left_out.held_out.is_empty();
+        ranking.confidence = calibrated.then(|| posterior.probabilities[best]);
+        ranking.p_value = posterior.p_value;
+        ranking
+    }
+
+    /// The trial of a class that is nearest to a vector, in the library's deviations.
+    fn nearest(&self, vector: &[f32], present: &Present, class: usize) -> TrialKey {
+        let columns = columns(&self.joint.stretches, present);
+        let distance = |trial: usize| -> f64 {
+            let whole = self.training.whole(trial);
+            columns.iter().map(|&c| f64::from(whole[c] - vector[c]).powi(2)).sum()
+        };
+        let members = (0..self.keys.len()).filter(|&i| self.labels.class[i] == class);
+        let nearest = members.min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        // Every class has a trial: classes were made of trials.
+        self.keys[nearest.unwrap_or(0)].clone()
+    }
+
+    /// Each source's share of the distance to each surface, over 2τ, so that the sums are −ln
+    /// posterior, less one number that is the same for all surfaces.
+    fn evidence(&self, vector: &[f32], present: &Present, scan_s: f64) -> Evidence {
+        let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
+        let trained = &self.trained(present).all;
+        let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));
+        let weights = trained.weights();
+        let mut terms = vec![vec![f64::INFINITY; self.labels.classes]; columns.len()];
+        for class in (0..self.labels.classes).filter(|&class| trained.knows(class)) {
+            let mean = self.training.class_mean(&self.labels, class);
+            let of_mean = weights.terms(class, mean.view(), &columns);
+            let of_query = weights.terms(class, ArrayView1::from(vector), &columns);
+            for (of_source, (m, q)) in terms.iter_mut().zip(of_mean.iter().zip(of_query)) {
+                of_source[class] = scale * (m - 2.0 * q);
+            }
+        }
+        let of_source = |(stretch, terms): (&Stretch, Vec<f64>)| SourceEvidence {
+            source: stretch.spec.id.clone(),
+            trained: true,
+            terms,
+        };
+        let sources = self.stretches(present).zip(terms).map(of_source).collect();
+        Evidence { surfaces: self.labels.surfaces.clone(), sources }
+    }
+
+    /// The stop rule.
+    pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
+        let choose = || {
+            let stops: Vec<Stops> = self.followed().iter().map(|t| t.stops(options)).collect();
+            Settling::choose(&stops, options.loss)
+        };
+        let (found_for, settling) = self.settling.get_or_init(|| (options.clone(), choose()));
+        if found_for == options { settling.clone() } else { choose() }
+    }
+
+    /// The left-out trials as they grow, followed once.
+    fn followed(&self) -> &[FollowedTrial] {
+        self.followed.get_or_init(|| {
+            let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let follow = |library: Vec<Arc<TrialFrames>>| {
+                let trials = evenly(self.keys.len()).into_par_iter();
+                trials.filter_map(|trial| self.follow_one(&library[trial], trial)).collect()
+            };
+            library.map_or_else(Vec::new, follow)
+        })
+    }
+
+    /// Looks at a library trial as a [`Follower`] would, with a model trained without it.
+    fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
+        let present = &self.training.present[trial];
+        let without = self.left_out.without(&self.labels, present, trial)?;
+        let conformity = &self.left_out.trained.get(present)?.conformity;
+        let drag_s = self.joint.drag_s(frames)?;
+        let whole = self.training.whole(trial);
+        let looks: Vec<usize> = (1..=looks_in(drag_s)).collect();
+        let vectors = self.joint.beginnings(frames, whole, &looks);
+        let look = |(number, distances): (&usize, Vec<f64>)| {
+            let scan_s = *number as f64 * LOOK_S;
+            // All groups' trials are compared with it by the one model that does not know it.
+            let p_value = conformity.p_value(scan_s, |_| nonconformity(&distances));
+            let posterior = self.posterior_of(&distances, p_value, scan_s);
+            let class = posterior.best();
+            LeftOutLook { class, probability: posterior.log_posterior[class].exp(), p_value }
+        };
+        let distances = without.distances_of_each(&vectors);
+        Some(FollowedTrial {
+            group: self.labels.group[trial],
+            truth: self.labels.class[trial],
+            whole: self.posterior_of(&without.distances(whole), None, drag_s).best(),
+            drag_s,
+            looks: looks.iter().zip(distances).map(look).collect(),
+        })
+    }
+
+    /// The surfaces, with their trials, and the people of the library.
+    fn counts(&self) -> LibraryCounts {
+        let mut trials = vec![0; self.labels.classes];
+        self.labels.class.iter().for_each(|&class| trials[class] += 1);
+        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
+        LibraryCounts {
+            people: people.len(),
+            across_people: self.labels.across_users,
+            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
+        }
+    }
+
+    /// The model of the bytes that [`Model::store`] gave; `None` if they are of something else.
+    pub(super) fn from_bytes(
+        bytes: &[u8],
+        scene: &Scene,
+        shape: &Arc<LibraryShape>,
+    ) -> Option<Self> {
+        let stored: Stored = postcard::from_bytes(bytes).ok()?;
+        let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>());
+        let joint = JointEmbedder::from_stored(scene, stored.joint)?;
+        let training = Training::from_stored(stored.training, &labels, joint.dims())?;
+        let fits = |trained: &Arc<Trained>| {
+            let all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
+            trained.without.len() == labels.groups
+                && all.into_iter().all(|d| d.is_of(labels.classes, joint.dims()))
+        };
+        let sound = stored.left_out.trained.values().all(fits)
+            && training.present.iter().all(|has| stored.left_out.trained.contains_key(has))
+            && stored.followed.iter().all(|trial| trial.is_sound(labels.classes));
+        let parts = (stored.keys, labels, joint, training, stored.left_out);
+        sound.then(|| Self {
+            followed: OnceLock::from(stored.followed),
+            ..Self::of(scene, shape, parts)
+        })
+    }
+}
+
+/// What is stored of a model: all that does not follow from its scene and its trials' names.
+#[derive(Deserialize)]
+struct Stored {
+    keys: Vec<TrialKey>,
+    joint: StoredJoint,
+    training: (Array2<f32>, Vec<Present>, f64),
+    left_out: LeftOut,
+    followed: Vec<FollowedTrial>,
+}
+
+impl Model for EmbeddingModel {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        let frames = TrialFrames::new(&entry.key, trial, &self.scene, &self.shape, None)?;
+        Ok(Prepared::Frames(Arc::new(frames)))
+    }
+
+    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+        let query = query.frames(NAME)?;
+        let (vector, present) = self.embed(query)?;
+        Ok(self.ranking(&vector, &present, self.scan_s(query)))
+    }
+
+    fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        self.joint.moves(source, channel)
+    }
+
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+        let query = query.frames(NAME)?;
+        let (vector, present) = self.embed(query)?;
+        Ok(Some(self.evidence(&vector, &present, self.scan_s(query))))
+    }
+
+    fn by_sources(
+        self: Arc<Self>,
+        query: &Prepared,
+    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+        let (vector, present) = self.embed(query.frames(NAME)?)?;
+        Ok(Some(Box::new(QueryVector { model: self, vector, present })))
+    }
+
+    fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {
+        Some(Box::new(Follower::new(&self, options)))
+    }
+
+    fn left_out_accuracy(&self) -> Option<LeftOutAccuracy> {
+        let scans: Vec<LeftOutScan> = self.followed().iter().map(FollowedTrial::scan).collect();
+        Some(LeftOutAccuracy::new(&scans, self.counts()))
+    }
+
+    fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
+        let all = vec![true; self.joint.stretches.len()];
+        let trials = self.trained(&all).conformity.trials();
+        rate.map_or_else(|| Rejection::usual(trials), |rate| Rejection::new(trials, rate))
+    }
+
+    fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+
+    fn store(&self) -> Option<Vec<u8>> {
+        // In the order of `Stored`. Following left-out trials takes a while, unless that was done.
+        let (joint, training) = (self.joint.to_stored(), self.training.to_stored());
+        let stored = (&self.keys, joint, training, &self.left_out, self.followed());
+        postcard::to_allocvec(&stored).ok()
+    }
+}
+
+/// A query as a vector, to be named by any of its sources.
+struct QueryVector {
+    model: Arc<EmbeddingModel>,
+    /// In the library's deviations.
+    vector: Vec<f32>,
+    present: Present,
+}
+
+impl BySources for QueryVector {
+    fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
+        let stretches = self.model.joint.stretches.iter().zip(&self.present);
+        let chosen: Present =
+            stretches.map(|(s, has)| *has && sources.contains(&&s.spec.id)).collect();
+        if !chosen.contains(&true) {
+            return None;
+        }
+        let posterior = self.model.posterior(&self.vector, &chosen, f64::INFINITY);
+        Some(&self.model.labels.surfaces[posterior.best()])
+    }
+}
+
+/// What a library is too small for, a line each.
+fn remarks(keys: &[TrialKey], labels: &Labels, left_out: &LeftOut) -> Vec<String> {
+    let mut remarks = Vec::new();
+    let mut users: BTreeMap<&str, usize> = BTreeMap::new();
+    keys.iter().for_each(|key| *users.entry(&key.user).or_default() += 1);
+    match left_out.held_out.len() {
+        0 => remarks.push(
+            "probabilities are not calibrated: that takes two trials of each of two surfaces"
+                .to_string(),
+        ),
+        trials if !labels.across_users => {
+            let person = match users.first_key_value() {
+                Some((user, _)) if users.len() == 1 => format!("scans by `{user}`"),
+                _ => "scans by the people in the library".to_string(),
+            };
+            remarks.push(format!(
+                "probabilities rest on {trials} left-out trials, and hold for {person}"
+            ));
+        }
+        trials => remarks.push(format!(
+            "probabilities rest on {trials} trials by {} people, each left out in turn",
+            users.len()
+        )),
+    }
+    remarks
 }

@@ -1,32 +1,27 @@
-//! What discriminants are trained on: whole trials and random excerpts of them.
+//! Training vectors: whole trials and their copies, and how far their scatter is shrunk.
 //!
-//! Other people drag at other places and speeds. Random excerpts of 40 % of a trial, the same span
-//! for all its sources, show within one person's library what such differences do (method §9); the
-//! scatter within classes pools them about the class's mean of excerpts, and whole trials about the
-//! class's mean of whole trials. Where a library has several people, its whole trials show what
-//! people do: how much excerpts still weigh is found by leaving people out (`left_out`).
+//! The scatter within classes pools whole trials, excerpts and twins ([`super::copies`]), each about
+//! the means of their own class and kind. Its shrinkage is measured (Ledoit and Wolf 2004, "A
+//! well-conditioned estimator for large-dimensional covariance matrices"), with each trial and its
+//! copies as one observation.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 
-use super::discriminant::Discriminant;
-use super::joint::{Excerpt, JointEmbedder, Present, columns};
+use super::copies::{COPIES, EXCERPTS};
+use super::discriminant::{Discriminant, Residuals, Vectors};
+use super::frames::TrialFrames;
+use super::joint::{JointEmbedder, Present, columns};
 use super::labels::Labels;
-use super::linear::{cholesky, solve_lower_transposed};
-use super::scatter::Scatter;
-use super::series::Window;
-use crate::recognise::features::frame_features::FrameFeatures;
-use crate::recognise::features::image_features::QUARTERS;
-use crate::seed;
-use crate::trial::TrialKey;
+use super::linear::{add_lower_gram, cholesky, solve_lower_transposed};
 
-/// Random excerpts of each trial.
-const EXCERPTS: usize = 6;
+/// Kinds of training vectors: wholes, excerpts, twins.
+const KINDS: usize = 3;
 
-/// Length of an excerpt as a share of its trial.
-const SHARE: f64 = 0.4;
+/// The shrinkage is held within these.
+const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
 
 /// Added to the diagonal of inner products of vectors, as a share of its mean: beyond rounding in
 /// f32, far below the shrinkage.
@@ -34,31 +29,30 @@ const JITTER: f64 = 1e-5;
 
 /// The training vectors of a library, in the library's deviations.
 pub(super) struct Training {
-    /// Shape (rows, D): the whole of each trial, in order, then the excerpts of each.
+    /// Shape (rows, D): the whole of each trial, in order, then the copies of each.
     rows: Array2<f32>,
-    /// Class of a whole trial; classes + class of an excerpt.
+    /// Class and kind of each row: kind · classes + class.
     labels: Vec<usize>,
     /// Group of each row: groups are left out together.
     groups: Vec<usize>,
     classes: usize,
-    /// How much an excerpt weighs in the scatter within classes; a whole trial weighs 1.
-    excerpt_weight: f64,
+    /// γ.
+    shrinkage: f64,
+    group_count: usize,
     /// Which sources each trial has.
     pub present: Vec<Present>,
-    /// Sums over all rows, once they are needed.
-    all: OnceLock<Scatter>,
 }
 
 impl Training {
     /// Embeds a library, and sets `joint` to its units.
     pub fn new(
         joint: &mut JointEmbedder,
-        library: &[Arc<FrameFeatures>],
+        library: &[Arc<TrialFrames>],
         labels: &Labels,
         seed: u64,
     ) -> Self {
-        let embed = |trial: &Arc<FrameFeatures>| joint.raw(trial, &excerpts(&trial.key, seed));
-        let mut vectors: Vec<Vec<Vec<f32>>> = library.par_iter().map(embed).collect();
+        let mut vectors: Vec<Vec<Vec<f32>>> =
+            library.par_iter().map(|trial| joint.training_vectors(trial, seed)).collect();
         let present: Vec<Present> = library.iter().map(|trial| joint.present(trial)).collect();
         let wholes: Vec<(&[f32], &Present)> =
             vectors.iter().zip(&present).map(|(v, has)| (&v[0][..], has)).collect();
@@ -66,54 +60,42 @@ impl Training {
         vectors.par_iter_mut().zip(&present).for_each(|(of_trial, present)| {
             of_trial.iter_mut().for_each(|vector| joint.standardise(vector, present));
         });
-        let mut rows = Array2::zeros((library.len() * (1 + EXCERPTS), joint.dims()));
+        let mut rows = Array2::zeros((library.len() * (1 + COPIES), joint.dims()));
         for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
             let (trial, vector) = place(row, library.len());
             values.assign(&ArrayView1::from(&vectors[trial][vector]));
         }
-        let mut training = Self::of(rows, present, 1.0, labels);
+        let mut training = Self::of(rows, present, 0.0, labels);
         training.fill_absent(joint);
+        training.shrinkage = training.measured_shrinkage();
         training
     }
 
-    fn of(rows: Array2<f32>, present: Vec<Present>, excerpt_weight: f64, labels: &Labels) -> Self {
+    fn of(rows: Array2<f32>, present: Vec<Present>, shrinkage: f64, labels: &Labels) -> Self {
         let of_row = |row: usize| {
             let (trial, vector) = place(row, present.len());
-            let class = labels.class[trial];
-            (if vector == 0 { class } else { labels.classes + class }, labels.group[trial])
+            let kind = usize::from(vector > 0) + usize::from(vector > EXCERPTS);
+            (kind * labels.classes + labels.class[trial], labels.group[trial])
         };
         let (of_rows, groups) = (0..rows.nrows()).map(of_row).unzip();
-        let (labels, classes) = (of_rows, labels.classes);
-        Self { rows, labels, groups, classes, excerpt_weight, present, all: OnceLock::new() }
+        let (classes, group_count) = (labels.classes, labels.groups);
+        Self { rows, labels: of_rows, groups, classes, group_count, shrinkage, present }
     }
 
-    /// How much an excerpt weighs.
-    pub fn excerpt_weight(&self) -> f64 {
-        self.excerpt_weight
-    }
-
-    /// Gives excerpts a weight; sums by the one that they had are made anew.
-    pub fn weigh_excerpts(&mut self, weight: f64) {
-        if weight != self.excerpt_weight {
-            (self.excerpt_weight, self.all) = (weight, OnceLock::new());
-        }
-    }
-
-    /// All of it that does not follow from the labels: vectors, which sources each trial has, and
-    /// the weight of excerpts.
+    /// All of it that does not follow from the labels: vectors, which sources each trial has, and γ.
     pub fn to_stored(&self) -> (&Array2<f32>, &[Present], f64) {
-        (&self.rows, &self.present, self.excerpt_weight)
+        (&self.rows, &self.present, self.shrinkage)
     }
 
     /// The same again; `None` if that is not of trials with these labels and vectors of `dims`.
     pub fn from_stored(
-        (rows, present, excerpt_weight): (Array2<f32>, Vec<Present>, f64),
+        (rows, present, shrinkage): (Array2<f32>, Vec<Present>, f64),
         labels: &Labels,
         dims: usize,
     ) -> Option<Self> {
         let trials = labels.class.len();
-        let fits = present.len() == trials && rows.dim() == (trials * (1 + EXCERPTS), dims);
-        fits.then(|| Self::of(rows, present, excerpt_weight, labels))
+        let fits = present.len() == trials && rows.dim() == (trials * (1 + COPIES), dims);
+        fits.then(|| Self::of(rows, present, shrinkage, labels))
     }
 
     /// Sources that a row lacks take the mean of their label's other rows, so that they neither
@@ -125,10 +107,8 @@ impl Training {
                 continue;
             }
             let columns = ndarray::s![stretch.columns.clone()];
-            let mut sums = vec![
-                (0.0f32, ndarray::Array1::<f32>::zeros(stretch.columns.len()));
-                2 * self.classes
-            ];
+            let none = (0.0f32, Array1::<f32>::zeros(stretch.columns.len()));
+            let mut sums = vec![none; KINDS * self.classes];
             for (row, values) in self.rows.rows().into_iter().enumerate() {
                 if self.present[trial(row)][s] {
                     let (count, sum) = &mut sums[self.labels[row]];
@@ -145,9 +125,50 @@ impl Training {
         }
     }
 
+    /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖²: r_a the N rows of n
+    /// trials about the means of their labels, S their mean product, μ = tr(S)/D. Copies that were
+    /// taken for observations of their own would halve it.
+    fn measured_shrinkage(&self) -> f64 {
+        let residuals = Residuals::new(&self.rows, &self.labels);
+        let (rows, dims) = self.rows.dim();
+        let trials = self.present.len();
+        let product = if rows < dims {
+            let mut product = Array2::zeros((rows, rows));
+            add_lower_gram(&mut product, &residuals.rows.t().to_owned());
+            product
+        } else {
+            residuals.scatter()
+        };
+        let residuals = residuals.rows;
+        let (n, d) = (rows as f64, dims as f64);
+        let trace = product.diag().sum() / n;
+        let lower = |(i, row): (usize, ArrayView1<'_, f64>)| {
+            let off: f64 = row.iter().take(i).map(|x| x * x).sum();
+            2.0 * off + row[i] * row[i]
+        };
+        let square = product.rows().into_iter().enumerate().map(lower).sum::<f64>() / (n * n);
+        let of_trial = |trial: usize| -> f64 {
+            let copies = (0..COPIES).map(|copy| trials + trial * COPIES + copy);
+            let own: Vec<usize> = std::iter::once(trial).chain(copies).collect();
+            let inner = |a: usize, b: usize| f64::from(residuals.row(a).dot(&residuals.row(b)));
+            own.iter().flat_map(|&a| own.iter().map(move |&b| inner(a, b).powi(2))).sum()
+        };
+        let within: f64 =
+            (0..trials).into_par_iter().map(of_trial).collect::<Vec<_>>().iter().sum();
+        let spread = square - trace * trace / d;
+        let shrinkage = (within / (n * n) - square / trials.max(1) as f64) / spread;
+        if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
+    }
+
     /// The whole of a trial.
     pub fn whole(&self, trial: usize) -> ArrayView1<'_, f32> {
         self.rows.row(trial)
+    }
+
+    /// The excerpts of a trial.
+    pub fn excerpts(&self, trial: usize) -> Vec<Vec<f32>> {
+        let first = self.present.len() + trial * COPIES;
+        (first..first + EXCERPTS).map(|row| self.rows.row(row).to_vec()).collect()
     }
 
     /// Mean of the whole trials of a class.
@@ -158,78 +179,63 @@ impl Training {
         sum / members.len().max(1) as f32
     }
 
-    /// Distances to the class means alone, for a library that can train nothing.
-    pub fn untrained(&self, joint: &JointEmbedder, present: &Present) -> Discriminant {
-        let columns = columns(&joint.stretches, present);
-        Discriminant::of_means(&self.all().select(&columns), self.classes)
-            .spread(&columns, joint.dims())
-    }
-
-    /// A discriminant of the sources that are `present`, from all trials or from those outside one
-    /// group. `None` where these are too few, or all alike.
-    pub fn discriminant(
+    /// Discriminants of the sources that are `present`: from all trials, and from those outside each
+    /// group; none where these are too few, or all alike. Where not even all trials train one,
+    /// classes are as far as their means.
+    pub fn discriminants(
         &self,
         joint: &JointEmbedder,
         present: &Present,
-        without: Option<usize>,
-    ) -> Option<Discriminant> {
+    ) -> (Discriminant, Vec<Option<Discriminant>>) {
         let columns = columns(&joint.stretches, present);
-        let used = |row: &usize| without.is_none_or(|group| self.groups[*row] != group);
-        let rows: Vec<usize> = (0..self.rows.nrows()).filter(used).collect();
-        let discriminant = if 2 * rows.len() < columns.len() {
-            self.in_their_span(&rows, &columns)?
+        let selected;
+        let rows = if columns.len() == self.rows.ncols() {
+            &self.rows
         } else {
-            let mut scatter = self.all().select(&columns);
-            if let Some(group) = without {
-                let left_out: Vec<usize> =
-                    (0..self.rows.nrows()).filter(|&row| self.groups[row] == group).collect();
-                scatter.subtract(&self.select(&left_out, &columns), &self.labels_of(&left_out));
-            }
-            Discriminant::new(scatter, self.classes, columns.len())?
+            selected = self.rows.select(Axis(1), &columns);
+            &selected
         };
-        Some(discriminant.spread(&columns, joint.dims()))
+        let (all, without) = if rows.nrows() < columns.len() {
+            self.in_their_span(rows).unwrap_or_else(|| (None, vec![None; self.group_count]))
+        } else {
+            Discriminant::train(&self.vectors(rows), columns.len(), self.shrinkage)
+        };
+        let spread = |discriminant: Discriminant| discriminant.spread(&columns, joint.dims());
+        let all = all.unwrap_or_else(|| Discriminant::of_means(&self.vectors(rows)));
+        (spread(all), without.into_iter().map(|without| without.map(spread)).collect())
     }
 
-    fn all(&self) -> &Scatter {
-        self.all.get_or_init(|| Scatter::new(&self.rows, &self.labels, self.weights()))
+    fn vectors<'a>(&'a self, rows: &'a Array2<f32>) -> Vectors<'a> {
+        let Self { labels, groups, classes, group_count, .. } = self;
+        Vectors { rows, labels, groups, classes: *classes, group_count: *group_count }
     }
 
-    /// The weight of each label.
-    fn weights(&self) -> Vec<f64> {
-        let mut weights = vec![1.0; self.classes];
-        weights.resize(2 * self.classes, self.excerpt_weight);
-        weights
-    }
-
-    fn labels_of(&self, rows: &[usize]) -> Vec<usize> {
-        rows.iter().map(|&row| self.labels[row]).collect()
-    }
-
-    fn select(&self, rows: &[usize], columns: &[usize]) -> Array2<f32> {
-        let selected = self.rows.select(Axis(0), rows);
-        if columns.len() == selected.ncols() { selected } else { selected.select(Axis(1), columns) }
-    }
-
-    /// The same discriminant where features are more than rows: in coordinates of the space that
+    /// The same discriminants where features are more than rows: in coordinates of the space that
     /// the rows span. With Z·Zᵀ = L·Lᵀ the rows of L are the rows of Z in the orthonormal basis
     /// L⁻¹·Z, and what lies outside that space is the same for all classes.
-    fn in_their_span(&self, rows: &[usize], columns: &[usize]) -> Option<Discriminant> {
-        let vectors = self.select(rows, columns);
+    fn in_their_span(
+        &self,
+        vectors: &Array2<f32>,
+    ) -> Option<(Option<Discriminant>, Vec<Option<Discriminant>>)> {
         let mut inner = vectors.dot(&vectors.t()).mapv(f64::from);
-        let jitter = JITTER * inner.diag().sum() / rows.len().max(1) as f64;
+        let jitter = JITTER * inner.diag().sum() / vectors.nrows().max(1) as f64;
         inner.diag_mut().map_inplace(|x| *x += jitter);
         let mut factor = cholesky(inner)?;
         for (i, mut row) in factor.rows_mut().into_iter().enumerate() {
             row.slice_mut(ndarray::s![i + 1..]).fill(0.0);
         }
-        let (inside, labels) = (factor.mapv(|x| x as f32), self.labels_of(rows));
-        let scatter = Scatter::new(&inside, &labels, self.weights());
-        let inside = Discriminant::new(scatter, self.classes, columns.len())?;
-        Some(inside.map_projection(|projection| {
-            let mut back = projection.t().mapv(f64::from);
-            solve_lower_transposed(&factor, &mut back);
-            back.t().mapv(|x| x as f32).dot(&vectors)
-        }))
+        let inside = factor.mapv(|x| x as f32);
+        let (all, without) =
+            Discriminant::train(&self.vectors(&inside), vectors.ncols(), self.shrinkage);
+        let outside = |inside: Discriminant| {
+            inside.map_projection(|projection| {
+                let mut back = projection.reversed_axes().mapv(f64::from);
+                solve_lower_transposed(&factor, &mut back);
+                back.t().mapv(|x| x as f32).dot(vectors)
+            })
+        };
+        let without = without.into_par_iter().map(|without| without.map(outside));
+        Some((all.map(outside), without.collect()))
     }
 }
 
@@ -237,37 +243,6 @@ impl Training {
 fn place(row: usize, trials: usize) -> (usize, usize) {
     match row.checked_sub(trials) {
         None => (row, 0),
-        Some(excerpt) => (excerpt / EXCERPTS, 1 + excerpt % EXCERPTS),
-    }
-}
-
-/// The whole, and random excerpts: the same for a trial of that name and that seed, whatever else
-/// is in the library.
-fn excerpts(key: &TrialKey, seed: u64) -> Vec<Excerpt> {
-    let name = key.to_string();
-    let mut rng = seed::rng(seed, &[b"excerpts", name.as_bytes()]);
-    let excerpt = |i: usize| {
-        let from = seed::uniform(&mut rng) * (1.0 - SHARE);
-        let window = Window::Share { from, length: SHARE };
-        Excerpt { window, part: QUARTERS[i % QUARTERS.len()] }
-    };
-    std::iter::once(Excerpt::WHOLE).chain((0..EXCERPTS).map(excerpt)).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn excerpts_depend_on_trial_and_seed_alone() {
-        let key = |n| TrialKey::new("oak", "expert", n);
-        assert_eq!(excerpts(&key(1), 1), excerpts(&key(1), 1));
-        assert_ne!(excerpts(&key(1), 1), excerpts(&key(2), 1));
-        assert_ne!(excerpts(&key(1), 1), excerpts(&key(1), 2));
-        assert_eq!(excerpts(&key(1), 1)[0], Excerpt::WHOLE);
-        for excerpt in &excerpts(&key(3), 1)[1..] {
-            let Window::Share { from, length } = excerpt.window else { panic!("a share") };
-            assert!(from >= 0.0 && from + length <= 1.0);
-        }
+        Some(copy) => (copy / COPIES, 1 + copy % COPIES),
     }
 }

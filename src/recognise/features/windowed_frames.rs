@@ -166,10 +166,16 @@ impl ViewFrames {
         new * hop
     }
 
-    /// Appends one frame of `samples` and zeros after them.
+    /// Appends one frame of `samples`, less the mean of each channel, and zeros after them.
     pub fn pad(&mut self, samples: &[f32]) {
-        let mut padded = samples.to_vec();
-        padded.resize(self.view.points * self.view.channels, 0.0);
+        let channels = self.view.channels;
+        let mut padded = vec![0.0; self.view.points * channels];
+        for c in 0..channels {
+            let of_channel: Vec<f32> = samples.iter().skip(c).step_by(channels).copied().collect();
+            let mean = mean(&of_channel);
+            let slots = padded.iter_mut().skip(c).step_by(channels);
+            slots.zip(&of_channel).for_each(|(slot, x)| *slot = x - mean);
+        }
         self.extend(&padded);
     }
 
@@ -246,7 +252,7 @@ fn mean(samples: &[f32]) -> f32 {
     for chunk in samples.chunks(lanes.len()) {
         lanes.iter_mut().zip(chunk).for_each(|(lane, &x)| *lane += f64::from(x));
     }
-    (lanes.iter().sum::<f64>() / samples.len() as f64) as f32
+    (lanes.iter().sum::<f64>() / samples.len().max(1) as f64) as f32
 }
 
 #[cfg(test)]

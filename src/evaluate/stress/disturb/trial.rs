@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
@@ -10,7 +9,7 @@ use super::{
     replace, sensed, slow as in_time, sound, to_sample,
 };
 use crate::scene::SourceSpec;
-use crate::seed::uniform;
+use crate::seed::{nearly_normal, uniform};
 use crate::trial::{Image, Series, Signal, Trial};
 
 /// Vibration grows as force to this power.
@@ -247,7 +246,9 @@ const HUM_SHARE: f64 = 0.2;
 /// White noise; the level is the ratio of the signal's deviation to the noise's, in dB.
 pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| {
-        add(series, db, rng, |rng, frames, _| (0..frames).map(|_| normal(rng)).collect());
+        add(series, db, rng, |rng, frames, _| {
+            (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
+        });
     });
 }
 
@@ -264,9 +265,9 @@ pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
 fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     let keep = (-TAU * CORNER_HZ / rate_hz).exp();
     let fresh = (1.0 - keep * keep).sqrt();
-    let mut state = normal(rng);
+    let mut state = f64::from(nearly_normal(rng));
     let next = |_| {
-        state = keep * state + fresh * normal(rng);
+        state = keep * state + fresh * f64::from(nearly_normal(rng));
         state
     };
     (0..frames).map(next).collect()
@@ -303,13 +304,6 @@ fn add(
             *x = to_sample(f64::from(*x) + scale * noise);
         }
     }
-}
-
-/// A nearly normal number: the sum of twelve uniform ones, less six.
-fn normal(rng: &mut impl Rng) -> f64 {
-    let word = |x: u64| ((x & 0xffff) + (x >> 16 & 0xffff) + (x >> 32 & 0xffff) + (x >> 48)) as f64;
-    let sum: f64 = (0..3).map(|_| word(rng.next_u64())).sum();
-    sum / 65_535.0 - 6.0
 }
 
 /// Less light, by a factor; what is dark loses its steps.

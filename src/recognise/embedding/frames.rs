@@ -1,5 +1,5 @@
-//! A trial as the method `embedding` sees it: log-band frames in two views and block sums of each
-//! series, a grid of pixels of each picture.
+//! A trial as the method `embedding` sees it: log-band frames in two views and moments of each series,
+//! tiles of each picture; for a library's trials the same of their copies.
 //!
 //! Frames follow samples, not the clock (method §9): a long frame has the power of two nearest to
 //! 46 ms, but at least 64 samples where the library's trials have four times as many, so that slow
@@ -11,13 +11,15 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::block_sums::BlockSums;
-use super::image_features::PixelGrid;
-use super::windowed_frames::{FrameView, ViewFrames};
+use super::copies::{self, copies};
+use super::moments::{GrowingMoments, Moments};
+use super::tiles::PictureTiles;
 use crate::recognise::checks::check_signal;
 use crate::recognise::error::RecogniseError;
+use crate::recognise::features::windowed_frames::{FrameView, ViewFrames};
+use crate::recognise::follow::LOOK_S;
 use crate::recognise::shape::LibraryShape;
-use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Duration of a long frame in seconds, where that is enough samples.
@@ -32,8 +34,8 @@ const SHORTER: usize = 4;
 const FEWEST: usize = 4;
 /// Bands of a long and of a short frame, at most.
 const BANDS: [usize; 2] = [40, 24];
-/// Highest frequency of a source of domain `time`, in Hz.
-const TIME_BAND_HZ: f64 = 500.0;
+/// Highest frequency where no band is configured, in Hz.
+const UNSAID_HZ: f64 = 500.0;
 
 /// How the series of one source are framed: long frames first, then short ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,10 +56,7 @@ impl SourceViews {
         // At another rate, frames are as long as those of the library, as near as powers of two come.
         let at_rate =
             |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
-        let (low, high) = match spec.domain {
-            Domain::Spectrum { band_hz } => band_hz,
-            Domain::Time | Domain::Image => (0.0, TIME_BAND_HZ),
-        };
+        let (low, high) = spec.domain.band_hz().unwrap_or((0.0, UNSAID_HZ));
         let band_hz = (low, high.min(0.5 * library_hz));
         let view = |points: usize, bands| {
             FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
@@ -70,7 +69,7 @@ impl SourceViews {
         self.0.iter().zip(&other.0).all(|(a, b)| a.comparable(b))
     }
 
-    /// Samples of a block: what block sums are over, and how far one long frame is from the next.
+    /// Samples of a block of moments: as far as one long frame is from the next.
     pub fn block(&self) -> usize {
         self.0[0].hop()
     }
@@ -78,7 +77,7 @@ impl SourceViews {
 
 /// Log-band frames in fixed point: 2⁻⁹ of a natural logarithm a step, finer than any estimate of
 /// power, and half the memory.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PackedFrames {
     #[serde(with = "packed")]
     values: Vec<i16>,
@@ -92,6 +91,11 @@ impl PackedFrames {
     pub fn new(values: &[f32]) -> Self {
         let pack = |x: &f32| (x * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX));
         Self { values: values.iter().map(|x| pack(x) as i16).collect() }
+    }
+
+    /// All values, as ln power.
+    pub fn values(&self) -> Vec<f32> {
+        self.values.iter().map(|&x| f32::from(x) / STEPS).collect()
     }
 
     /// The values of frames `within`, each of `width` values, as ln power, into `out`.
@@ -136,28 +140,83 @@ mod packed {
     }
 }
 
+/// A piece of a series: all of it, or a copy.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Piece {
+    /// Frames of each view; at least one.
+    pub frames: [PackedFrames; 2],
+    /// Moments of its samples.
+    pub moments: Moments,
+}
+
+impl Piece {
+    fn new(views: &SourceViews, samples: &[f32]) -> Self {
+        let frames =
+            |view: &FrameView| PackedFrames::new(&ViewFrames::new(view.clone(), samples).values);
+        Self {
+            frames: views.0.each_ref().map(frames),
+            moments: Moments::new(views.0[0].channels, views.block(), samples),
+        }
+    }
+}
+
 /// A series of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrames {
     /// How it was framed.
     pub views: SourceViews,
-    /// Frames of each view.
-    pub frames: [PackedFrames; 2],
-    /// Its sums, block by block.
-    pub blocks: BlockSums,
     /// Its length in samples.
     pub samples: usize,
+    /// All of it.
+    pub whole: Piece,
+    /// Its copies; none of a query.
+    pub copies: Vec<Piece>,
+    /// In a library, of a drag: its beginnings, one each [`LOOK_S`].
+    pub looks: Vec<Beginning>,
+}
+
+/// The beginning of a series; its frames are the first of the whole.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Beginning {
+    /// Moments of its samples.
+    pub moments: Moments,
+    /// Of each view that it is too short for: its one frame, with zeros behind it.
+    pub padded: [PackedFrames; 2],
 }
 
 impl SeriesFrames {
     /// Frames a recording.
     pub fn new(views: SourceViews, series: &Series) -> Self {
-        let frames = views
-            .0
-            .each_ref()
-            .map(|view| PackedFrames::new(&ViewFrames::new(view.clone(), series.samples()).values));
-        let blocks = BlockSums::new(series.channels(), views.block(), series.samples());
-        Self { views, frames, blocks, samples: series.frames() }
+        let whole = Piece::new(&views, series.samples());
+        Self { whole, samples: series.frames(), views, copies: Vec::new(), looks: Vec::new() }
+    }
+
+    /// Frames a recording of a library, and its copies.
+    fn of_library(views: SourceViews, series: &Series, spec: &SourceSpec, from: Drawn<'_>) -> Self {
+        let channels = series.channels();
+        let source = (from.key, from.seed, spec.id.as_str());
+        let copy = |copy: &copies::Copy| {
+            Piece::new(&views, &copies::samples(copy, source, channels, series.samples()))
+        };
+        let copies = copies(from.key, from.seed).iter().map(copy).collect();
+        let mut looks = Vec::new();
+        if spec.phase == Phase::Drag {
+            let mut growing = GrowingMoments::new(channels, views.block());
+            let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
+            for look in (1..).take_while(|look| end(*look) <= series.frames()) {
+                let fresh = end(look - 1) * channels..end(look) * channels;
+                growing.extend(&series.samples()[fresh]);
+                let so_far = &series.samples()[..end(look) * channels];
+                let padded = |view: &FrameView| {
+                    let is_short = end(look) < view.points;
+                    let frames = is_short.then(|| ViewFrames::new(view.clone(), so_far));
+                    frames.map_or_else(Default::default, |f| PackedFrames::new(&f.values))
+                };
+                let padded = views.0.each_ref().map(padded);
+                looks.push(Beginning { moments: growing.so_far(), padded });
+            }
+        }
+        Self { copies, looks, ..Self::new(views, series) }
     }
 
     /// Sample rate in Hz.
@@ -176,55 +235,52 @@ impl SeriesFrames {
     }
 }
 
+/// How many samples a channel have come by a time in seconds.
+pub fn samples_by(seconds: f64, rate_hz: f64) -> usize {
+    (seconds * rate_hz - 1e-6).ceil().max(0.0) as usize
+}
+
+/// What the draws of a library's trial depend on.
+#[derive(Clone, Copy)]
+struct Drawn<'a> {
+    key: &'a TrialKey,
+    seed: u64,
+}
+
 /// One source of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum SourceFrames {
     /// Anything with a rate.
     Series(SeriesFrames),
     /// A picture.
-    Picture(PixelGrid),
+    Picture(PictureTiles),
 }
 
 impl SourceFrames {
-    fn new(
-        spec: &SourceSpec,
-        signal: &Signal,
-        key: &TrialKey,
-        shape: &LibraryShape,
-    ) -> Result<Self, RecogniseError> {
-        check_signal(spec, signal, key)?;
-        Ok(match signal {
-            Signal::Image(image) => Self::Picture(PixelGrid::new(image)),
-            Signal::Series(series) => {
-                let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
-                Self::Series(SeriesFrames::new(views, series))
-            }
-        })
-    }
-
     /// The series, if it is one.
     pub fn series(&self) -> Option<&SeriesFrames> {
         if let Self::Series(series) = self { Some(series) } else { None }
     }
 
     /// The picture, if it is one.
-    pub fn picture(&self) -> Option<&PixelGrid> {
-        if let Self::Picture(grid) = self { Some(grid) } else { None }
+    pub fn picture(&self) -> Option<&PictureTiles> {
+        if let Self::Picture(tiles) = self { Some(tiles) } else { None }
     }
 }
 
 /// A trial, ready for `embedding`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FrameFeatures {
+pub struct TrialFrames {
     /// Which trial this is.
     pub key: TrialKey,
     /// What it holds of the scene's sources.
     pub sources: BTreeMap<SourceId, SourceFrames>,
 }
 
-impl FrameFeatures {
+impl TrialFrames {
     /// Frames those sources of a trial that the scene describes, as the trials of a library of
-    /// that shape are framed.
+    /// that shape are framed. A trial of the library itself gets its copies by the `seed` of their
+    /// draws; a query has none.
     ///
     /// # Errors
     /// If a source is of another kind, or has another number of channels, than the scene says.
@@ -233,28 +289,41 @@ impl FrameFeatures {
         trial: &Trial,
         scene: &Scene,
         shape: &LibraryShape,
+        seed: Option<u64>,
     ) -> Result<Self, RecogniseError> {
         let known = trial.signals.iter().filter_map(|(id, s)| Some((scene.get(id.as_str())?, s)));
         let known: Vec<(&SourceSpec, &Signal)> = known.collect();
-        let sources = known
-            .into_par_iter()
-            .map(|(spec, signal)| {
-                Ok((spec.id.clone(), SourceFrames::new(spec, signal, key, shape)?))
-            })
-            .collect::<Result<_, RecogniseError>>()?;
+        let framed = |(spec, signal): (&SourceSpec, &Signal)| {
+            check_signal(spec, signal, key)?;
+            let source = match signal {
+                Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
+                Signal::Series(series) => {
+                    let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
+                    SourceFrames::Series(match seed {
+                        Some(seed) => {
+                            SeriesFrames::of_library(views, series, spec, Drawn { key, seed })
+                        }
+                        None => SeriesFrames::new(views, series),
+                    })
+                }
+            };
+            Ok((spec.id.clone(), source))
+        };
+        let sources = known.into_par_iter().map(framed).collect::<Result<_, RecogniseError>>()?;
         Ok(Self { key: key.clone(), sources })
     }
 
     /// A number for how the sources of a scene are framed in a library of that shape: trials framed
     /// alike can be compared.
-    pub fn framing_key(scene: &Scene, shape: &LibraryShape) -> u64 {
+    pub fn framing_key(scene: &Scene, shape: &LibraryShape, seed: u64) -> u64 {
         let views = scene.sources().map(|spec| {
             let of_shape = |s: crate::recognise::shape::SourceShape| (s.rate_hz, s.median_frames);
-            let views = shape.get(&spec.id).map(|s| SourceViews::new(spec, of_shape(s), shape));
-            (spec, views)
+            shape
+                .get(&spec.id)
+                .map(|s| (&spec.id, spec.phase, SourceViews::new(spec, of_shape(s), shape)))
         });
         let views: Vec<_> = views.collect();
-        crate::seed::stable_hash(&[format!("{views:?}").as_bytes()])
+        crate::seed::stable_hash(&[format!("{views:?}").as_bytes(), &seed.to_le_bytes()])
     }
 }
 

@@ -1,0 +1,376 @@
+//! How often each power occurs in each band: what all log-band features are made of.
+//!
+//! Features of log-band frames are means over frames of functions of ln power, and these functions
+//! depend on the mean power of the piece, which changes with every frame. So frames are counted: each
+//! value of ln power in bins an eighth apart, shared between its two neighbours by its distance to
+//! them. A function's mean over the counts is that of its linear interpolation between the bins: a
+//! smooth function of the samples, whose cost does not grow with the scan.
+//!
+//! Where the stylus leaves the surface, or a line holds its last value, frames are far quieter than
+//! the rest and say nothing of the surface. The median that decides is known at the end alone, so
+//! frames are counted loudness by loudness.
+
+use std::collections::BTreeMap;
+
+use multiversion::multiversion;
+use serde::{Deserialize, Serialize};
+
+use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
+
+/// Bins in one unit of ln power.
+const BINS: f32 = 8.0;
+
+/// Width of a class of loudness, in units of ln power (6.5 dB).
+const LOUDNESS: f32 = 1.5;
+
+/// Frames in classes this much quieter than that of the median frame, 26 dB and more, are not of the
+/// surface. Nearer to the median the quiet parts of a texture itself are lost.
+const QUIETER: i32 = 4;
+
+/// Added to power over mean power before the logarithm: noise far below the signal says nothing.
+const FLOOR: f64 = 1e-4;
+
+/// Counts of ln power, band by band.
+#[derive(Clone, Debug)]
+pub(super) struct Counts {
+    /// Number of channels.
+    channels: usize,
+    /// Bands of all channels.
+    width: usize,
+    /// Number of frames.
+    frames: usize,
+    /// The first bin: `first`/[`BINS`] of ln power.
+    first: i32,
+    bins: usize,
+    /// Shape (width, bins).
+    counts: Vec<f32>,
+}
+
+impl Counts {
+    fn new(channels: usize, width: usize) -> Self {
+        Self { channels, width, frames: 0, first: 0, bins: 0, counts: Vec::new() }
+    }
+
+    /// Makes room for bins from `first` to `last`.
+    fn reach(&mut self, first: i32, last: i32) {
+        if self.bins > 0 && self.first <= first && last < self.first + self.bins as i32 {
+            return;
+        }
+        let (first, end) = match self.bins {
+            0 => (first, last + 1),
+            bins => (first.min(self.first), (last + 1).max(self.first + bins as i32)),
+        };
+        // In whole registers.
+        let bins = ((end - first) as usize).next_multiple_of(LANES);
+        let mut counts = vec![0.0; self.width * bins];
+        let from = (self.first - first) as usize;
+        for (new, old) in counts.chunks_exact_mut(bins).zip(self.counts.chunks(self.bins.max(1))) {
+            new[from..from + old.len()].copy_from_slice(old);
+        }
+        (self.first, self.bins, self.counts) = (first, bins, counts);
+    }
+
+    fn add(&mut self, row: &[f32]) {
+        let (least, most) =
+            row.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        self.reach((least * BINS).floor() as i32, (most * BINS).floor() as i32 + 1);
+        for (&x, counts) in row.iter().zip(self.counts.chunks_exact_mut(self.bins)) {
+            let at = x * BINS;
+            let bin = at.floor();
+            let (part, bin) = (at - bin, (bin as i32 - self.first) as usize);
+            counts[bin] += 1.0 - part;
+            counts[bin + 1] += part;
+        }
+        self.frames += 1;
+    }
+
+    fn join(&mut self, other: &Self) {
+        if other.bins == 0 {
+            return;
+        }
+        self.reach(other.first, other.first + other.bins as i32 - 1);
+        let from = (other.first - self.first) as usize;
+        let pairs =
+            self.counts.chunks_exact_mut(self.bins).zip(other.counts.chunks_exact(other.bins));
+        for (own, others) in pairs {
+            own[from..].iter_mut().zip(others).for_each(|(sum, x)| *sum += x);
+        }
+        self.frames += other.frames;
+    }
+
+    fn bands(&self) -> usize {
+        self.width / self.channels
+    }
+
+    /// ln power of each bin.
+    fn levels(&self) -> impl Iterator<Item = f64> {
+        let first = self.first;
+        (0..self.bins).map(move |bin| f64::from(first + bin as i32) / f64::from(BINS))
+    }
+
+    /// ln of each channel's mean power over frames and bands.
+    pub fn ln_mean_power(&self) -> Vec<f64> {
+        let power: Vec<f64> = self.levels().map(f64::exp).collect();
+        let of_channel = |counts: &[f32]| {
+            let bands = counts.chunks_exact(self.bins.max(1));
+            let sum: f64 = bands
+                .flat_map(|band| band.iter().zip(&power))
+                .map(|(n, p)| f64::from(*n) * p)
+                .sum();
+            (sum / (self.frames.max(1) * self.bands()) as f64).max(f64::MIN_POSITIVE).ln()
+        };
+        let per_channel = (self.bands() * self.bins).max(1);
+        let mut all: Vec<f64> = self.counts.chunks_exact(per_channel).map(of_channel).collect();
+        all.resize(self.channels, f64::MIN_POSITIVE.ln());
+        all
+    }
+
+    /// ln(P/P̄ + 1e-4) of each bin, channel by channel, with ln P̄ from `ln_mean`: shape
+    /// (channels, bins).
+    fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
+        let relative = |mean: &f64| {
+            let mean = *mean;
+            self.levels().map(move |x| ((x - mean).min(80.0).exp() + FLOOR).ln() as f32)
+        };
+        ln_mean.iter().flat_map(relative).collect()
+    }
+
+    /// Sum over frames, and sum of squares, of the values of `table` ([`Self::relative`]), band by
+    /// band.
+    fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
+        let of_band = |(band, counts): (usize, &[f32])| {
+            let values = &table[band / self.bands() * self.bins..][..self.bins];
+            counts.iter().zip(values).fold((0.0, 0.0), |(sum, square), (n, x)| {
+                let (n, x) = (f64::from(*n), f64::from(*x));
+                (sum + n * x, square + n * x * x)
+            })
+        };
+        self.counts.chunks_exact(self.bins.max(1)).enumerate().map(of_band).collect()
+    }
+}
+
+/// The frames of one view of a piece, loudness by loudness.
+#[derive(Clone, Debug)]
+pub(super) struct BandSums {
+    channels: usize,
+    width: usize,
+    by_loudness: BTreeMap<i32, Counts>,
+}
+
+impl BandSums {
+    /// Of no frame; `width` is that of all channels together.
+    pub fn new(channels: usize, width: usize) -> Self {
+        Self { channels, width, by_loudness: BTreeMap::new() }
+    }
+
+    /// Adds frames, shape (frames, width), as ln power.
+    pub fn add(&mut self, values: &[f32]) {
+        for row in values.chunks_exact(self.width) {
+            let mean = row.iter().sum::<f32>() / row.len() as f32;
+            let class = (mean / LOUDNESS).floor() as i32;
+            let none = || Counts::new(self.channels, self.width);
+            self.by_loudness.entry(class).or_insert_with(none).add(row);
+        }
+    }
+
+    /// Number of frames, of the surface or not.
+    pub fn frames(&self) -> usize {
+        self.by_loudness.values().map(|counts| counts.frames).sum()
+    }
+
+    /// The frames that are of the surface.
+    pub fn on_surface(&self) -> Counts {
+        let (half, mut below) = (self.frames() / 2, 0);
+        let median = self.by_loudness.iter().find(|(_, counts)| {
+            below += counts.frames;
+            below > half
+        });
+        let mut total = Counts::new(self.channels, self.width);
+        let least = median.map_or(0, |(class, _)| class - QUIETER);
+        self.by_loudness.range(least..).for_each(|(_, counts)| total.join(counts));
+        total
+    }
+}
+
+/// How the frames of one view become features: each band in the library's units, once in shape, with
+/// the piece's own level taken off, and once in level, with the library's.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct ViewEmbedder {
+    shape: BandScale,
+    level: BandScale,
+    /// The library's median of the ln mean power of each channel.
+    ln_power: Vec<f64>,
+}
+
+impl ViewEmbedder {
+    /// In units of some pieces of a library, at least one.
+    pub fn new(pieces: &[Counts]) -> Self {
+        let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
+        let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
+        let ln_power: Vec<f64> = (0..pieces[0].channels).map(median).collect();
+        let shape = scale(pieces, |i| &own[i]);
+        Self { level: scale(pieces, |_| &ln_power), shape, ln_power }
+    }
+
+    /// Number of features.
+    pub fn dims(&self) -> usize {
+        2 * BAND_FEATURES * self.shape.width()
+    }
+
+    /// Appends the features of a piece, times a gain of `ln_gain`: means over its frames of cos ωz
+    /// and sin ωz.
+    pub fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
+        let own = counts.ln_mean_power();
+        let library: Vec<f64> = self.ln_power.iter().map(|power| power - 2.0 * ln_gain).collect();
+        for (scale, ln_mean) in [(&self.shape, &own), (&self.level, &library)] {
+            let mut sums = vec![0.0; BAND_FEATURES * counts.width];
+            let table = counts.relative(ln_mean);
+            add_bands(&counts.counts, (counts.bins, counts.bands()), &table, scale, &mut sums);
+            let frames = counts.frames.max(1) as f64;
+            vector.extend(sums.iter().map(|sum| (sum / frames) as f32));
+        }
+    }
+}
+
+/// Mean and deviation of each band over the frames of some pieces, relative to mean powers.
+fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> BandScale {
+    let width = pieces[0].width;
+    let (mut total, mut frames) = (vec![(0.0, 0.0); width], 0);
+    for (i, piece) in pieces.iter().enumerate() {
+        let sums = piece.sums(&piece.relative(ln_mean(i)));
+        for (total, (sum, square)) in total.iter_mut().zip(sums) {
+            *total = (total.0 + sum, total.1 + square);
+        }
+        frames += piece.frames;
+    }
+    let n = frames.max(1) as f64;
+    let mean = |(sum, _): &(f64, f64)| (sum / n) as f32;
+    let deviation =
+        |(sum, square): &(f64, f64)| (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
+    let deviations: Vec<f32> = total.iter().map(deviation).collect();
+    BandScale::new(total.iter().map(mean).collect(), &deviations)
+}
+
+/// The median of some values, the upper one of an even number; 0 of none.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has the shape
+/// (width, bins), `table`, the value of each bin, (channels, bins).
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn add_bands(
+    counts: &[f32],
+    (bins, bands): (usize, usize),
+    table: &[f32],
+    scale: &BandScale,
+    sums: &mut [f64],
+) {
+    let width = scale.width();
+    for (band, counts) in counts.chunks_exact(bins.max(1)).enumerate() {
+        let values = &table[band / bands * bins..][..bins];
+        let mut acc = [[0f32; LANES]; BAND_FEATURES];
+        for (counts, values) in counts.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
+            if counts.iter().any(|&n| n != 0.0) {
+                add_up(scale, band, counts, values, &mut acc);
+            }
+        }
+        for (feature, lanes) in acc.iter().enumerate() {
+            sums[feature * width + band] += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_far_below_the_median_are_not_of_the_surface_whatever_the_gain() {
+        for gain in [0.0, -12.0, 7.5] {
+            let row = |x: f32| [x + gain, x + gain + 0.2];
+            let loud: Vec<f32> = (0..12).flat_map(|i| row(-0.1 * i as f32)).collect();
+            let quiet: Vec<f32> = (0..8).flat_map(|_| row(-20.0)).collect();
+            let mut sums = BandSums::new(1, 2);
+            sums.add(&loud[..10]);
+            sums.add(&quiet);
+            sums.add(&loud[10..]);
+            let kept = sums.on_surface();
+            assert_eq!((sums.frames(), kept.frames), (20, 12), "{gain}");
+            let power: f64 = loud.iter().map(|&x| f64::from(x).exp()).sum::<f64>() / 24.0;
+            assert!((kept.ln_mean_power()[0] - power.ln()).abs() < 3e-3, "{gain}");
+        }
+    }
+
+    #[test]
+    fn a_scan_that_is_silent_throughout_is_kept() {
+        let mut sums = BandSums::new(1, 1);
+        sums.add(&[-32.2; 7]);
+        assert_eq!(sums.on_surface().frames, 7);
+        assert_eq!(BandSums::new(1, 1).on_surface().frames, 0);
+    }
+
+    /// Frames of two channels with three bands each.
+    fn frames(n: usize, louder: f32) -> Vec<f32> {
+        (0..6 * n).map(|i| ((i * 7919) % 1000) as f32 / 250.0 - 5.0 + louder).collect()
+    }
+
+    fn counted(values: &[f32]) -> Counts {
+        let mut sums = BandSums::new(2, 6);
+        sums.add(values);
+        sums.on_surface()
+    }
+
+    #[test]
+    fn features_are_means_of_cosines_and_sines_of_each_band() {
+        let values = frames(300, 0.0);
+        let embedder = ViewEmbedder::new(&[counted(&values)]);
+        let mut vector = Vec::new();
+        embedder.push(&counted(&values), 0.0, &mut vector);
+        assert_eq!(vector.len(), embedder.dims());
+        // By the definition, for band 4, which is of the second channel, in shape.
+        let power = |c: usize| {
+            let of_channel = values.chunks_exact(6).flat_map(|row| &row[3 * c..3 * c + 3]);
+            of_channel.map(|&x| f64::from(x).exp()).sum::<f64>() / 900.0
+        };
+        let relative: Vec<f64> = (values.iter().skip(4).step_by(6))
+            .map(|&x| (f64::from(x).exp() / power(1) + FLOOR).ln())
+            .collect();
+        let mean = relative.iter().sum::<f64>() / 300.0;
+        let deviation =
+            (relative.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 300.0).sqrt() + 1e-3;
+        let z = |x: &f64| (x - mean) / deviation;
+        let cos = relative.iter().map(|x| (0.6 * z(x)).cos()).sum::<f64>() / 300.0;
+        let sin2 = relative.iter().map(|x| (1.2 * z(x)).sin()).sum::<f64>() / 300.0;
+        assert!((f64::from(vector[4]) - cos).abs() < 2e-3, "{} vs {cos}", vector[4]);
+        assert!((f64::from(vector[18 + 4]) - sin2).abs() < 2e-3, "{} vs {sin2}", vector[22]);
+    }
+
+    #[test]
+    fn a_gain_moves_the_level_and_not_the_shape() {
+        let embedder = ViewEmbedder::new(&[counted(&frames(200, 0.0)), counted(&frames(200, 1.0))]);
+        let vector = |values: &[f32], ln_gain: f64| {
+            let mut vector = Vec::new();
+            embedder.push(&counted(values), ln_gain, &mut vector);
+            vector
+        };
+        let (quiet, loud) = (vector(&frames(200, 0.0), 0.0), vector(&frames(200, 2.0), 0.0));
+        let played = vector(&frames(200, 0.0), 1.0);
+        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3);
+        assert!(near(&quiet[..24], &loud[..24]) && !near(&quiet[24..], &loud[24..]));
+        assert!(near(&played, &loud));
+    }
+
+    #[test]
+    fn counts_join_whatever_their_ranges() {
+        let (a, b) = (frames(40, 0.0), frames(40, 3.0));
+        let mut joined = counted(&b);
+        joined.join(&counted(&a));
+        let both = counted(&[a, b].concat());
+        for (x, y) in joined.ln_mean_power().iter().zip(both.ln_mean_power()) {
+            assert!((x - y).abs() < 1e-6);
+        }
+        assert_eq!(joined.frames, 80);
+    }
+}

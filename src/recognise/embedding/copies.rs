@@ -1,0 +1,176 @@
+//! Copies of a library's trials that the discriminant is trained on: what another hand, another place
+//! and a worse sensor would have made of the same scan.
+//!
+//! Three excerpts of 40 % and one disturbed twin of each trial (method §11). Their gain varies as the
+//! force of a hand does, so that training finds out how much level is worth. Place and gain are
+//! drawn once a copy, for all its sources; stretch, noise and loss once a source. All draws depend on
+//! the trial's name and the seed alone.
+
+use rand_chacha::ChaCha8Rng;
+
+use crate::seed;
+use crate::trial::TrialKey;
+
+/// Excerpts of each trial.
+pub const EXCERPTS: usize = 3;
+
+/// Copies of each trial: the excerpts, then the twin.
+pub const COPIES: usize = EXCERPTS + 1;
+
+/// Length of an excerpt as a share of its trial.
+const SHARE: f64 = 0.4;
+
+/// Standard deviation of the ln of a copy's gain: a hand's force, 2 dB.
+const LN_GAIN: f64 = 0.25;
+
+/// The same of pictures: the light.
+const PICTURE_LN_GAIN: f64 = 0.2;
+
+/// The greatest ln of the stretch of a twin: a clock, or a pace, that is 6 % off.
+const LN_STRETCH: f64 = 0.06;
+
+/// White noise in a twin, in dB below the signal: from, to.
+const NOISE_DB: (f64, f64) = (5.0, 40.0);
+
+/// Share of single samples that one twin in two loses, as powers of ten: from, to.
+const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
+
+/// One copy of a trial.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Copy {
+    /// Where an excerpt begins, as a share of what can come before it; `None` for the twin.
+    pub place: Option<f64>,
+    /// ln of the gain of its series.
+    pub ln_gain: f64,
+    /// ln of the gain of its pictures.
+    pub picture_ln_gain: f64,
+    /// The quarter of each picture that it holds.
+    pub quarter: usize,
+}
+
+/// The copies of a trial.
+pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
+    let mut rng = rng(key, seed, "copies");
+    std::array::from_fn(|i| Copy {
+        place: (i < EXCERPTS).then(|| seed::uniform(&mut rng)),
+        ln_gain: LN_GAIN * seed::normal(&mut rng),
+        picture_ln_gain: PICTURE_LN_GAIN * seed::normal(&mut rng),
+        quarter: i,
+    })
+}
+
+/// The generator of a trial's draws for one purpose.
+fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
+    seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
+}
+
+/// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
+/// the name of theirs.
+pub fn samples(
+    copy: &Copy,
+    (key, seed, source): (&TrialKey, u64, &str),
+    channels: usize,
+    samples: &[f32],
+) -> Vec<f32> {
+    let Some(place) = copy.place else {
+        return twin(&mut rng(key, seed, &format!("twin {source}")), channels, samples);
+    };
+    let frames = samples.len() / channels;
+    let length = ((SHARE * frames as f64).round() as usize).max(1);
+    let first = (place * (frames - length.min(frames)) as f64).round() as usize;
+    samples[first * channels..(first + length).min(frames) * channels].to_vec()
+}
+
+/// A series as a worse sensor would have recorded it: stretched, with white noise, and one time in
+/// two with single samples lost, so that what follows moves up.
+fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
+    let mut between = |(low, high): (f64, f64)| low + (high - low) * seed::uniform(rng);
+    let pace = between((-LN_STRETCH, LN_STRETCH)).exp();
+    let noise = 10f64.powf(-between(NOISE_DB) / 20.0);
+    let lost = 10f64.powf(between(LOST_LOG10));
+    let lost = if seed::uniform(rng) < 0.5 { lost } else { 0.0 };
+    let noise: Vec<f32> =
+        deviations(channels, samples).iter().map(|deviation| (noise * deviation) as f32).collect();
+    let last = samples.len() / channels - 1;
+    let frames = ((last as f64 / pace) as usize + 1).max(1);
+    let mut twin = Vec::with_capacity(frames * channels);
+    for i in 0..frames {
+        if lost > 0.0 && i > 0 && seed::uniform(rng) < lost {
+            continue;
+        }
+        let at = i as f64 * pace;
+        let before = (at as usize).min(last);
+        let (after, part) = ((before + 1).min(last), (at - before as f64) as f32);
+        for channel in 0..channels {
+            let (a, b) =
+                (samples[before * channels + channel], samples[after * channels + channel]);
+            twin.push(a + part * (b - a) + noise[channel] * seed::nearly_normal(rng));
+        }
+    }
+    twin
+}
+
+/// The standard deviation of each channel.
+fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
+    let means = super::moments::means(samples, channels);
+    let frames = (samples.len() / channels).max(1) as f64;
+    let of_channel = |c: usize| {
+        let of = samples.iter().skip(c).step_by(channels);
+        let square: f64 = of.map(|x| f64::from(x - means[c]).powi(2)).sum();
+        (square / frames).sqrt()
+    };
+    (0..channels).map(of_channel).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(number: u32) -> TrialKey {
+        TrialKey::new("oak", "expert", number)
+    }
+
+    fn wave() -> Vec<f32> {
+        (0..2000).map(|i| (i as f32 * 0.05).sin()).collect()
+    }
+
+    #[test]
+    fn copies_depend_on_trial_and_seed_alone() {
+        assert_eq!(copies(&key(1), 1), copies(&key(1), 1));
+        assert_ne!(copies(&key(1), 1), copies(&key(2), 1));
+        assert_ne!(copies(&key(1), 1), copies(&key(1), 2));
+        assert_eq!(
+            copies(&key(1), 1).map(|copy| copy.place.is_none()),
+            [false, false, false, true]
+        );
+        let of = |source| samples(&copies(&key(1), 1)[EXCERPTS], (&key(1), 1, source), 1, &wave());
+        assert_eq!(of("ac"), of("ac"));
+        assert_ne!(of("ac"), of("fr"));
+    }
+
+    #[test]
+    fn an_excerpt_is_cut_to_the_sample() {
+        let given: Vec<f32> = (0..2 * 1001).map(|i| i as f32).collect();
+        for number in 1..50 {
+            for copy in &copies(&key(number), 3)[..EXCERPTS] {
+                let cut = samples(copy, (&key(number), 3, "ac"), 2, &given);
+                assert_eq!(cut.len(), 800);
+                assert!(cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0));
+            }
+        }
+        let copy = copies(&key(1), 3)[0];
+        assert_eq!(samples(&copy, (&key(1), 3, "ac"), 2, &given[..2]).len(), 2, "a single frame");
+    }
+
+    #[test]
+    fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
+        for number in 1..30 {
+            let copy = copies(&key(number), 1)[EXCERPTS];
+            let twin = samples(&copy, (&key(number), 1, "ac"), 1, &wave());
+            let share = twin.len() as f64 / 2000.0;
+            assert!((0.83..1.07).contains(&share), "{share}");
+            let rest = samples(&copy, (&key(number), 1, "ac"), 1, &[0.25; 400]);
+            assert!(rest.iter().all(|&x| x == 0.25), "a channel at rest stays at rest");
+        }
+    }
+}

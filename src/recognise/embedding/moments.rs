@@ -1,0 +1,439 @@
+//! Running sums of a series, from which its moments and its lag covariance follow.
+//!
+//! A series is summed block by block; a block is half a long frame. Sums add up, so a scan that grows
+//! costs additions alone, and the sums of a scan so far are those of a trial of its samples. All powers
+//! are of x minus a reference near the first block's mean, so that an offset costs no digits.
+
+use serde::{Deserialize, Serialize};
+
+/// Lags of the products x_t·x_{t−l}, in samples: 0 … 3.
+const LAGS: usize = 4;
+
+/// Keeps logarithms finite: far below a 24-bit converter's step.
+const FLOOR: f64 = 1e-9;
+
+/// Statistics of one channel: see [`Statistics::moments`].
+pub const MOMENTS: [&str; 9] = [
+    "ln of the standard deviation",
+    "skewness, cube root",
+    "ln of the kurtosis",
+    "ln of peak over deviation (crest)",
+    "ln of deviation over mean magnitude (shape)",
+    "ln of peak over squared mean root (clearance)",
+    "ln of the rate of mean crossings in Hz",
+    "ln of the deviation of differences over that of values",
+    "ln of the deviation of the level over blocks",
+];
+
+/// Places among [`MOMENTS`] of ln deviation and ln drift, which a gain moves.
+pub const LOUDNESS: [usize; 2] = [0, 8];
+
+/// Places of the sums of a channel, behind the block's length.
+#[derive(Clone, Copy)]
+enum Of {
+    /// Σ x
+    Sum,
+    /// Σ x³
+    Cubes,
+    /// Σ x⁴
+    Fourths,
+    /// (Σ x)²/n
+    SquaredLevel,
+    /// Σ |x − m|, m the block's mean
+    Magnitude,
+    /// Σ √|x − m|
+    Root,
+    /// crossings of the block's mean
+    Crossings,
+    /// least x
+    Least,
+    /// greatest x
+    Greatest,
+}
+
+/// Sums of a channel.
+const OF_CHANNEL: usize = 9;
+
+/// Sums of a block: its length, [`OF_CHANNEL`] of each channel, C × C products of each lag.
+fn width(channels: usize) -> usize {
+    1 + OF_CHANNEL * channels + LAGS * channels * channels
+}
+
+fn place(of: Of, channel: usize) -> usize {
+    1 + OF_CHANNEL * channel + of as usize
+}
+
+fn products(channels: usize, lag: usize) -> usize {
+    1 + OF_CHANNEL * channels + lag * channels * channels
+}
+
+/// The sums of some blocks: of those that move, if any does. Blocks where every channel rests are
+/// gaps that a line has filled with its last value.
+#[derive(Clone, Debug)]
+struct Sums {
+    channels: usize,
+    moved: bool,
+    values: Vec<f64>,
+}
+
+impl Sums {
+    fn new(channels: usize) -> Self {
+        let mut values = vec![0.0; width(channels)];
+        for c in 0..channels {
+            values[place(Of::Least, c)] = f64::INFINITY;
+            values[place(Of::Greatest, c)] = f64::NEG_INFINITY;
+        }
+        Self { channels, moved: false, values }
+    }
+
+    fn add(&mut self, of_block: &[f32]) {
+        let extreme = |of: Of, c: usize| of_block[place(of, c)];
+        let moves = (0..self.channels).any(|c| extreme(Of::Least, c) != extreme(Of::Greatest, c));
+        if self.moved && !moves {
+            return;
+        }
+        if moves && !self.moved {
+            *self = Self { moved: true, ..Self::new(self.channels) };
+        }
+        let powers = 1..products(self.channels, 0);
+        for (i, (sum, &x)) in self.values.iter_mut().zip(of_block).enumerate() {
+            let x = f64::from(x);
+            match (i.wrapping_sub(1)) % OF_CHANNEL {
+                of if powers.contains(&i) && of == Of::Least as usize => *sum = sum.min(x),
+                of if powers.contains(&i) && of == Of::Greatest as usize => *sum = sum.max(x),
+                _ => *sum += x,
+            }
+        }
+    }
+}
+
+/// The moments of a piece of a series, as its sums.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Moments {
+    /// What powers are taken from, channel by channel.
+    reference: Vec<f32>,
+    /// See [`width`].
+    sums: Vec<f32>,
+}
+
+impl Moments {
+    /// Of a recording in blocks of `block` samples a channel; `samples` are interleaved.
+    pub fn new(channels: usize, block: usize, samples: &[f32]) -> Self {
+        let mut growing = GrowingMoments::new(channels, block);
+        growing.extend(samples);
+        growing.so_far()
+    }
+
+    fn channels(&self) -> usize {
+        self.reference.len()
+    }
+
+    /// Whether no channel ever moves.
+    pub fn is_constant(&self) -> bool {
+        (0..self.channels())
+            .all(|c| self.sums[place(Of::Least, c)] == self.sums[place(Of::Greatest, c)])
+    }
+
+    /// The statistics of a series of `rate_hz`, times a gain of `ln_gain`.
+    pub fn statistics(&self, rate_hz: f64, ln_gain: f64) -> Statistics {
+        let channels = self.channels();
+        let n = f64::from(self.sums[0]).max(1.0);
+        let at = |of: Of, c: usize| f64::from(self.sums[place(of, c)]);
+        let level: Vec<f64> = (0..channels).map(|c| at(Of::Sum, c) / n).collect();
+        // Γ(l)_ij, mean of (x_i(t) − m_i)·(x_j(t − l) − m_j).
+        let covariance = |lag: usize| -> Vec<f64> {
+            let from = products(channels, lag);
+            let entry = |k: usize| {
+                let (i, j) = (k / channels, k % channels);
+                f64::from(self.sums[from + k]) / n - level[i] * level[j]
+            };
+            (0..channels * channels).map(entry).collect()
+        };
+        let mut covariances: Vec<Vec<f64>> = (0..LAGS).map(covariance).collect();
+        let mut moments = Vec::with_capacity(MOMENTS.len() * channels);
+        let mut deviations = Vec::with_capacity(channels);
+        for (c, &m) in level.iter().enumerate() {
+            let own = |lag: usize| covariances[lag][c * channels + c];
+            let variance = own(0).max(0.0);
+            let deviation = variance.sqrt().max(FLOOR);
+            let (second, third, fourth) =
+                (variance + m * m, at(Of::Cubes, c) / n, at(Of::Fourths, c) / n);
+            let skew = third - 3.0 * m * second + 2.0 * m.powi(3);
+            let tail = fourth - 4.0 * m * third + 6.0 * m * m * second - 3.0 * m.powi(4);
+            let peak = (at(Of::Greatest, c) - m).max(m - at(Of::Least, c)).max(FLOOR);
+            let magnitude = (at(Of::Magnitude, c) / n).max(FLOOR);
+            let root = (at(Of::Root, c) / n).powi(2).max(FLOOR);
+            let step = (2.0 * (variance - own(1))).max(0.0).sqrt();
+            let drift = (at(Of::SquaredLevel, c) / n - m * m).max(0.0).sqrt();
+            moments.extend([
+                deviation.ln() + ln_gain,
+                (skew / deviation.powi(3)).cbrt(),
+                (tail / deviation.powi(4)).max(FLOOR).ln(),
+                (peak / deviation).ln(),
+                (deviation / magnitude).ln(),
+                (peak / root).ln(),
+                ((at(Of::Crossings, c) + 1.0) * rate_hz / n).ln(),
+                (step / deviation).max(FLOOR).ln(),
+                drift.max(FLOOR).ln() + ln_gain,
+            ]);
+            deviations.push(deviation * ln_gain.exp());
+        }
+        let power = (2.0 * ln_gain).exp();
+        covariances.iter_mut().flatten().for_each(|x| *x *= power);
+        let mean = |(m, r): (&f64, &f32)| m + f64::from(*r);
+        let means = level.iter().zip(&self.reference).map(mean).collect();
+        Statistics { moments, deviations, means, covariances }
+    }
+}
+
+/// Statistics of a piece of a series.
+#[derive(Clone, Debug)]
+pub struct Statistics {
+    /// [`MOMENTS`], channel by channel.
+    pub moments: Vec<f64>,
+    /// Standard deviation of each channel; at least 1e-9.
+    pub deviations: Vec<f64>,
+    /// Mean of each channel, whatever the gain.
+    pub means: Vec<f64>,
+    /// Γ(l) for lags of 0 to 3 samples, each of shape (C, C).
+    pub covariances: Vec<Vec<f64>>,
+}
+
+/// The moments of a series that grows at its end.
+#[derive(Clone, Debug)]
+pub struct GrowingMoments {
+    /// Samples a block.
+    block: usize,
+    /// Known once a block is complete.
+    reference: Option<Vec<f32>>,
+    /// The last samples of earlier blocks, as many as the longest lag or fewer.
+    before: Vec<f32>,
+    /// Samples of the block that is not complete yet.
+    pending: Vec<f32>,
+    sums: Sums,
+}
+
+impl GrowingMoments {
+    /// Before the first sample.
+    pub fn new(channels: usize, block: usize) -> Self {
+        let sums = Sums::new(channels);
+        Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
+    }
+
+    /// Takes the next samples, interleaved.
+    pub fn extend(&mut self, samples: &[f32]) {
+        let channels = self.sums.channels;
+        let size = self.block * channels;
+        self.pending.extend_from_slice(samples);
+        let pending = std::mem::take(&mut self.pending);
+        let mut blocks = pending.chunks_exact(size);
+        for block in &mut blocks {
+            let reference = self.reference.get_or_insert_with(|| means(block, channels));
+            self.sums.add(&block_sums(block, &self.before, reference, channels));
+            let kept = block.len().min((LAGS - 1) * channels);
+            self.before.extend_from_slice(&block[block.len() - kept..]);
+            let surplus = self.before.len().saturating_sub((LAGS - 1) * channels);
+            self.before.drain(..surplus);
+        }
+        self.pending = blocks.remainder().to_vec();
+    }
+
+    /// The moments of all samples so far.
+    pub fn so_far(&self) -> Moments {
+        let channels = self.sums.channels;
+        let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
+        let mut sums = self.sums.clone();
+        if !self.pending.is_empty() {
+            sums.add(&block_sums(&self.pending, &self.before, &reference, channels));
+        }
+        // Powers of samples far beyond full scale must not become infinite.
+        let held = |x: &f64| x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32;
+        Moments { sums: sums.values.iter().map(held).collect(), reference }
+    }
+}
+
+/// The mean of each channel of interleaved samples.
+pub fn means(samples: &[f32], channels: usize) -> Vec<f32> {
+    let frames = (samples.len() / channels).max(1) as f64;
+    let mean = |c: usize| {
+        let sum: f64 = samples.iter().skip(c).step_by(channels).map(|&x| f64::from(x)).sum();
+        (sum / frames) as f32
+    };
+    (0..channels).map(mean).collect()
+}
+
+fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usize) -> Vec<f32> {
+    let mut sums = vec![0.0; width(channels)];
+    let frames = samples.len() / channels;
+    sums[0] = frames as f32;
+    let past = before.len() / channels;
+    let centred = |samples: &[f32], c: usize| -> Vec<f32> {
+        let of_channel = samples.iter().skip(c).step_by(channels);
+        of_channel.map(|x| x - reference[c]).collect()
+    };
+    // Each channel with the samples before it, so that products reach back.
+    let all: Vec<Vec<f32>> =
+        (0..channels).map(|c| [centred(before, c), centred(samples, c)].concat()).collect();
+    for (c, of_channel) in all.iter().enumerate() {
+        let [sum, cubes, fourths, magnitude, root, crossings] = powers(&of_channel[past..]);
+        let of_block = &of_channel[past..];
+        let extreme = |f: fn(f32, f32) -> f32| of_block.iter().copied().reduce(f).unwrap_or(0.0);
+        for (of, value) in [
+            (Of::Sum, sum),
+            (Of::Cubes, cubes),
+            (Of::Fourths, fourths),
+            (Of::SquaredLevel, sum * sum / frames.max(1) as f64),
+            (Of::Magnitude, magnitude),
+            (Of::Root, root),
+            (Of::Crossings, crossings),
+            (Of::Least, f64::from(extreme(f32::min))),
+            (Of::Greatest, f64::from(extreme(f32::max))),
+        ] {
+            sums[place(of, c)] = value as f32;
+        }
+    }
+    for lag in 0..LAGS {
+        let at = products(channels, lag);
+        // The first samples of a recording have none before them.
+        let from = past.max(lag);
+        for (i, now) in all.iter().enumerate() {
+            for (j, earlier) in all.iter().enumerate() {
+                if from < now.len() {
+                    let end = earlier.len() - lag;
+                    sums[at + i * channels + j] =
+                        dot(&now[from..], &earlier[from - lag..end]) as f32;
+                }
+            }
+        }
+    }
+    // Powers of samples far beyond full scale must not become infinite.
+    sums.iter_mut().for_each(|x| *x = x.clamp(-f32::MAX, f32::MAX));
+    sums
+}
+
+/// Lanes of the sums below: additions need not wait for each other.
+const LANES: usize = 8;
+
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    let mut lanes = [0f64; LANES];
+    for (a, b) in a.chunks(LANES).zip(b.chunks(LANES)) {
+        for ((lane, &a), &b) in lanes.iter_mut().zip(a).zip(b) {
+            *lane += f64::from(a) * f64::from(b);
+        }
+    }
+    lanes.iter().sum()
+}
+
+/// Σ x, Σ x³, Σ x⁴, Σ |x − m|, Σ √|x − m| and the crossings of m, the mean.
+fn powers(x: &[f32]) -> [f64; 6] {
+    let (mut sum, mut cubes, mut fourths) = ([0f64; LANES], [0f64; LANES], [0f64; LANES]);
+    for chunk in x.chunks(LANES) {
+        for (lane, &x) in chunk.iter().enumerate() {
+            let x = f64::from(x);
+            sum[lane] += x;
+            cubes[lane] += x * x * x;
+            fourths[lane] += x * x * x * x;
+        }
+    }
+    let total = sum.iter().sum::<f64>();
+    let mean = (total / x.len().max(1) as f64) as f32;
+    let (mut magnitude, mut root) = ([0f32; LANES], [0f32; LANES]);
+    for chunk in x.chunks(LANES) {
+        for (lane, &x) in chunk.iter().enumerate() {
+            let distance = (x - mean).abs();
+            magnitude[lane] += distance;
+            root[lane] += distance.sqrt();
+        }
+    }
+    let crossings = x.windows(2).filter(|w| (w[0] < mean) != (w[1] < mean)).count();
+    let add = |lanes: [f32; LANES]| lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+    [total, cubes.iter().sum(), fourths.iter().sum(), add(magnitude), add(root), crossings as f64]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Channels that swing about 0, 3, 6 …
+    fn series(frames: usize, channels: usize) -> Vec<f32> {
+        let value = |i: usize| {
+            let (t, c) = ((i / channels) as f32, (i % channels) as f32);
+            0.4 * (t * (0.31 + 0.2 * c)).sin() + 0.1 * ((t * t + c) * 0.77).cos() + 3.0 * c
+        };
+        (0..frames * channels).map(value).collect()
+    }
+
+    fn statistics(channels: usize, block: usize, samples: &[f32]) -> Statistics {
+        Moments::new(channels, block, samples).statistics(100.0, 0.0)
+    }
+
+    #[test]
+    fn statistics_are_those_of_their_definitions() {
+        let (n, channels) = (1000, 2);
+        let samples = series(n, channels);
+        let stats = statistics(channels, 64, &samples);
+        let channel = |c: usize| -> Vec<f64> {
+            samples.iter().skip(c).step_by(channels).map(|&x| f64::from(x)).collect()
+        };
+        let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
+        for c in 0..channels {
+            let x = channel(c);
+            let m = mean(&x);
+            let of = |f: &dyn Fn(f64) -> f64| mean(&x.iter().map(|x| f(x - m)).collect::<Vec<_>>());
+            let deviation = of(&|x| x * x).sqrt();
+            let peak = x.iter().map(|x| (x - m).abs()).fold(0.0, f64::max);
+            let moments = &stats.moments[c * MOMENTS.len()..];
+            assert!((stats.means[c] - m).abs() < 1e-5);
+            assert!((moments[0] - deviation.ln()).abs() < 1e-4);
+            assert!((moments[1].powi(3) - of(&|x| x.powi(3)) / deviation.powi(3)).abs() < 1e-3);
+            assert!((moments[2].exp() - of(&|x| x.powi(4)) / deviation.powi(4)).abs() < 1e-3);
+            assert!((moments[3].exp() - peak / deviation).abs() < 1e-3);
+        }
+        let (a, b) = (channel(0), channel(1));
+        let (ma, mb) = (mean(&a), mean(&b));
+        let lagged: f64 = (2..n).map(|t| (a[t] - ma) * (b[t - 2] - mb)).sum::<f64>() / n as f64;
+        assert!((stats.covariances[2][1] - lagged).abs() < 2e-3, "{lagged}");
+    }
+
+    #[test]
+    fn an_offset_costs_no_digits() {
+        let samples = series(4000, 1);
+        let shifted: Vec<f32> = samples.iter().map(|x| x + 500.0).collect();
+        let (a, b) = (statistics(1, 128, &samples), statistics(1, 128, &shifted));
+        for (a, b) in a.moments.iter().zip(&b.moments).take(6) {
+            assert!((a - b).abs() < 0.01, "{a} vs {b}");
+        }
+    }
+
+    #[test]
+    fn constants_and_single_samples_have_finite_statistics() {
+        for samples in [vec![0.5; 300], vec![1e30, -1e30, 0.0], vec![-1e-30; 5], vec![1.0, 2.0]] {
+            let stats = statistics(1, 16, &samples);
+            let all = stats.moments.iter().chain(&stats.covariances[3]);
+            assert!(all.chain(&stats.deviations).all(|x| x.is_finite()), "{stats:?}");
+        }
+    }
+
+    #[test]
+    fn a_series_in_pieces_has_the_moments_of_the_series_at_once() {
+        let samples = series(1000, 3);
+        let mut growing = GrowingMoments::new(3, 48);
+        for (i, piece) in samples.chunks(3 * 7).enumerate() {
+            growing.extend(piece);
+            let so_far = &samples[..(3 * 7 * (i + 1)).min(samples.len())];
+            assert_eq!(growing.so_far(), Moments::new(3, 48, so_far));
+        }
+    }
+
+    #[test]
+    fn a_gain_scales_what_a_gain_moves_and_nothing_else() {
+        let samples = series(700, 2);
+        let louder: Vec<f32> = samples.iter().map(|x| x * 2.0).collect();
+        let asked = Moments::new(2, 64, &samples).statistics(100.0, 2f64.ln());
+        let played = statistics(2, 64, &louder);
+        for (a, b) in asked.moments.iter().zip(&played.moments) {
+            assert!((a - b).abs() < 1e-3, "{a} vs {b}");
+        }
+        assert!((asked.covariances[1][3] - played.covariances[1][3]).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,483 @@
+//! A picture as a series in two dimensions: tiles are its frames (method §11).
+//!
+//! Three channels, brightness (R+G+B)/3, R − G and (R+G)/2 − B, of values from 0 to 1. Tiles of
+//! 64 × 64 pixels, half a tile apart, less their mean, under a two-dimensional Hann window; the power
+//! of their bins averaged over eight rings by four directions. Beside them, sums over pixels and
+//! over pixels with those some way to the right and below, from which moments and covariance follow;
+//! quarter by quarter, so that a quarter and the whole cost additions alone.
+
+use std::sync::{Arc, OnceLock};
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+use serde::{Deserialize, Serialize};
+
+use super::band_sums::{BandSums, Counts};
+use super::frames::PackedFrames;
+use crate::trial::Image;
+
+/// Channels of a picture.
+pub const CHANNELS: usize = 3;
+/// Pixels along a side of a tile.
+const SIDE: usize = 64;
+/// Pixels from one tile to the next.
+const HOP: usize = SIDE / 2;
+/// Tiles below and beside each other.
+const TILES: [usize; 2] = [(Image::ROWS - SIDE) / HOP + 1, (Image::COLS - SIDE) / HOP + 1];
+/// Rings of spatial frequency, equally wide in its logarithm.
+const RINGS: usize = 8;
+/// Radius where rings begin and end, in bins: from 1.5/64 to ½ cycles a pixel.
+const RADII: (f64, f64) = (1.5, SIDE as f64 / 2.0);
+/// Directions: 0, 45, 90 and 135°, each ± 22.5°.
+const DIRECTIONS: usize = 4;
+/// Keeps the logarithm of power finite.
+const POWER_FLOOR: f32 = 1e-14;
+/// Pixels of the pairs whose covariance is taken: displaced by so many rows and columns.
+const DISPLACED: [(usize, usize); 7] = [(0, 0), (0, 1), (1, 0), (0, 4), (4, 0), (0, 16), (16, 0)];
+/// The longest of these.
+const REACH: usize = 16;
+/// Rows from one whose pairs are summed to the next.
+const ROW_STEP: usize = 4;
+/// Channels of all displaced pixels together.
+pub const STACKED: usize = CHANNELS * DISPLACED.len();
+
+/// A part of a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Part {
+    /// All of it.
+    Whole,
+    /// One of four quarters, by its number.
+    Quarter(usize),
+}
+
+/// What is kept of a picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PictureTiles {
+    /// ln power of each tile, row by row.
+    tiles: PackedFrames,
+    /// The mean of each channel, which is taken off before anything is summed.
+    reference: [f32; CHANNELS],
+    quarters: Vec<PixelSums>,
+}
+
+/// Sums over some pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct PixelSums {
+    pixels: f64,
+    /// Σ x, Σ x², Σ x³, Σ x⁴ of each channel.
+    powers: [[f64; 4]; CHANNELS],
+    /// Pixels whose pairs are summed.
+    stacks: f64,
+    /// Σ v_i, v the channels of all displaced pixels; [`STACKED`] values.
+    sums: Vec<f64>,
+    /// Σ v_i·v_j for j ≤ i, row by row.
+    products: Vec<f64>,
+}
+
+/// Statistics of the pixels of a part.
+pub struct PixelStatistics {
+    /// Mean, standard deviation, skewness and kurtosis of each channel.
+    pub moments: [[f64; 4]; CHANNELS],
+    /// Covariance of the channels of displaced pixels, shape ([`STACKED`], [`STACKED`]).
+    pub covariance: Vec<f64>,
+}
+
+impl PictureTiles {
+    /// The tiles of a picture.
+    pub fn new(image: &Image) -> Self {
+        let mut planes = planes(image);
+        let reference = planes.each_ref().map(|plane| {
+            (plane.iter().map(|&x| f64::from(x)).sum::<f64>() / plane.len() as f64) as f32
+        });
+        for (plane, mean) in planes.iter_mut().zip(reference) {
+            plane.iter_mut().for_each(|x| *x -= mean);
+        }
+        let rows: Vec<Vec<f32>> =
+            (0..TILES[0]).into_par_iter().map(|row| tile_row(&planes, row)).collect();
+        let quarters = (0..4).into_par_iter().map(|q| PixelSums::new(&planes, q)).collect();
+        Self { tiles: PackedFrames::new(&rows.concat()), reference, quarters }
+    }
+
+    /// Values of one tile: the bands of all channels.
+    pub fn width() -> usize {
+        CHANNELS * rings().count
+    }
+
+    /// Counts of the tiles that lie in a part.
+    pub(super) fn counts(&self, part: Part) -> Counts {
+        let mut values = Vec::new();
+        self.tiles.unpack(Self::width(), 0..TILES[0] * TILES[1], &mut values);
+        let mut sums = BandSums::new(CHANNELS, Self::width());
+        for (tile, row) in values.chunks_exact(Self::width()).enumerate() {
+            let at = [tile / TILES[1] * HOP, tile % TILES[1] * HOP];
+            let is_in = match part {
+                Part::Whole => true,
+                Part::Quarter(q) => {
+                    let (rows, columns) = pixels_of(q);
+                    let lies = |at: usize, within: &std::ops::Range<usize>| {
+                        within.start <= at && at + SIDE <= within.end
+                    };
+                    lies(at[0], &rows) && lies(at[1], &columns)
+                }
+            };
+            if is_in {
+                sums.add(row);
+            }
+        }
+        sums.on_surface()
+    }
+
+    /// Statistics of the pixels of a part; pairs across the borders of quarters are left out.
+    pub fn statistics(&self, part: Part) -> PixelStatistics {
+        let mut sums = PixelSums::none();
+        match part {
+            Part::Whole => self.quarters.iter().for_each(|quarter| sums.join(quarter)),
+            Part::Quarter(q) => sums.join(&self.quarters[q % self.quarters.len().max(1)]),
+        }
+        sums.statistics(&self.reference)
+    }
+}
+
+/// Rows and columns of a quarter.
+fn pixels_of(quarter: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+    let half = |size: usize, second: bool| {
+        let from = usize::from(second) * (size / 2);
+        from..from + size / 2
+    };
+    (half(Image::ROWS, quarter / 2 % 2 == 1), half(Image::COLS, quarter % 2 == 1))
+}
+
+/// The channels of a picture, row by row.
+fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
+    let mut planes: [Vec<f32>; CHANNELS] = Default::default();
+    for rgb in image.rgb().chunks_exact(3) {
+        let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(|x| f32::from(x) / 255.0);
+        for (plane, x) in planes.iter_mut().zip([(r + g + b) / 3.0, r - g, (r + g) / 2.0 - b]) {
+            plane.push(x);
+        }
+    }
+    planes
+}
+
+impl PixelSums {
+    fn none() -> Self {
+        Self {
+            pixels: 0.0,
+            powers: [[0.0; 4]; CHANNELS],
+            stacks: 0.0,
+            sums: vec![0.0; STACKED],
+            products: vec![0.0; STACKED * (STACKED + 1) / 2],
+        }
+    }
+
+    fn new(planes: &[Vec<f32>; CHANNELS], quarter: usize) -> Self {
+        let (rows, columns) = pixels_of(quarter);
+        let mut sums = Self::none();
+        let row = |row: usize, column: usize, channel: usize, length: usize| {
+            &planes[channel][row * Image::COLS + column..][..length]
+        };
+        for r in rows.clone() {
+            for (channel, powers) in sums.powers.iter_mut().enumerate() {
+                add_powers(row(r, columns.start, channel, columns.len()), powers);
+            }
+        }
+        sums.pixels = (rows.len() * columns.len()) as f64;
+        let length = columns.len() - REACH;
+        for r in (rows.start..rows.end - REACH).step_by(ROW_STEP) {
+            let of =
+                |(dr, dc)| (0..CHANNELS).map(move |c| row(r + dr, columns.start + dc, c, length));
+            let stacked: Vec<&[f32]> = DISPLACED.into_iter().flat_map(of).collect();
+            add_products(&stacked, &mut sums.sums, &mut sums.products);
+            sums.stacks += length as f64;
+        }
+        sums
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.pixels += other.pixels;
+        self.stacks += other.stacks;
+        let powers = self.powers.iter_mut().flatten().zip(other.powers.iter().flatten());
+        let sums = self.sums.iter_mut().zip(&other.sums);
+        let products = self.products.iter_mut().zip(&other.products);
+        powers.chain(sums).chain(products).for_each(|(sum, x)| *sum += x);
+    }
+
+    fn statistics(&self, reference: &[f32; CHANNELS]) -> PixelStatistics {
+        let n = self.pixels.max(1.0);
+        let mut moments = [[0.0; 4]; CHANNELS];
+        for ((out, powers), reference) in moments.iter_mut().zip(&self.powers).zip(reference) {
+            let [m, second, third, fourth] = powers.map(|sum| sum / n);
+            let variance = (second - m * m).max(0.0);
+            let deviation = variance.sqrt().max(1e-9);
+            let skew = third - 3.0 * m * second + 2.0 * m.powi(3);
+            let tail = fourth - 4.0 * m * third + 6.0 * m * m * second - 3.0 * m.powi(4);
+            *out = [
+                m + f64::from(*reference),
+                deviation,
+                skew / deviation.powi(3),
+                tail / deviation.powi(4),
+            ];
+        }
+        let n = self.stacks.max(1.0);
+        let mut covariance = vec![0.0; STACKED * STACKED];
+        let mut products = self.products.iter();
+        for i in 0..STACKED {
+            for j in 0..=i {
+                let product = products.next().copied().unwrap_or(0.0);
+                let value = product / n - self.sums[i] * self.sums[j] / (n * n);
+                covariance[i * STACKED + j] = value;
+                covariance[j * STACKED + i] = value;
+            }
+        }
+        PixelStatistics { moments, covariance }
+    }
+}
+
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn add_powers(x: &[f32], powers: &mut [f64; 4]) {
+    let mut acc = [[0f32; 8]; 4];
+    for chunk in x.chunks(8) {
+        for (lane, &x) in chunk.iter().enumerate() {
+            let square = x * x;
+            acc[0][lane] += x;
+            acc[1][lane] += square;
+            acc[2][lane] += x * square;
+            acc[3][lane] += square * square;
+        }
+    }
+    for (sum, lanes) in powers.iter_mut().zip(&acc) {
+        *sum += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+    }
+}
+
+/// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j of equally long rows.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
+    let mut at = 0;
+    for (i, a) in rows.iter().enumerate() {
+        sums[i] += f64::from(a.iter().sum::<f32>());
+        for b in &rows[..=i] {
+            let mut lanes = [0f32; 16];
+            for (a, b) in a.chunks_exact(16).zip(b.chunks_exact(16)) {
+                for lane in 0..16 {
+                    lanes[lane] += a[lane] * b[lane];
+                }
+            }
+            let used = a.len() / 16 * 16;
+            let rest: f32 = a[used..].iter().zip(&b[used..]).map(|(a, b)| a * b).sum();
+            products[at] += f64::from(lanes.iter().sum::<f32>() + rest);
+            at += 1;
+        }
+    }
+}
+
+/// Which band each bin of a transformed tile belongs to.
+struct Rings {
+    /// Bins of the upper half plane with a band: row, column, band.
+    bins: Vec<(usize, usize, usize)>,
+    /// Bins of each band.
+    sizes: Vec<f32>,
+    /// Number of bands: those without a bin are left out.
+    count: usize,
+    window: Vec<f32>,
+    /// 2/(N·Σw²).
+    scale: f32,
+    plan: Arc<dyn Fft<f32>>,
+}
+
+fn rings() -> &'static Rings {
+    static RINGS_OF_A_TILE: OnceLock<Rings> = OnceLock::new();
+    RINGS_OF_A_TILE.get_or_init(Rings::new)
+}
+
+impl Rings {
+    fn new() -> Self {
+        let half = SIDE as i32 / 2;
+        let (from, to) = RADII;
+        let mut bins = Vec::new();
+        for fy in 0..half {
+            for fx in 1 - half..half {
+                let radius = f64::from(fx * fx + fy * fy).sqrt();
+                if (fy == 0 && fx <= 0) || radius < from || radius >= to {
+                    continue;
+                }
+                let ring = ((radius / from).ln() / (to / from).ln() * RINGS as f64) as usize;
+                let angle = f64::from(fy).atan2(f64::from(fx)) / std::f64::consts::PI;
+                let direction = (angle * DIRECTIONS as f64).round() as usize % DIRECTIONS;
+                let place = |f: i32| f.rem_euclid(SIDE as i32) as usize;
+                bins.push((place(fy), place(fx), ring * DIRECTIONS + direction));
+            }
+        }
+        let mut used: Vec<usize> = bins.iter().map(|bin| bin.2).collect();
+        used.sort_unstable();
+        used.dedup();
+        let mut sizes = vec![0.0; used.len()];
+        for bin in &mut bins {
+            // Each band of a bin is among those that are used.
+            bin.2 = used.binary_search(&bin.2).unwrap_or(0);
+            sizes[bin.2] += 1.0;
+        }
+        let hann = |n: usize| 0.5 - 0.5 * (std::f64::consts::TAU * n as f64 / SIDE as f64).cos();
+        let power: f64 = (0..SIDE).map(|n| hann(n).powi(2)).sum();
+        Self {
+            bins,
+            count: used.len(),
+            sizes,
+            window: (0..SIDE).map(|n| hann(n) as f32).collect(),
+            scale: (2.0 / ((SIDE * SIDE) as f64 * power * power)) as f32,
+            plan: FftPlanner::new().plan_fft_forward(SIDE),
+        }
+    }
+
+    /// The ln power of the bands of two tiles at once: one is the real part, the other the imaginary
+    /// part of what is transformed.
+    fn transform(&self, pair: &mut [Complex<f32>], scratch: &mut [Complex<f32>]) -> [Vec<f32>; 2] {
+        self.plan.process_with_scratch(pair, scratch);
+        for row in 0..SIDE {
+            for column in 0..row {
+                pair.swap(row * SIDE + column, column * SIDE + row);
+            }
+        }
+        self.plan.process_with_scratch(pair, scratch);
+        let mut powers = [vec![0f32; self.count], vec![0f32; self.count]];
+        for &(row, column, band) in &self.bins {
+            // Rows and columns have changed places.
+            let here = pair[column * SIDE + row];
+            let there = pair[(SIDE - column) % SIDE * SIDE + (SIDE - row) % SIDE].conj();
+            powers[0][band] += 0.25 * (here + there).norm_sqr();
+            powers[1][band] += 0.25 * (here - there).norm_sqr();
+        }
+        for power in &mut powers {
+            for (power, size) in power.iter_mut().zip(&self.sizes) {
+                *power = (*power * self.scale / size + POWER_FLOOR).ln();
+            }
+        }
+        powers
+    }
+}
+
+/// ln power of the tiles of one row, each with all its channels.
+fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
+    let rings = rings();
+    let mut pair = vec![Complex::default(); SIDE * SIDE];
+    let mut scratch = vec![Complex::default(); rings.plan.get_inplace_scratch_len()];
+    let tiles: Vec<(usize, usize)> =
+        (0..TILES[1]).flat_map(|column| (0..CHANNELS).map(move |c| (column, c))).collect();
+    let mut all = Vec::with_capacity(TILES[1] * PictureTiles::width());
+    for two in tiles.chunks(2) {
+        pair.fill(Complex::default());
+        for (i, &(column, channel)) in two.iter().enumerate() {
+            let line =
+                |y: usize| &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE];
+            let sum: f32 = (0..SIDE).map(|y| line(y).iter().sum::<f32>()).sum();
+            let mean = sum / (SIDE * SIDE) as f32;
+            for (y, out) in pair.chunks_exact_mut(SIDE).enumerate() {
+                for ((out, x), w) in out.iter_mut().zip(line(y)).zip(&rings.window) {
+                    let value = (x - mean) * w * rings.window[y];
+                    if i == 0 { out.re = value } else { out.im = value }
+                }
+            }
+        }
+        let powers = rings.transform(&mut pair, &mut scratch);
+        powers.into_iter().take(two.len()).for_each(|of_tile| all.extend(of_tile));
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(pixel: impl Fn(usize, usize) -> [u8; 3]) -> PictureTiles {
+        let at = |i: usize| pixel(i / Image::COLS, i % Image::COLS);
+        let rgb = (0..Image::ROWS * Image::COLS).flat_map(at).collect();
+        PictureTiles::new(&Image::new(Image::COLS, Image::ROWS, rgb).unwrap())
+    }
+
+    fn texture(row: usize, column: usize) -> [u8; 3] {
+        let value = (row * 31 + column * 17 + row * column % 23) % 199;
+        [value as u8, (value / 2 + 40) as u8, (200 - value) as u8]
+    }
+
+    #[test]
+    fn stripes_stand_in_the_ring_and_direction_of_their_frequency() {
+        // Eight pixels a period from left to right: radius 8 of 64, direction 0°.
+        let stripes = picture(|_, column| {
+            let phase = std::f64::consts::TAU * column as f64 / 8.0;
+            [(128.0 + 60.0 * phase.sin()).round() as u8; 3]
+        });
+        let mut values = Vec::new();
+        stripes.tiles.unpack(PictureTiles::width(), 0..1, &mut values);
+        let brightest = (0..rings().count).max_by(|&a, &b| values[a].total_cmp(&values[b]));
+        let (_, _, band) = rings().bins.iter().find(|bin| (bin.0, bin.1) == (0, 8)).unwrap();
+        assert_eq!(brightest, Some(*band));
+        assert!(values[rings().count..].iter().all(|x| *x < -20.0), "grey has no colour");
+    }
+
+    #[test]
+    fn a_pair_of_tiles_has_the_powers_of_each_alone() {
+        let rings = rings();
+        let tile =
+            |k: usize| move |i: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0;
+        let (a, b) = (tile(1), tile(2));
+        let mut scratch = vec![Complex::default(); rings.plan.get_inplace_scratch_len()];
+        let mut of = |re: &dyn Fn(usize) -> f32, im: &dyn Fn(usize) -> f32| {
+            let mut pair: Vec<_> = (0..SIDE * SIDE).map(|i| Complex::new(re(i), im(i))).collect();
+            rings.transform(&mut pair, &mut scratch)
+        };
+        let both = of(&a, &b);
+        let alone = [of(&a, &|_| 0.0), of(&b, &|_| 0.0)];
+        for (together, [alone, _]) in both.iter().zip(&alone) {
+            assert!(together.iter().zip(alone).all(|(x, y)| (x - y).abs() < 1e-3));
+        }
+    }
+
+    #[test]
+    fn statistics_are_those_of_their_definitions() {
+        let tiles = picture(texture);
+        let stats = tiles.statistics(Part::Quarter(0));
+        let (rows, columns) = pixels_of(0);
+        let pixels = || rows.clone().flat_map(|r| columns.clone().map(move |c| (r, c)));
+        let brightness = |(r, c): (usize, usize)| {
+            texture(r, c).iter().map(|&x| f64::from(x)).sum::<f64>() / 765.0
+        };
+        let n = (rows.len() * columns.len()) as f64;
+        let mean = pixels().map(brightness).sum::<f64>() / n;
+        let deviation = (pixels().map(|p| (brightness(p) - mean).powi(2)).sum::<f64>() / n).sqrt();
+        assert!((stats.moments[0][0] - mean).abs() < 1e-5);
+        assert!((stats.moments[0][1] - deviation).abs() < 1e-5);
+        // Brightness here and 4 columns to the right: places 0 and 9.
+        let pairs: Vec<(f64, f64)> = (rows.start..rows.end - REACH)
+            .step_by(ROW_STEP)
+            .flat_map(|r| (columns.start..columns.end - REACH).map(move |c| (r, c)))
+            .map(|(r, c)| (brightness((r, c)), brightness((r, c + 4))))
+            .collect();
+        let n = pairs.len() as f64;
+        let (a, b) = (
+            pairs.iter().map(|p| p.0).sum::<f64>() / n,
+            pairs.iter().map(|p| p.1).sum::<f64>() / n,
+        );
+        let expected = pairs.iter().map(|p| (p.0 - a) * (p.1 - b)).sum::<f64>() / n;
+        assert!(
+            (stats.covariance[9] - expected).abs() < 1e-6,
+            "{} {expected}",
+            stats.covariance[9]
+        );
+    }
+
+    #[test]
+    fn quarters_make_the_whole_and_a_plain_picture_is_finite() {
+        let tiles = picture(texture);
+        let of = |part| tiles.statistics(part).moments[1][0];
+        let mean = (0..4).map(|q| of(Part::Quarter(q))).sum::<f64>() / 4.0;
+        assert!((of(Part::Whole) - mean).abs() < 1e-9);
+        let plain = picture(|_, _| [9; 3]);
+        let stats = plain.statistics(Part::Whole);
+        assert!(
+            stats.covariance.iter().chain(stats.moments.iter().flatten()).all(|x| x.is_finite())
+        );
+        assert!(plain.counts(Part::Quarter(3)).ln_mean_power().iter().all(|x| x.is_finite()));
+    }
+}
