@@ -35,24 +35,24 @@
 //! | to | use |
 //! |---|---|
 //! | open recordings of any form | [`dataset::open`], [`library`] |
-//! | write them, edit them | [`record::write_trial`], [`record::edit`] |
+//! | write and edit them | [`record::write_trial`], [`record::edit`] |
 //! | name a trial | [`recognise`] |
-//! | measure how well that works | [`evaluate::Evaluation`] |
-//! | learn how long a scan must last | [`duration`] |
-//! | keep past scans, and read them | [`history`] |
-//! | run a station of your own devices | [`device::Device`], [`station::Station`], [`station::Listener`] |
+//! | measure the accuracy | [`evaluate::Evaluation`] |
+//! | find out how long a scan must last | [`duration`] |
+//! | keep and read past scans | [`history`] |
+//! | run a station with your own devices | [`device::Device`], [`station::Station`], [`station::Listener`] |
 //! | compare two samples, or test independence | [`kernel`] |
 //!
-//! [`scene`] says what the sources are, [`trial`] holds one recorded interaction, [`seed`] makes every
-//! draw of randomness repeatable. Decoders, kernels and statistics are pure: no I/O, no clock, no
-//! global state.
+//! [`scene`] describes the sources, [`trial`] holds one recorded interaction, [`seed`] makes every random
+//! draw repeatable, and [`spectrum`] has the amplitude spectra that methods and the page share. Decoders,
+//! kernels and statistics are pure: no I/O, no clock, no global state.
 //!
-//! # What stays
-//! Before version 1.0, a minor version may change this interface; `CHANGELOG.md` then says so. What the
-//! table names is meant to stay. [`ring`], [`scan`], [`serve`] and [`outputs`] are public for those who
-//! build a station of their own, and change with it. All else is private, or hidden from these pages:
-//! the command line, the drivers, and what the project's own tests and tools look into. The recording
-//! format, and JSON below `/api/v1`, only ever gain fields.
+//! # Stability
+//! Before version 1.0, a minor version may change this interface; `CHANGELOG.md` then says so. The items
+//! in the table are meant to stay. [`ring`], [`scan`], [`serve`] and [`outputs`] are public for programs
+//! that build their own station, and change with it. Everything else is private, or hidden from these
+//! pages: the command line, the drivers, and the parts that only the project's tests and tools use. In
+//! the recording format, and in JSON below `/api/v1`, fields are only ever added.
 
 #![warn(missing_docs)]
 
@@ -81,5 +81,7 @@ pub mod scene;
 #[doc(hidden)]
 pub mod seed;
 pub mod serve;
+#[doc(hidden)] // For the project's own tests.
+pub mod spectrum;
 pub mod station;
 pub mod trial;

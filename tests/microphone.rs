@@ -12,7 +12,7 @@ use common::sound::{SINK, Server};
 use common::{id, shared};
 use realfft::RealFftPlanner;
 use surfaced::device::microphone::{Alsa, Microphone, RATE_HZ};
-use surfaced::device::{Control, Device, DeviceReportKind, DeviceState};
+use surfaced::device::{Device, DeviceLink, DeviceReportKind, DeviceState};
 use surfaced::ring::{Piece, Sink, Stop, Waker, series};
 
 const SOUND: &str = "data/LMT_108_SurfaceMaterials_Database/SoundScans/Movement/Training/\
@@ -67,7 +67,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     let (sink, mut tap) = series(1, RATE_HZ as usize, waker);
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
+    let control = DeviceLink::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || {
         let mut sinks = [Sink::Series(sink)];
         microphone.run(&mut sinks, &control)

@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 
 use common::http::{SOON, answer};
 use serde_json::Value;
-use surfaced::outputs::{HttpOutput, MqttOutput};
-use surfaced::station::{Listener, StationEvent};
+use surfaced::outputs::{HttpOutput, MqttOutput, OutputView};
+use surfaced::recognise::RankedSurface;
+use surfaced::station::{Answer, Listener, StationEvent};
 
 /// Takes requests, answers with statuses, and gives the bodies.
 fn bodies(listener: &TcpListener, statuses: &[u16]) -> Vec<Value> {
@@ -49,6 +50,30 @@ fn answers_are_posted_in_their_order_and_again_where_the_server_cannot_take_them
     let scans: Vec<_> = posted.iter().map(|body| body["scan"].as_u64().unwrap()).collect();
     assert_eq!(scans, [1, 1, 2, 3]);
     assert_eq!(posted[0]["id"], posted[1]["id"], "one that comes twice is known by its id");
+}
+
+#[test]
+fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arrive() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let mut output = HttpOutput::start(format!("http://{address}/").parse().unwrap()).unwrap();
+    let health = output.health();
+    let mut send = |scan| output.on_event(&StationEvent::Answer(Arc::new(answer(scan, None))));
+    send(1);
+    bodies(&listener, &[301]);
+    let until = |wanted: &dyn Fn(&OutputView) -> bool| {
+        let begin = Instant::now();
+        while !wanted(&health.view()) {
+            assert!(begin.elapsed() < SOON, "{:?}", health.view());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    };
+    until(&|view| view.problem.as_ref().is_some_and(|problem| problem.contains("redirect")));
+    assert_eq!(health.view().failures, 1);
+    send(2);
+    // The first is not tried again.
+    assert_eq!(bodies(&listener, &[200])[0]["scan"], 2);
+    until(&|view| view.problem.is_none() && view.waiting == 0 && view.failures == 1);
 }
 
 #[test]
@@ -102,7 +127,15 @@ fn answers_are_published_once_the_broker_is_there() {
     ])
     .unwrap();
     std::thread::sleep(Duration::from_secs(3));
-    output.on_event(&StationEvent::Answer(Arc::new(answer(1, Some("oak")))));
+    // Of 400 surfaces, some 20 KiB; and then of more than a broker takes.
+    let of = |surfaces: usize, scan| {
+        let ranked = (0..surfaces).map(|at| RankedSurface {
+            surface: format!("a surface with a long name, number {at:06}"),
+            score: at as f64,
+        });
+        Answer { ranked: ranked.collect(), ..answer(scan, Some("oak")) }
+    };
+    output.on_event(&StationEvent::Answer(Arc::new(of(400, 1))));
     let (send, lines) = std::sync::mpsc::channel();
     let mut lines_of = BufReader::new(reader.0.stdout.take().unwrap()).lines();
     std::thread::spawn(move || send.send(lines_of.next()));

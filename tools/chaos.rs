@@ -1,7 +1,8 @@
 //! Attacks `surfaced` at random: an emulated stylus, a microphone, readers of the page and orders at
 //! work, while the line stalls, loses, lies and is unplugged, the sound server stalls, dies and comes
 //! back, the disk fills and empties, another process edits the library, readers stall, and signals
-//! strike.
+//! strike. Between two stations, processes edit a library at the same time, record into it and review
+//! scans; some are killed in the middle of an edit.
 //!
 //! `cargo build --release --features live && cargo run --release --example chaos -- target/release/surfaced [MINUTES] [SEED]`
 //!
@@ -12,7 +13,9 @@
 //! 20 minutes unless said otherwise. A station lives for some ten seconds, then is ended or killed,
 //! and what it left is checked: every sample is received or counted as lost, but for what nobody can
 //! know (the tail before an unplugging or a restart, what garbage hit); every scan is answered or
-//! reported; every kept trial is whole; memory is bounded; an end takes under five seconds. The last
+//! reported; every kept trial is whole; memory is bounded; an end takes under five seconds; every
+//! trial of the edited library is there once and whole, and undoing all steps gives back the
+//! beginning. The last
 //! line on stdout is JSON; fails if there was a violation. Each is named on stderr with the seed of
 //! its station, which alone repeats it: `chaos PROGRAM 0 SEED`.
 
@@ -22,6 +25,11 @@ mod daemon;
 mod dice;
 #[path = "chaos/disk.rs"]
 mod disk;
+#[path = "chaos/edits.rs"]
+mod edits;
+#[allow(dead_code)] // It gives more than is wanted here.
+#[path = "../tests/common/http.rs"]
+mod http;
 #[path = "chaos/line.rs"]
 mod line;
 #[path = "chaos/page.rs"]
@@ -73,6 +81,12 @@ pub struct Samples {
     unknowable: u64,
 }
 
+/// A source, for the server of the tests.
+fn id(name: &str) -> surfaced::scene::SourceId {
+    // Names that are written down there.
+    surfaced::scene::SourceId::new(name).expect("the name of a source")
+}
+
 fn main() -> Result<(), Failure> {
     let mut args = std::env::args().skip(1);
     let program = args.next().ok_or("usage: chaos PROGRAM [MINUTES] [SEED]")?;
@@ -90,7 +104,11 @@ fn main() -> Result<(), Failure> {
         let before = sums.violations.len();
         let sound = sound.as_mut();
         let round = Round { program: &program, dir: dir.path(), disk: &disk, tape: &tape, sound };
-        let done = std::panic::catch_unwind(AssertUnwindSafe(|| round.run(seed, &mut sums)));
+        let life = || {
+            round.run(seed, &mut sums)?;
+            edits::round(&program, dir.path(), seed, &mut sums)
+        };
+        let done = std::panic::catch_unwind(AssertUnwindSafe(life));
         match done {
             Ok(Ok(())) => {}
             Ok(Err(error)) => sums.violations.push(error.to_string()),

@@ -1,11 +1,11 @@
-//! How answers are given during scans, and when a scan is called unknown.
+//! Options for early answers and for unknown surfaces.
 
-use super::parse::share;
+use super::common::share;
 use super::show;
 use crate::recognise::{Rejection, RejectionError, ScanTime, Settling};
 use crate::station::Recogniser;
 
-/// When answers are settled, and which scans are called unknown.
+/// Options for early answers and for unknown surfaces.
 #[derive(Clone, Debug, clap::Args)]
 pub struct AnswerArgs {
     /// Accuracy that answers may lose by settling before their scans end
@@ -37,7 +37,7 @@ impl AnswerArgs {
             match by.reject_unknown(self.false_rejections) {
                 Ok(rejections) => remarks.extend(on_unknown(&rejections)),
                 Err(error) if self.false_rejections.is_some() => return Err(error),
-                Err(error) => remarks.push(format!("no scan will be called unknown: {error}")),
+                Err(error) => remarks.push(format!("unknown surfaces are not detected: {error}")),
             }
         }
         let found = by.calibrate(self.settle_loss);
@@ -50,19 +50,19 @@ impl AnswerArgs {
     }
 }
 
-/// What a recogniser was set up to do.
+/// The abilities of a recogniser that was set up.
 pub struct Applied {
     /// Whether it follows scans in progress.
     pub follows: bool,
-    /// For people: what its answers rest on, a line each.
+    /// The basis of its answers, a line each.
     pub remarks: Vec<String>,
 }
 
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
     Some(format!(
-        "a scan that fits no surface is called unknown; this wrongly rejects at most {} of scans of \
-         known surfaces (95 % interval {} to {}, from {} left-out trials)",
+        "unknown surfaces are detected; at most {} of scans of known surfaces are called unknown by \
+         mistake (95 % interval {} to {}, from {} left-out trials)",
         show::percent(least.rate),
         show::percent(least.rate_low),
         show::percent(least.rate_high),
@@ -74,7 +74,9 @@ fn on_settling(found: &[Settling]) -> Option<String> {
     let first = found.first()?;
     let ruled: Vec<&Settling> = found.iter().filter(|settling| settling.rule.is_some()).collect();
     if ruled.is_empty() {
-        return Some("answers settle when scans end; this library allows no earlier rule".into());
+        return Some(
+            "answers come when scans end; this library has too few trials to answer earlier".into(),
+        );
     }
     let mean_s = ruled.iter().map(|settling| settling.scan_s).sum::<f64>() / ruled.len() as f64;
     let unproven = if found.iter().all(|settling| settling.shown) {
@@ -89,7 +91,7 @@ fn on_settling(found: &[Settling]) -> Option<String> {
     ))
 }
 
-/// How long to drag; of several libraries, that of the one that takes longest.
+/// The scan time; of several libraries, the longest one.
 fn on_scan_time<'a>(found: impl Iterator<Item = &'a ScanTime>) -> Option<String> {
     let longest = |answer: &&ScanTime| answer.scan_s().unwrap_or(f64::INFINITY);
     let answer = found.max_by(|a, b| longest(a).total_cmp(&longest(b)))?;

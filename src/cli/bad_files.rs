@@ -8,7 +8,7 @@ use crate::library::audit::{self, Unreadable};
 use crate::library::{Entry, Library, LibraryError, Opened};
 use crate::scene::Scene;
 
-/// What is done about recordings that cannot be read.
+/// Treatment of recordings that cannot be read.
 #[derive(Debug, clap::Args)]
 pub(super) struct BadFileArgs {
     /// Go on without recordings that cannot be read; they are listed, and the exit code is 3
@@ -16,7 +16,7 @@ pub(super) struct BadFileArgs {
     skip_bad: bool,
 }
 
-/// Why recordings were left out, one error each.
+/// The recordings that were left out, an error each.
 #[derive(Default)]
 pub(super) struct Skipped(Vec<LibraryError>);
 
@@ -51,23 +51,22 @@ impl BadFileArgs {
 }
 
 impl Skipped {
-    /// For people: a line each.
+    /// The reasons, a line each.
     pub fn why(&self) -> impl Iterator<Item = String> {
         self.0.iter().map(|error| format!("not used: {error}"))
     }
 
-    /// How the command ends.
+    /// The end of the command.
     pub fn verdict(&self) -> Done {
         match self.0.len() {
             0 => Ok(()),
-            1 => Err(Failure::Damaged("done without 1 recording that cannot be read".into())),
-            n => Err(Failure::Damaged(format!("done without {n} recordings that cannot be read"))),
+            1 => Err(Failure::Damaged("done; 1 unreadable recording was skipped".into())),
+            n => Err(Failure::Damaged(format!("done; {n} unreadable recordings were skipped"))),
         }
     }
 }
 
-/// What to say when working with `entries` failed: all recordings that cannot be read, where that
-/// is the reason.
+/// The failure of work with `entries`. It names all unreadable recordings, if they are the reason.
 pub(super) fn explain(entries: &[Entry], error: impl Into<Failure>) -> Failure {
     match audit::unreadable(entries) {
         unreadable if unreadable.is_empty() => error.into(),
@@ -81,5 +80,5 @@ fn errors(unreadable: Vec<Unreadable>) -> impl Iterator<Item = LibraryError> {
 
 fn failure(bad: Vec<LibraryError>) -> Failure {
     let all = LibraryError::of_all(bad).map_or_else(String::new, |error| error.to_string());
-    Failure::Failed(format!("{all}\nmend or remove them, or go on without them by --skip-bad"))
+    Failure::Failed(format!("{all}\nrepair or remove them, or skip them with --skip-bad"))
 }

@@ -6,14 +6,14 @@ use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::evaluate::{CheckReport, check};
-use crate::library::lock::LibraryLock;
 use crate::printable::table;
+use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
-/// Audit a library: left-out accuracy, confusions, likely mislabels, damage, what to record next
+/// Audit a library: cross-validated accuracy, confusions, likely mislabels, damage, advice
 ///
 /// Each trial is left out and named by the others. One bad file does not stop it. The exit code is 3
-/// where something should be mended.
+/// where something needs fixing.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced check my-library\n  \
                         surfaced check my-library --json > check.json\n\nTime: up to ten \
@@ -28,7 +28,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let report = audit(&args.library, &how, true)?;
@@ -39,7 +38,7 @@ pub fn run(args: &Args) -> Done {
     }
     match report.mend.len() {
         0 => Ok(()),
-        n => Err(Failure::Damaged(format!("{} to mend", show::counted(n, "thing")))),
+        n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
 }
 
@@ -83,7 +82,7 @@ fn print(report: &CheckReport) {
     });
     let head = ["surface", ">trials", ">right", "95 %", "taken for"];
     result!("{}", table(&head, &rows.collect::<Vec<_>>()).trim_end());
-    for (title, lines) in [("to mend", &report.mend), ("next", &report.advice)] {
+    for (title, lines) in [("needs fixing", &report.mend), ("next", &report.advice)] {
         if !lines.is_empty() {
             result!();
             result!("{title}:");

@@ -1,4 +1,4 @@
-//! Which trials, sources and folds of some recordings a measurement works with.
+//! Chooses the trials, sources and folds that a measurement works with.
 
 use std::collections::BTreeSet;
 
@@ -10,37 +10,6 @@ use crate::evaluate::{self, EvaluateError, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
-
-/// A protocol on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ProtocolArg(pub Protocol);
-
-impl ValueEnum for ProtocolArg {
-    fn value_variants<'a>() -> &'a [Self] {
-        &const {
-            let [a, b, c, d] = Protocol::ALL;
-            [Self(a), Self(b), Self(c), Self(d)]
-        }
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        let help = match self.0 {
-            Protocol::ExpertVsUsers => {
-                "The expert's trials are the library; each other user is a fold of queries (1 vs 10)"
-            }
-            Protocol::LeaveOneTrialOut => {
-                "Fold k: trial k of every surface against the same person's other trials (1 vs 1)"
-            }
-            Protocol::AllVsOneUser => {
-                "Each user is a fold; the library is everybody else (10 vs 1)"
-            }
-            Protocol::RandomHalves => {
-                "50 folds: a random half of a person's trials of each surface against the other half"
-            }
-        };
-        Some(PossibleValue::new(self.0.name()).help(help))
-    }
-}
 
 /// The trials, sources and folds of a measurement.
 pub(super) struct Choice {
@@ -83,9 +52,9 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
 /// If the protocol finds no folds.
 pub(super) fn split(
     keys: &[TrialKey],
-    named: Option<ProtocolArg>,
+    named: Option<Protocol>,
 ) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
-    let protocol = named.map_or_else(|| Protocol::natural(keys), |ProtocolArg(protocol)| protocol);
+    let protocol = named.unwrap_or_else(|| Protocol::natural(keys));
     let folds = evaluate::folds(protocol, keys)?;
     if named.is_none() {
         say!("protocol: {}, which fits these data", protocol.name());
@@ -100,7 +69,7 @@ pub(super) fn split(
 pub(super) fn choose(
     library: &Library,
     scene: Scene,
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
 ) -> Result<Choice, Failure> {
     let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
@@ -138,5 +107,29 @@ impl Choice {
         let held: BTreeSet<&SourceId> =
             used.into_iter().flat_map(|i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()
+    }
+}
+
+impl ValueEnum for Protocol {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self {
+            Protocol::ExpertVsUsers => {
+                "The expert's trials are the library; each other user is a fold of queries (1 vs 10)"
+            }
+            Protocol::LeaveOneTrialOut => {
+                "Fold k: trial k of every surface against the same person's other trials (1 vs 1)"
+            }
+            Protocol::AllVsOneUser => {
+                "Each user is a fold; the library is everybody else (10 vs 1)"
+            }
+            Protocol::RandomHalves => {
+                "50 folds: a random half of a person's trials of each surface against the other half"
+            }
+        };
+        Some(PossibleValue::new(self.name()).help(help))
     }
 }

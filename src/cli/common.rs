@@ -1,13 +1,14 @@
-//! What commands share: how they end, and how they open data.
+//! Parts shared by commands: their ends, the opening of data, and the parsing of values.
 
 use std::path::Path;
 
 use super::show;
 use crate::dataset;
 use crate::library::Library;
+use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 
-/// How a command ended that did not do all of its work.
+/// The end of a command that did not do all of its work.
 #[derive(Debug)]
 pub(super) enum Failure {
     /// Exit code 1.
@@ -18,17 +19,17 @@ pub(super) enum Failure {
     Damaged(String),
 }
 
-/// Anything that went wrong while working is a failure; wrong usage says so itself.
+/// An error during work is a failure with exit code 1.
 impl<E: std::error::Error> From<E> for Failure {
     fn from(error: E) -> Self {
         Self::Failed(error.to_string())
     }
 }
 
-/// What a command gives.
+/// The result of a command.
 pub(super) type Done = Result<(), Failure>;
 
-/// Which sources a comparison uses.
+/// The sources that a comparison uses.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct SourceArgs {
     /// Sources to compare, with commas between them (default: all that the data have)
@@ -46,9 +47,43 @@ impl SourceArgs {
     }
 }
 
-/// Opens recordings of any form, and says on stderr what was found.
+/// Keeps edits off a library, or off that of a trial, until the command has ended.
+pub(super) fn hold(path: &Path) {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    // A trial lies two folders down.
+    for folder in path.ancestors().take(3).filter(|folder| folder.is_dir()) {
+        std::mem::forget(LibraryLock::for_reading(folder));
+    }
+}
+
+/// Opens recordings of any form, and says on stderr what was found. Nobody edits them from then on.
 pub(super) fn open(path: &Path) -> Result<Library, Failure> {
+    hold(path);
+    open_held(path)
+}
+
+/// The same, where the caller keeps edits off.
+pub(super) fn open_held(path: &Path) -> Result<Library, Failure> {
     let library = dataset::open(path, &Scene::lmt108())?;
     show::library(&library);
     Ok(library)
+}
+
+/// Longest drag in seconds: an hour.
+const LONGEST_S: f64 = 3600.0;
+
+/// Parses a positive number of seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x <= LONGEST_S => Ok(x),
+        _ => Err(format!("expected a positive number of seconds, at most {LONGEST_S}")),
+    }
+}
+
+/// Parses a fraction.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
+        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
+    }
 }

@@ -1,13 +1,16 @@
-//! `surfaced compare`: two trials, source by source, or two sets of samples.
+//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`: whether
+//! paired samples depend on each other, by HSIC.
 
 use std::path::{Path, PathBuf};
 
 use super::method::at_least_one;
 use super::{Done, Failure, SourceArgs, samples, show};
+use crate::kernel::{Threshold, test_independence};
 use crate::library::{Library, recording};
 use crate::printable::table;
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
+use crate::seed;
 use crate::trial::Trial;
 
 /// Compare two trials, source by source
@@ -61,7 +64,6 @@ fn level(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     if args.samples { compare_samples(args) } else { compare_trials(args) }
 }
@@ -130,13 +132,14 @@ fn show(report: &CompareReport, alpha: f64) {
     result!("{}", table(&head, &sources.collect::<Vec<_>>()));
     result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
     show::next(
-        "surfaced eval my-library says how well the surfaces of a library are distinguished",
+        "surfaced eval my-library measures how well the surfaces of a library are told apart",
     );
 }
 
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.
 fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     if argument.is_dir() {
+        super::hold(argument);
         return alone(&recording::open_trial(argument, &Scene::lmt108())?);
     }
     if argument.is_file() {
@@ -172,4 +175,57 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
 fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
     let entry = &one.entries[0];
     Ok((entry.load()?, one.scene.clone(), one.synthetic))
+}
+
+/// Test whether the paired samples of two CSV files depend on each other (HSIC)
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced dependence x.csv y.csv\n  \
+                        surfaced dependence x.csv y.csv --gamma --json\n\nTime: a second for a thousand rows")]
+pub struct DependenceArgs {
+    /// CSV file: a row a sample, a column a channel, no header
+    x: PathBuf,
+    /// CSV file with the sample that goes with each of X, row by row
+    y: PathBuf,
+    /// Significance level of κ
+    #[arg(long, default_value_t = 0.05, value_name = "ALPHA")]
+    alpha: f64,
+    /// Permutations of one side, for κ and the p-value
+    #[arg(long, default_value_t = 1000, value_name = "COUNT")]
+    permutations: usize,
+    /// κ and the p-value from the exact permutation moments instead of permutations
+    #[arg(long, conflicts_with = "permutations")]
+    gamma: bool,
+    /// Seed of the permutations
+    #[arg(long, default_value_t = 1, value_name = "SEED")]
+    seed: u64,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn dependence(args: &DependenceArgs) -> Done {
+    let (x, y) = (samples::read(&args.x)?, samples::read(&args.y)?);
+    let threshold =
+        if args.gamma { Threshold::Gamma } else { Threshold::Permutations(args.permutations) };
+    let mut rng = seed::rng(args.seed, &[b"dependence"]);
+    let result = test_independence(x.view(), y.view(), args.alpha, threshold, &mut rng).map_err(
+        |error| {
+            let files = format!("{} (side 1), {} (side 2)", args.x.display(), args.y.display());
+            Failure::Failed(format!("{files}: {error}"))
+        },
+    )?;
+    if args.json {
+        show::json(&result);
+        return Ok(());
+    }
+    result!("n = {}, σ_x = {:.6}, σ_y = {:.6}", result.n, result.sigma_x, result.sigma_y);
+    result!("HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}", result.hsic, result.kappa, result.p_value);
+    let verdict = if result.hsic > result.kappa {
+        "they depend on each other"
+    } else {
+        "no dependence was found; this does not prove independence"
+    };
+    result!("at level {}: {verdict}", args.alpha);
+    show::next("surfaced duration my-library says how far apart samples of a recording must lie");
+    Ok(())
 }

@@ -1,9 +1,9 @@
-//! `surfaced devices`: what is plugged in, by names that stay, and what is wrong with each.
+//! `surfaced devices`: lists devices with permanent names, and the problems of each.
 
 use super::{Done, Failure, show};
 use crate::device::list::{self, ListedDevice};
 
-/// List serial ports, microphones and cameras with stable ids, and what is wrong with each
+/// List serial ports, microphones and cameras with stable ids, and the problems of each
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second"
@@ -27,7 +27,7 @@ struct DeviceClass {
     /// Whether this build has the drivers for them.
     built: bool,
     devices: Vec<ListedDevice>,
-    /// Why the list is empty although there may be some; what to do.
+    /// The reason why the list is empty although there may be devices, and what to do.
     problem: Option<String>,
 }
 
@@ -65,7 +65,7 @@ struct HushedStderr(Option<std::os::fd::OwnedFd>);
 
 #[cfg(feature = "microphone")]
 impl HushedStderr {
-    /// Where stderr cannot be kept for later, it stays as it is.
+    /// If stderr cannot be kept for later, it stays as it is.
     fn new() -> Self {
         let kept = rustix::io::fcntl_dupfd_cloexec(std::io::stderr(), 3).ok();
         let null = std::fs::OpenOptions::new().write(true).open("/dev/null").ok();
@@ -99,7 +99,6 @@ fn cameras() -> DeviceClass {
     DeviceClass::left_out("camera")
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let inventory = Inventory {
         serial_ports: DeviceClass::of(list::serial_ports()),

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::common::share;
 use super::figure::write;
 use super::method::at_least_one;
-use super::parse::share;
 use super::{Done, Failure, show};
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,

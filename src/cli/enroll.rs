@@ -19,10 +19,10 @@ use crate::trial::{EXPERT, UNLABELLED};
 /// Add trials of a surface to a library, scan by scan
 ///
 /// Each trial is a tap, then a drag. A trial that is too short by its own T*, clipped or incomplete
-/// is refused, with the reason; the others are kept at once, so that nothing is lost.
+/// is refused, with the reason; every other trial is written at once.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
-                        surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: some 6 s a trial, which is a tap and a drag")]
+                        surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: about 6 s a trial")]
 pub struct EnrollArgs {
     /// The surface
     #[arg(value_name = "LABEL", value_parser = name)]
@@ -42,7 +42,7 @@ pub struct EnrollArgs {
 /// No scan is refused; one with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
-                        surfaced record --label felt --library my-library\n\nTime: until it is ended")]
+                        surfaced record --label felt --library my-library\n\nTime: until you quit")]
 pub struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
@@ -93,14 +93,14 @@ pub fn record(args: &RecordArgs) -> Done {
     }
 }
 
-/// How many scans were kept, and how many could not be written.
+/// Numbers of scans that were kept, and that could not be written.
 #[derive(Clone, Copy, Default)]
 struct KeptCounts {
     kept: u32,
     lost: u32,
 }
 
-/// Stores the scans of an order, and ends with the last of them. `hint` is for people.
+/// Stores the scans of an order, and ends with the last of them. `hint` is shown to the operator.
 fn store(
     config: &StationConfig,
     args: &StationArgs,
@@ -133,10 +133,10 @@ fn store(
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
     show::next(&match stored.kept {
-        0 => "surfaced devices says what is plugged in, and what is wrong with it".into(),
+        0 => "surfaced devices lists what is plugged in, and the problems of each".into(),
         _ => format!(
-            "another surface by surfaced enroll LABEL --library {folder}; with two or more, surfaced \
-             eval {folder}, then surfaced run --library {folder}"
+            "enroll another surface with surfaced enroll LABEL --library {folder}; with two or more, \
+             surfaced eval {folder}, then surfaced run --library {folder}"
         ),
     });
     // Samples lost between scans are in no trial, and those lost within scans were reported.

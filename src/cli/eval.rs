@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use self::report::{EvalAnswer, EvalReport};
 use super::answers::AnswerArgs;
 use super::bad_files::{self, BadFileArgs, Skipped};
-use super::choose::{ProtocolArg, split, within};
+use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, paper, show};
@@ -18,9 +18,9 @@ use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
     UnknownOutcome, enrol,
 };
-use crate::library::lock::LibraryLock;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{Method, MethodName, RecogniseError};
+use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
@@ -42,7 +42,7 @@ pub struct Args {
     data: Option<PathBuf>,
     /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
     /// Run the paper's tables, each figure beside the paper's
     #[arg(long, conflicts_with_all = [
         "protocol", "sources", "query_seconds", "method", "neighbours", "halving", "enrolled"
@@ -61,7 +61,7 @@ pub struct Args {
     #[command(flatten)]
     method: MethodArgs,
     /// Use only the first seconds of each query's drag
-    #[arg(long, value_name = "X", value_parser = super::parse::seconds)]
+    #[arg(long, value_name = "X", value_parser = super::common::seconds)]
     query_seconds: Option<f64>,
     /// Where users are queries: add each user's first N trials of every surface to the library
     #[arg(long, default_value_t = 0, value_name = "N")]

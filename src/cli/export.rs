@@ -35,6 +35,7 @@ pub struct ImportArgs {
 pub fn export(args: &ExportArgs) -> Done {
     use super::{show, shown};
     use crate::record::mcap;
+    super::hold(&args.recording);
     let library = mcap::open(&args.recording, &crate::scene::Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
     say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.out));

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::choose::ProtocolArg;
 use super::{Done, Failure, SourceArgs, shown};
+use crate::evaluate::Protocol;
 
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
@@ -17,7 +17,7 @@ pub struct FigureArgs {
     pub out: PathBuf,
     /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    pub protocol: Option<ProtocolArg>,
+    pub protocol: Option<Protocol>,
     #[command(flatten)]
     pub sources: SourceArgs,
     /// Print the JSON on stdout, too

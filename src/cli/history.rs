@@ -1,4 +1,4 @@
-//! `surfaced history`: the scans of the past, and what people said of them.
+//! `surfaced history`: past scans and their corrections.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::{Done, Failure, show};
 use crate::history::{CsvWriter, FOLDER, History, Precision};
 
-/// Show past scans: answers, their states and reasons, and what people said of them
+/// Show past scans: answers, their states and reasons, and corrections
 ///
 /// `surfaced run` keeps them in LIBRARY/.history, the newest as far as `[history] keep_mb` goes.
 #[derive(clap::Args)]
@@ -21,7 +21,7 @@ pub struct Args {
     /// Show the newest scans alone, at most this many
     #[arg(long, value_name = "N")]
     last: Option<usize>,
-    /// How often answers were right, surface by surface, of the scans that somebody corrected
+    /// Show the share of right answers, surface by surface, among corrected scans
     #[arg(long)]
     precision: bool,
     /// Print CSV
@@ -32,7 +32,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let folder = args.library.join(FOLDER);
     if !folder.is_dir() {

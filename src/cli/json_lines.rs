@@ -1,6 +1,6 @@
-//! What a station reports as lines of JSON on stdout.
+//! Prints the events of a station as lines of JSON on stdout.
 //!
-//! A thread of its own writes them, so that a reader who stalls holds up neither live devices nor
+//! A separate thread writes them, so that a reader who stalls holds up neither live devices nor
 //! the end of the program.
 
 use std::convert::Infallible;
@@ -17,7 +17,7 @@ use crate::station::{Command, End, Listener, StationEvent};
 const WAITING: usize = 1024;
 /// Warnings that one line takes; each is also on stderr and in the interface for programs.
 const WARNINGS: usize = 50;
-/// How long the end waits for a reader who is late.
+/// The time that the end waits for a slow reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Prints a line for each scan that was named, and for each that was to be kept, with the warnings
@@ -34,7 +34,6 @@ pub struct JsonLines {
     warnings: Vec<String>,
 }
 
-/// One line.
 #[derive(Serialize)]
 struct JsonLine<'a, T> {
     #[serde(flatten)]

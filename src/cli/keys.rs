@@ -1,4 +1,4 @@
-//! What ends or steers a station from outside: keys and signals.
+//! Keys and signals that end or steer a station.
 
 use std::io::{IsTerminal, Read};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,11 +13,12 @@ use signal_hook::iterator::Signals;
 use super::{DAMAGED, Failure};
 use crate::station::Command;
 
-/// How long after the first signal the process ends, come what may: later than a station does by
+/// The time after the first signal at which the process ends in any case: later than a station does
+/// by
 /// itself, and within the five seconds that it has.
 const LIMIT: Duration = Duration::from_millis(4700);
 
-/// How the terminal was before keys were read one by one.
+/// The settings of the terminal before keys were read one by one.
 static BEFORE: OnceLock<Termios> = OnceLock::new();
 
 /// Keys that are read one by one, until it is dropped.
@@ -34,13 +35,13 @@ impl Keys {
         }
         let before = termios::tcgetattr(&stdin).ok()?;
         let mut single = before.clone();
-        // Signals stay: Ctrl-C is one of the ways to end.
+        // Signals stay: Ctrl-C still ends the program.
         single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
         termios::tcsetattr(&stdin, OptionalActions::Now, &single).ok()?;
         let keys = Self;
         let _ = BEFORE.set(before);
         let read = move || {
-            // Through a handle of its own, which it may hold for ever.
+            // This thread may hold the lock of stdin for ever.
             for key in std::io::stdin().lock().bytes() {
                 let (command, does) = match key {
                     Ok(b' ') if scanning.load(Ordering::Acquire) => {
@@ -51,7 +52,7 @@ impl Keys {
                     Ok(_) => continue,
                     Err(_) => return,
                 };
-                // At once, whatever the station is busy with.
+                // Said at once, even if the station is busy.
                 say!("the key {does}");
                 if commands.send(command).is_err() {
                     return;
@@ -103,7 +104,7 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
                 restore();
                 std::process::exit(128 + signal);
             }
-            // Where no thread is to be had, the second signal ends it.
+            // If the system gives no thread, the second signal ends it.
             let _ = std::thread::Builder::new().name("end".into()).spawn(end_late);
         }
     };
@@ -121,8 +122,8 @@ fn hangup_is_ignored() -> bool {
 /// Ends a process that has not ended by itself in time, such as one whose output nobody reads.
 fn end_late() {
     std::thread::sleep(LIMIT);
-    // Beside, for stderr may be what it waits for.
-    let warn = || say!("warning: not all could be ended in time; something may be lost");
+    // On a thread of its own: the process may be stuck on stderr.
+    let warn = || say!("warning: the program did not end in time; some data may be lost");
     let _ = std::thread::Builder::new().spawn(warn);
     std::thread::sleep(Duration::from_millis(50));
     restore();

@@ -9,10 +9,9 @@ use serde::Serialize;
 use super::method::ComparingArgs;
 use super::{Done, Failure, check, show};
 use crate::evaluate::{TrialCheck, TrialVerdict};
-use crate::library::lock::LibraryLock;
-use crate::record::edit::{self, Editor, ListedTrial, Step};
+use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step, Undone};
 use crate::scene::Scene;
-use crate::trial::TrialKey;
+use crate::trial::{TrialKey, normal};
 
 /// List the trials of a library, rename, move, remove and restore them
 ///
@@ -98,16 +97,24 @@ pub fn run(args: &Args) -> Done {
     let (library, step) = match &args.edit {
         Edit::List(args) => return list(args),
         Edit::Rename { library, surface, label } => {
-            (library, editor(library)?.rename(surface, named(label)?)?)
+            (library, editor(library)?.rename(&normal(surface), &named(label)?)?)
         }
         Edit::Move { library, trials, to } => {
-            (library, editor(library)?.move_to(trials, named(to)?)?)
+            (library, editor(library)?.move_to(&all_normal(trials), &named(to)?)?)
         }
-        Edit::Remove { library, trials } => (library, editor(library)?.remove(trials)?),
-        Edit::Restore { library, trials } => (library, editor(library)?.restore(trials)?),
+        Edit::Remove { library, trials } => {
+            (library, editor(library)?.remove(&all_normal(trials))?)
+        }
+        Edit::Restore { library, trials } => {
+            (library, editor(library)?.restore(&all_normal(trials))?)
+        }
         Edit::Undo { library } => {
-            let step = editor(library)?.undo()?;
+            let Undone { step, gone } = editor(library)?.undo()?;
+            moved(&step);
             say!("undone: {}", step.what);
+            for trial in &gone {
+                say!("{trial} is no longer there, and did not come back");
+            }
             return Ok(());
         }
     };
@@ -115,21 +122,29 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn named(label: &str) -> Result<&str, Failure> {
+fn named(label: &str) -> Result<String, Failure> {
     match label.trim() {
         "" => Err(Failure::Usage("an empty label; give it a name, such as oak".into())),
-        label => Ok(label),
+        label => Ok(normal(label)),
     }
+}
+
+fn all_normal(names: &[String]) -> Vec<String> {
+    names.iter().map(|name| normal(name)).collect()
 }
 
 fn editor(library: &Path) -> Result<Editor, Failure> {
     Ok(Editor::open(library, &Scene::lmt108())?)
 }
 
-fn done(library: &Path, step: &Step) {
+fn moved(step: &Step) {
     for one in &step.moves {
         say!("{} → {}", one.from, one.to);
     }
+}
+
+fn done(library: &Path, step: &Step) {
+    moved(step);
     let trials = show::counted(step.moves.len(), "trial");
     say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
 }

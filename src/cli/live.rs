@@ -1,36 +1,37 @@
-//! What the commands share that work with live devices: `run`, `enroll` and `record`.
+//! `surfaced run`: the station at work, and what it shares with `enroll` and `record`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
+use sd_notify::NotifyState;
 
 use super::answers::AnswerArgs;
 use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::method::Comparing;
+use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
-use super::supervisor::Supervisor;
 use super::terminal::Terminal;
-use super::{Done, Failure};
+use super::{Done, Failure, shown};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
-use crate::library::lock::LibraryLock;
 use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
+use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
-use crate::serve::{Audit, Settings, Shelf};
+use crate::serve::{Audit, LibraryFolder, Settings};
 use crate::station::config::{StationConfig, StylusConfig};
 use crate::station::{
     Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
-    StationEvent,
+    StationEvent, assemble,
 };
 
-/// Which station.
+/// Options that describe the station.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StationArgs {
     /// The station's configuration (default: that of configs/stylus.toml)
@@ -141,8 +142,8 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
         false => " (for sound and pictures, build with `--features live`)",
     };
     format!(
-        "{}: it has {}, but the devices of this station give {}, so no scan can ever be named; \
-         record a library with these devices (`surfaced enroll LABEL`), or configure those that it \
+        "{}: it has {}, but the devices of this station give {}, so no scan can be named; record \
+         a library with these devices (`surfaced enroll LABEL`), or configure the devices that it \
          was recorded with{live}",
         path.display(),
         list(library.iter().collect()),
@@ -157,13 +158,13 @@ pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> 
 pub struct StationWork<'a> {
     /// Reads the library, if scans are to be named.
     pub load: Option<Load>,
-    /// Where enrolled scans go.
+    /// The library for enrolled scans.
     pub store: PathBuf,
-    /// Which scans are kept, whenever the page orders nothing else.
+    /// The station's own order to keep scans, which holds unless the page gives another one.
     pub keep: Option<Keep>,
     /// Further listeners, which may send commands.
     pub listeners: Vec<Listen<'a>>,
-    /// What a person is to do, shown while there is nothing else to show.
+    /// Instructions for the operator, shown while there is nothing else to show.
     pub hint: String,
     /// Audits the library, if that can be asked for.
     pub check: Option<Audit>,
@@ -202,19 +203,25 @@ pub fn work(
         devices: assembled.device_of,
         by_t_star: config.by_t_star.clone(),
     };
-    let shelf = Shelf { folder: store.folder.clone(), scene: store.scene.clone() };
+    let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
     let mut history = Arc::default();
     if work.load.is_some() {
-        let folder = shelf.folder.join(history::FOLDER);
-        (station, history) = keep_scans(station, &folder, config.keep_mb, (&shelf.scene, devices))?;
+        let folder = library.folder.join(history::FOLDER);
+        (station, history) =
+            keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
     }
+    let mut outputs = Vec::new();
     if let Some(address) = config.http.clone() {
-        station = station.listener(HttpOutput::start(address)?);
+        let output = HttpOutput::start(address)?;
+        outputs.push(output.health());
+        station = station.listener(output);
     }
     if let Some(address) = config.mqtt.clone() {
-        station = station.listener(MqttOutput::start(address)?);
+        let output = MqttOutput::start(address)?;
+        outputs.push(output.health());
+        station = station.listener(output);
     }
     let commands = station.commands();
     if let Some(load) = work.load {
@@ -233,9 +240,20 @@ pub fn work(
         station = station.listener(listen(commands.clone()));
     }
     let supervisor = Supervisor::new(commands.clone())?;
-    let (address, library) = (config.serve, Some(shelf));
+    // In another layout nobody would read what is added.
+    let enrolls = !dataset::is_foreign(&library.folder);
+    let (address, library) = (config.serve, enrolls.then_some(library));
     let (check, viewfinder) = (work.check, assembled.viewfinder);
-    let settings = Settings { address, library, check, history, viewfinder, ..Settings::default() };
+    let settings = Settings {
+        address,
+        enrolls,
+        library,
+        check,
+        history,
+        viewfinder,
+        outputs,
+        ..Settings::default()
+    };
     let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
@@ -272,13 +290,106 @@ pub fn keep_scans<'a>(
     }
 }
 
-/// How a command with live devices ends.
+/// The end of a command with live devices.
 pub fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));
     }
     match totals.lost() {
         0 => Ok(()),
-        lost => Err(Failure::Damaged(format!("samples lost, in scans or between: {lost}"))),
+        lost => Err(Failure::Damaged(format!(
+            "samples were lost, within scans or between them: {lost}"
+        ))),
     }
+}
+
+/// Reports to systemd, where it is there.
+pub struct Supervisor(());
+
+impl Supervisor {
+    /// Pings the station that takes `commands` as often as the watchdog of the unit demands.
+    ///
+    /// # Errors
+    /// If no thread can be started.
+    pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
+        if let Some(limit) = sd_notify::watchdog_enabled() {
+            // Three times as often as necessary: two may come late.
+            let every = (limit / 3).max(Duration::from_millis(10));
+            let ping = move || {
+                while commands.send(Command::Ping).is_ok() {
+                    std::thread::sleep(every);
+                }
+            };
+            std::thread::Builder::new().name("watchdog".into()).spawn(ping)?;
+        }
+        Ok(Self(()))
+    }
+}
+
+impl Listener for Supervisor {
+    fn on_event(&mut self, event: &StationEvent) {
+        let state = match event {
+            StationEvent::Streams(_) => NotifyState::Ready,
+            StationEvent::Alive => NotifyState::Watchdog,
+            StationEvent::Finished(_) => NotifyState::Stopping,
+            _ => return,
+        };
+        // Fails only without systemd.
+        let _ = sd_notify::notify(&[state]);
+    }
+}
+
+/// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
+///
+/// Starts with the devices that are there, and names those that are missing. Scans are detected by
+/// their tap and drag; on a terminal, the space bar also begins and ends one by hand.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
+                        surfaced run --config station.toml --json --serve\n  \
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
+pub struct Args {
+    #[command(flatten)]
+    station: StationArgs,
+    #[command(flatten)]
+    comparing: ComparingArgs,
+    #[command(flatten)]
+    answers: AnswerArgs,
+}
+
+pub fn run(args: &Args) -> Done {
+    let how = args.comparing.resolve(None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
+    let library = library_of(&config)?;
+    if !library.is_dir() {
+        return Err(Failure::Failed(format!(
+            "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
+             for each surface, or name another one",
+            shown(&library)
+        )));
+    }
+    let check = Some(check(&library, &how));
+    let assembled = assemble(&config);
+    let given = Some(given(&assembled));
+    let load = load(&library, &config.scene, &how, &args.answers, given);
+    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
+    let totals = work(
+        &config,
+        assembled,
+        StationWork {
+            load: Some(load),
+            store: library,
+            keep: None,
+            listeners: Vec::new(),
+            hint: format!(
+                "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
+            ),
+            check,
+            json: args.station.json,
+            serve: args.station.serve.clone(),
+        },
+    )?;
+    verdict(&totals)
 }

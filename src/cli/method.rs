@@ -13,48 +13,30 @@ use crate::recognise::{
 };
 use crate::scene::Scene;
 
-/// A method's name on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MethodArg(pub MethodName);
-
-impl ValueEnum for MethodArg {
+impl ValueEnum for MethodName {
     fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [MethodArg; MethodName::ALL.len()] = {
-            let mut all = [MethodArg(MethodName::Reference); MethodName::ALL.len()];
-            let mut at = 0;
-            while at < all.len() {
-                all[at] = MethodArg(MethodName::ALL[at]);
-                at += 1;
-            }
-            all
-        };
-        &ALL
+        &Self::ALL
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        let help = match self.0 {
-            MethodName::Reference => "The paper's method, exactly",
-            MethodName::Embedding => "Fourier features and a shrinkage discriminant",
-            MethodName::NaiveBayes => "Hand-made features: Gaussian naive Bayes",
-            MethodName::Svm => "Hand-made features: support vector machine with RBF kernel",
-            MethodName::Knn => "Hand-made features: nearest neighbours",
-            MethodName::Mahalanobis => {
-                "Hand-made features: nearest neighbours by Mahalanobis distance"
-            }
-            MethodName::Adaboost => "Hand-made features: boosted trees",
-            MethodName::RandomForest => "Hand-made features: random forest",
-        };
-        Some(PossibleValue::new(self.0.as_str()).help(help))
+        Some(PossibleValue::new(self.as_str()).help(self.help()))
     }
 }
 
-/// The way positions are drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum PositionSampling {
-    /// Once a repetition, for the whole library.
-    Shared,
-    /// Anew for each pair of trials, as the authors' program does.
-    PerPair,
+impl ValueEnum for PositionMode {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Shared, Self::PerPair]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self {
+            Self::Shared => {
+                PossibleValue::new("shared").help("Once a repetition, for the whole library")
+            }
+            Self::PerPair => PossibleValue::new("per-pair")
+                .help("Anew for each pair of trials, as the authors' program does"),
+        })
+    }
 }
 
 /// Settings of a method.
@@ -62,10 +44,10 @@ pub enum PositionSampling {
 pub struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
     #[arg(long, value_enum, value_name = "METHOD")]
-    method: Option<MethodArg>,
+    method: Option<MethodName>,
     /// With `reference`: how sample positions are drawn (default: shared)
     #[arg(long, value_enum)]
-    positions: Option<PositionSampling>,
+    positions: Option<PositionMode>,
     /// With `reference`: samples drawn from a source, n (default: 400)
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     n: Option<usize>,
@@ -112,14 +94,14 @@ impl MethodArgs {
         match self.method {
             None if of_reference => Ok(MethodName::Reference),
             None => Ok(MethodName::Embedding),
-            Some(MethodArg(other)) if of_reference && other != MethodName::Reference => {
+            Some(other) if of_reference && other != MethodName::Reference => {
                 Err(Failure::Usage(format!(
                     "an option was given that goes with --method reference alone, not with {}; \
                      see --help",
                     other.as_str()
                 )))
             }
-            Some(MethodArg(name)) => Ok(name),
+            Some(name) => Ok(name),
         }
     }
 
@@ -162,10 +144,7 @@ impl MethodArgs {
             samples: self.n.unwrap_or(usual.samples),
             repetitions: self.repetitions.unwrap_or(usual.repetitions),
             neighbours: self.neighbours.unwrap_or(usual.neighbours),
-            positions: match self.positions {
-                None | Some(PositionSampling::Shared) => PositionMode::Shared,
-                Some(PositionSampling::PerPair) => PositionMode::PerPair,
-            },
+            positions: self.positions.unwrap_or(usual.positions),
             seed: self.seed,
             precision: if self.exact { SumPrecision::Oracle } else { SumPrecision::Fast },
             tabulate: !self.no_tables,

@@ -1,7 +1,7 @@
 //! The command line: arguments are checked, turned into what the library works with, and results
 //! shown.
 //!
-//! With `--json` a command prints JSON on stdout; everything for people goes to stderr.
+//! With `--json` a command prints JSON on stdout; other text goes to stderr.
 
 #[macro_use]
 mod say;
@@ -13,8 +13,6 @@ mod check;
 mod choose;
 mod common;
 mod compare;
-mod completion;
-mod dependence;
 mod devices;
 mod duration;
 mod enroll;
@@ -26,18 +24,14 @@ mod json_lines;
 mod keys;
 mod library;
 mod live;
-mod log;
 mod method;
 mod paper;
-mod parse;
 mod plan;
 mod replay;
-mod run;
 mod samples;
 mod serve;
 mod show;
 mod stress;
-mod supervisor;
 mod synth;
 mod tally;
 mod terminal;
@@ -47,7 +41,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use self::common::{Done, Failure, SourceArgs, open};
+use self::common::{Done, Failure, SourceArgs, hold, open, open_held};
 use self::show::shown;
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
@@ -67,7 +61,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum CliCommand {
     Replay(replay::Args),
-    Run(run::Args),
+    Run(live::Args),
     Enroll(enroll::EnrollArgs),
     Record(enroll::RecordArgs),
     Eval(eval::Args),
@@ -78,13 +72,13 @@ enum CliCommand {
     Plan(plan::Args),
     Stress(stress::Args),
     Compare(compare::Args),
-    Dependence(dependence::Args),
+    Dependence(compare::DependenceArgs),
     Duration(duration::Args),
     Synth(synth::Args),
     Devices(devices::Args),
     Export(export::ExportArgs),
     Import(export::ImportArgs),
-    Completion(completion::Args),
+    Completion(CompletionArgs),
 }
 
 /// The exit code of [`Failure::Damaged`].
@@ -92,10 +86,10 @@ const DAMAGED: u8 = 3;
 
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
-    log::start();
+    say::start_log();
     let done = match Cli::parse().command {
         CliCommand::Replay(args) => replay::run(&args),
-        CliCommand::Run(args) => run::run(&args),
+        CliCommand::Run(args) => live::run(&args),
         CliCommand::Enroll(args) => enroll::enroll(&args),
         CliCommand::Record(args) => enroll::record(&args),
         CliCommand::Eval(args) => eval::run(&args),
@@ -106,13 +100,13 @@ pub fn run() -> ExitCode {
         CliCommand::Plan(args) => plan::run(&args),
         CliCommand::Stress(args) => stress::run(&args),
         CliCommand::Compare(args) => compare::run(&args),
-        CliCommand::Dependence(args) => dependence::run(&args),
+        CliCommand::Dependence(args) => compare::dependence(&args),
         CliCommand::Duration(args) => duration::run(&args),
         CliCommand::Synth(args) => synth::run(&args),
         CliCommand::Devices(args) => devices::run(&args),
         CliCommand::Export(args) => export::export(&args),
         CliCommand::Import(args) => export::import(&args),
-        CliCommand::Completion(args) => completion::run(&args, Cli::command()),
+        CliCommand::Completion(args) => completion(&args, Cli::command()),
     };
     let (code, level, message) = match done {
         Ok(()) => return ExitCode::SUCCESS,
@@ -120,8 +114,29 @@ pub fn run() -> ExitCode {
         Err(Failure::Usage(message)) => (2, Level::ERROR, message),
         Err(Failure::Damaged(message)) => (DAMAGED, Level::WARN, message),
     };
-    say!("{}{}{message}", log::priority(level), log::word(level));
+    say!("{}{}{message}", say::priority(level), say::word(level));
     ExitCode::from(code)
+}
+
+/// Print what a shell needs to complete commands and options
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced completion bash > surfaced.bash\n  \
+                        surfaced completion zsh > _surfaced\n  \
+                        surfaced completion fish > surfaced.fish\n\n\
+                        For all users: bash, /usr/share/bash-completion/completions/surfaced; zsh, \
+                        /usr/share/zsh/vendor-completions/_surfaced; fish, \
+                        /usr/share/fish/vendor_completions.d/surfaced.fish.\n\nTime: immediate")]
+struct CompletionArgs {
+    /// The shell
+    #[arg(value_enum)]
+    shell: clap_complete::Shell,
+}
+
+fn completion(args: &CompletionArgs, mut program: clap::Command) -> Done {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);
+    // A reader that has gone away wants no more.
+    Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
 }
 
 #[cfg(test)]
@@ -164,7 +179,7 @@ mod tests {
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
             assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
-                // What a shell would take away.
+                // A shell would take these away.
                 let plain = example.split(" > ").next().unwrap_or_default();
                 let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
                 let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));

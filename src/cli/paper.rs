@@ -85,7 +85,7 @@ pub fn merge(args: &MergeArgs) -> Done {
     finish(&whole, args.out.as_deref(), args.json)
 }
 
-/// Why shards cannot be joined, with what to name instead where none were.
+/// The reason why shards cannot be joined, with a hint where none were named.
 fn mended(error: MergeError) -> Failure {
     Failure::Failed(match error {
         MergeError::Nothing => format!(

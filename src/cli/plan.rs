@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::choose::{ProtocolArg, choose};
+use super::choose::choose;
+use super::common::share;
 use super::figure::write;
-use super::parse::share;
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, say, show};
+use crate::evaluate::Protocol;
 use crate::evaluate::plan::{PlanOptions, Planned, search};
 use crate::library::Library;
 use crate::printable::table;
@@ -30,7 +31,7 @@ pub struct Args {
     out: Option<PathBuf>,
     /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
     #[command(flatten)]
     sources: SourceArgs,
     /// Print the plan, and what it was found by, as one JSON document on stdout

@@ -1,28 +1,28 @@
-//! `surfaced replay`: plays recordings through the rings as if they were live, and names them.
+//! `surfaced replay`: plays recordings through the live pipeline, and names them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::answers::AnswerArgs;
-use super::choose::{Choice, ProtocolArg, choose, within};
+use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
-use super::show::quoted;
+use super::show::{self, quoted};
 use super::tally::Tally;
-use super::{Done, Failure, live, say, show};
+use super::{Done, Failure, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{Evaluation, Fold, first_seconds};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
 use crate::library::Entry;
-use crate::library::lock::LibraryLock;
 use crate::recognise::{LOOK_S, Method, Model, ReadyModel, RecogniseError, ready_model};
+use crate::record::edit::LibraryLock;
 use crate::scan::Options;
 use crate::scene::Scene;
-use crate::serve::{Settings, Shelf};
+use crate::serve::{LibraryFolder, Settings};
 use crate::station::config::StationConfig;
 use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent};
 use crate::trial::EXPERT;
@@ -46,15 +46,15 @@ pub struct Args {
     /// How fast to play: a multiple of real time, or `max`
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
-    /// Which trials are named against which, where no library is given
+    /// Split of queries and library, where no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::parse::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::common::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
@@ -63,7 +63,7 @@ pub struct Args {
     serve: ServeArgs,
 }
 
-/// What is played, and what it is compared with.
+/// The recordings that are played, and those that they are compared with.
 pub(super) struct ReplayStage {
     /// Name of the library.
     pub name: String,
@@ -76,7 +76,6 @@ pub(super) struct ReplayStage {
     pub cache: Option<PathBuf>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;
@@ -95,7 +94,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Says what to do with what was seen.
+/// Says what to do next.
 fn advise(args: &Args) {
     let next = match (&args.data, &args.library) {
         (None, _) if args.serve.is_wanted() => "surfaced eval my-library measures your own \
@@ -129,9 +128,9 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
 fn by_protocol(
     how: &Comparing,
     folder: &Path,
-    protocol: Option<ProtocolArg>,
+    protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    let data = super::open(folder)?;
+    let data = super::open_held(folder)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
@@ -152,7 +151,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         )));
     }
     let cache = how.cache_in(library);
-    let (data, library) = (super::open(data)?, super::open(library)?);
+    let (data, library) = (super::open_held(data)?, super::open_held(library)?);
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;
@@ -196,7 +195,7 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
         (station, settings.history) = live::keep_scans(station, &folder, keep_mb, sources)?;
         settings.library = library.map(|folder| {
             let (folder, scene) = (folder.clone(), stage.scene.clone());
-            Shelf { folder, scene }
+            LibraryFolder { folder, scene }
         });
         settings.check = library.map(|folder| live::check(folder, how));
     }
@@ -216,7 +215,7 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     let totals = station.run()?;
     tally.sum_up(stage.synthetic);
     if let (Some(server), Some(signals)) = (server, signals) {
-        // What is known is shown until somebody says that it is enough.
+        // The page stays until somebody ends the program.
         signals.wait();
         server.stop();
     }
@@ -226,8 +225,8 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     tally.verdict(totals.lost())
 }
 
-/// What names the queries, each by the library of its fold, and whether it follows scans while they
-/// go on; says what its answers rest on.
+/// Makes the recogniser of the queries, each by the library of its fold, and says on what its answers
+/// rest. The flag is true if it follows scans while they go on.
 fn recogniser(
     args: &Args,
     how: &Comparing,

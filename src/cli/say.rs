@@ -1,8 +1,9 @@
-//! Text for people: results on stdout, all else on stderr, whatever has become of either.
+//! Writes text for people: results on stdout, everything else on stderr. It never fails.
 //!
 //! A daemon outlives its log. A line that cannot be written, because its reader is gone or its disk
 //! is full, is dropped; while devices are at work, so is one whose reader has stalled.
 
+use std::fmt;
 use std::io::{self, Write};
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,10 +11,14 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
 
 use crate::printable::Printable;
 
-/// How long a stalled reader holds up live devices, for the first of the lines it does not take.
+/// The time for which a stalled reader may hold up live devices, once.
 const PATIENCE: Duration = Duration::from_millis(100);
 /// A pipe that is ready takes this much without blocking (`PIPE_BUF` on Linux).
 const ATOMIC: usize = 4096;
@@ -114,7 +119,7 @@ fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
         if LIVE.load(Ordering::Acquire) && !ready(out, stalled) {
             return;
         }
-        // There is nobody left to read of an error.
+        // Nobody is left to read about an error.
         if out.write_all(part).and_then(|()| out.flush()).is_err() {
             return;
         }
@@ -142,6 +147,72 @@ fn lines(text: &str) -> String {
         _ => format!("\n  {line}"),
     });
     indented.collect()
+}
+
+/// Sends what the program logs to stderr, through [`line`].
+pub fn start_log() {
+    let lines = tracing_subscriber::fmt()
+        .with_max_level(Level::INFO)
+        .with_ansi(false)
+        .event_format(Lines)
+        .with_writer(|| Stderr);
+    // Fails only where a log was started before, as by a test.
+    let _ = lines.try_init();
+}
+
+/// A line for each event: its priority for the journal, `error` or `warning`, its text.
+struct Lines;
+
+impl<S, N> FormatEvent<S, N> for Lines
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let level = *event.metadata().level();
+        write!(writer, "{}{}", priority(level), word(level))?;
+        context.format_fields(writer, event)
+    }
+}
+
+/// The first word of a message of this level.
+pub fn word(level: Level) -> &'static str {
+    match level {
+        Level::ERROR => "error: ",
+        Level::WARN => "warning: ",
+        _ => "",
+    }
+}
+
+/// The priority of a line, in the form that the journal reads at its start (see sd-daemon(3)).
+pub fn priority(level: Level) -> &'static str {
+    if std::env::var_os("JOURNAL_STREAM").is_none() {
+        return "";
+    }
+    match level {
+        Level::ERROR => "<3>",
+        Level::WARN => "<4>",
+        _ => "<6>",
+    }
+}
+
+/// Takes an event a write, and never fails.
+struct Stderr;
+
+impl io::Write for Stderr {
+    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        line(String::from_utf8_lossy(text).trim_end_matches('\n'));
+        Ok(text.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 #[cfg(test)]

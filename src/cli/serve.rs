@@ -9,10 +9,11 @@ use crate::station::Station;
 
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
-/// How often new samples are sent to the page, in seconds: 25 times a second, so that 20 are drawn
+/// The interval at which new samples are sent to the page, in seconds: 25 times a second, so that
+/// 20 are drawn
 /// even where some come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// How often the progress of a scan is sent to it, in seconds of drag.
+/// The interval at which the progress of a scan is sent to it, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
@@ -20,12 +21,12 @@ const PROGRESS_EVERY_S: f64 = 0.1;
 pub struct ServeArgs {
     /// Serve the page and the interface for programs, until SIGTERM
     ///
-    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. Other machines
-    /// reach only an address that is theirs to reach, such as 0.0.0.0, which needs a token of at
-    /// least 16 characters in the environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
+    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. To serve other
+    /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
+    /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR", value_parser = address)]
     serve: Option<Option<SocketAddr>>,
-    /// A proxy in front of the server, which is believed who its clients are
+    /// A trusted proxy in front of the server
     ///
     /// `X-Forwarded-For` and `X-Forwarded-Proto` count only from these addresses. Give it once for
     /// each proxy.

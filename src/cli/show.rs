@@ -1,4 +1,4 @@
-//! What people see on stderr: summaries, progress, advice.
+//! Texts for people on stderr: summaries, progress, advice.
 
 use std::io::Write;
 use std::path::Path;
@@ -98,7 +98,7 @@ pub fn named(answer: &Answer) -> String {
     }
 }
 
-/// How certain an answer is: `fits none` for an unknown surface, its probability where the method
+/// The certainty of an answer: `fits none` for an unknown surface, its probability where the method
 /// states one, else the margin to the next surface.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {

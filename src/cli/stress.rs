@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
-use super::method::{MethodArg, at_least_one};
+use super::method::at_least_one;
 use super::{Done, Failure, say, show, shown};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
@@ -33,7 +33,7 @@ pub struct Args {
     figure: FigureArgs,
     /// Methods, with commas between them (default: all)
     #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
-    methods: Vec<MethodArg>,
+    methods: Vec<MethodName>,
     /// Disturbances, with commas between them (default: all that the data can show)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     only: Vec<String>,
@@ -104,7 +104,7 @@ fn measured(args: &Args) -> Result<StressReport, Failure> {
     };
     let methods: Vec<MethodName> = match args.methods.as_slice() {
         [] => MethodName::ALL.to_vec(),
-        named => named.iter().map(|MethodArg(name)| *name).collect(),
+        named => named.to_vec(),
     };
     for (done, method) in methods.iter().enumerate() {
         say!("{}/{}  {}", done + 1, methods.len(), method.as_str());

@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
     /// Length of a drag
-    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::parse::seconds)]
+    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::common::seconds)]
     seconds: f64,
     /// About as hard as LMT108, source by source, instead of easier
     #[arg(long)]
@@ -51,7 +51,6 @@ struct SynthReport {
     seed: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     if args.trials + args.users == 0 {
         return Err(Failure::Usage("--trials 0 --users 0 leaves nothing to write".into()));

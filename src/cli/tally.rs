@@ -1,4 +1,4 @@
-//! The results of a replay, scan by scan and in total, for people.
+//! Shows the results of a replay, scan by scan and in total.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,18 +7,18 @@ use crate::evaluate::wilson_interval;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
 
-/// What has been named so far.
+/// Counts of the answers so far.
 pub struct Tally {
     /// Whether each answer is shown.
     each: bool,
     total: usize,
-    /// How often each kind of remark on a source was made; only the first is shown.
+    /// Counts of remarks by kind and source; only the first of each is shown.
     remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     answers: usize,
     with_truth: usize,
     right: usize,
     latencies_ms: Vec<f64>,
-    /// What was named when an answer was settled, by the number of the scan.
+    /// The surface at the time when an answer was settled, by the number of the scan.
     settled: BTreeMap<u32, String>,
     by_then: ByThen,
     notable: Notable,
@@ -28,24 +28,24 @@ pub struct Tally {
     spoiled: usize,
 }
 
-/// What made naming hard, for the summary.
+/// Difficulties, for the summary.
 #[derive(Default)]
 struct Notable {
-    /// How often one surface was taken for another.
+    /// Counts of confusions: the true surface, and the one named.
     confused: BTreeMap<(String, String), usize>,
-    /// Scans of surfaces that the library has and that were called unknown.
+    /// Scans of known surfaces that were called unknown.
     rejected: usize,
-    /// Scans of surfaces that the library lacks, and how many of them were called unknown.
+    /// Scans of new surfaces, and how many of them were called unknown.
     lacking: usize,
     called_unknown: usize,
-    /// Why each source was left out of scans, and of how many.
+    /// The number of scans from which each source was left out.
     left_out: BTreeMap<SourceId, usize>,
 }
 
 impl Notable {
     fn add(&mut self, answer: &Answer) {
         let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-        // A channel each may be flawed, and a source can be used all the same.
+        // A source with a flawed channel may still be used.
         let left_out: BTreeSet<&SourceId> = flawed
             .filter_map(|remark| remark.source.as_ref())
             .filter(|source| !answer.sources.contains(source))
@@ -72,23 +72,23 @@ impl Notable {
         }
         if self.lacking > 0 {
             result!(
-                "unknown  {} of {} of surfaces that the library lacks called unknown",
+                "unknown  {} of {} of new surfaces were called unknown",
                 self.called_unknown,
                 show::counted(self.lacking, "scan")
             );
         }
         if self.rejected > 0 {
             let scans = show::counted(self.rejected, "scan");
-            result!("rejected {scans} of surfaces that the library has called unknown");
+            result!("rejected {scans} of known surfaces called unknown by mistake");
         }
         for (source, count) in &self.left_out {
             let scans = show::counted(*count, "scan");
-            result!("left out {source} of {scans}, since its sensor was dead there");
+            result!("left out {source} in {scans}: its sensor was dead");
         }
     }
 }
 
-/// Answers as they were when they were settled, or at the end of their scan.
+/// Counts of answers at the time when they were settled, or at the end of their scan.
 #[derive(Default)]
 struct ByThen {
     settled: usize,
@@ -188,7 +188,7 @@ impl Tally {
             answer.latency_ms,
             longer.unwrap_or_default()
         );
-        // Why it is unsure, unless a warning has said so; other states explain themselves.
+        // Reasons for doubt, unless a warning has said so; other states explain themselves.
         let is_known = |why: &&String| {
             answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
         };
@@ -260,7 +260,7 @@ impl Tally {
         self.notable.show();
     }
 
-    /// How the command ends, after `lost` samples were lost.
+    /// The end of the command, after `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
         if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rustix::termios;
 use tracing::Level;
 
-use super::{log, say, show, shown};
+use super::{say, show, shown};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
@@ -60,7 +60,7 @@ impl Terminal {
     /// Shows a line that stays, or logs it.
     fn say(&self, level: Level, text: &str) {
         match level {
-            _ if self.draws => say!("{}{text}", log::word(level)),
+            _ if self.draws => say!("{}{text}", say::word(level)),
             Level::WARN => tracing::warn!("{text}"),
             _ => tracing::info!("{text}"),
         }
@@ -205,7 +205,7 @@ impl Drop for Terminal {
     }
 }
 
-/// What a scan in progress looks like.
+/// One line about a scan in progress.
 fn so_far(guess: &Guess) -> String {
     let best = guess.named.first().map(|best| {
         let settled = if guess.settled { ", settled" } else { "" };

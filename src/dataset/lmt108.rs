@@ -20,7 +20,7 @@ use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Folders of the database; one of them is enough to know it by.
-const FOLDERS: [&str; 6] = [
+pub(super) const FOLDERS: [&str; 6] = [
     "AccelScansComponents",
     "SoundScans",
     "FricScans",
@@ -37,7 +37,17 @@ const DEEPEST: usize = 4;
 
 /// Whether a folder with these things in it is the database's root.
 pub(super) fn is_root(listed: &[Listed]) -> bool {
-    listed.iter().any(is_scans)
+    listed.iter().any(|item| is_scans(item) && holds_recordings(item))
+}
+
+/// Whether a folder of such a name holds recordings of this layout, or nothing at all: a surface may
+/// be called so, too.
+fn holds_recordings(folder: &Listed) -> bool {
+    let mut found = FoundFiles::default();
+    // What cannot be listed here is reported where it is needed.
+    found.walk(folder, &mut Vec::new()).is_err()
+        || !found.trials.is_empty()
+        || found.passed.is_empty()
 }
 
 fn is_scans(item: &Listed) -> bool {

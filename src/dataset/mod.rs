@@ -11,6 +11,24 @@ use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
+/// Whether the files of another form lie in folders of this name.
+pub(crate) fn is_layout_name(name: &str) -> bool {
+    lmt108::FOLDERS.iter().chain(&PROCESSED).any(|folder| folder.eq_ignore_ascii_case(name))
+}
+
+/// Whether a folder holds the database, in one of its own forms, here or one folder further down:
+/// trials in the recording format would not be read there.
+pub(crate) fn is_foreign(path: &Path) -> bool {
+    let is_root = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
+    let listed = files::list(path).unwrap_or_default();
+    is_root(&listed)
+        || !listed.iter().any(|item| item.name == DESCRIPTION)
+            && listed
+                .iter()
+                .filter(|item| item.is_dir && !item.is_hidden())
+                .any(|item| is_root(&files::list(&item.path).unwrap_or_default()))
+}
+
 /// Opens the recordings of a folder, in any form: finds out their form, then reads them with it.
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
@@ -86,14 +104,23 @@ fn open_lmt108(
     })
 }
 
+/// Folders of the authors' processed form of LMT108.
+const PROCESSED: [&str; 3] = ["DataLMT108", "Library", "TestingSet"];
+
 /// Whether a folder with these things in it is the root of the authors' processed form of LMT108, or
-/// its `DataLMT108`.
+/// its `DataLMT108`. A surface may have such a name, too: its folder holds folders, one a trial.
 fn is_processed(listed: &[Listed]) -> bool {
-    let has = |name: &str, is_dir: bool| {
-        listed.iter().any(|item| item.is_dir == is_dir && item.name.eq_ignore_ascii_case(name))
+    let called = |item: &Listed, name: &str| item.name.eq_ignore_ascii_case(name);
+    let holds_only = |name: &str, folders: &[&str]| {
+        listed.iter().filter(|item| item.is_dir && called(item, name)).any(|item| {
+            let inner = files::list(&item.path).unwrap_or_default();
+            let visible = inner.iter().filter(|item| item.is_dir && !item.is_hidden());
+            visible.into_iter().all(|item| folders.iter().any(|name| called(item, name)))
+        })
     };
     let lists = ["surfaceList_LMT108train.mat", "surfaceList_LMT108test.mat"];
-    has("DataLMT108", true)
-        || lists.iter().any(|list| has(list, false))
-        || (has("Library", true) && has("TestingSet", true))
+    let [data, splits @ ..] = PROCESSED;
+    holds_only(data, &splits)
+        || lists.iter().any(|list| listed.iter().any(|item| !item.is_dir && called(item, list)))
+        || splits.iter().all(|split| holds_only(split, &[]))
 }

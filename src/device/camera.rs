@@ -1,15 +1,12 @@
 //! The camera: upright pictures of 320 × 480 pixels, without and with flash.
 //!
-//! Reading a camera may block for ever, as a wedged one does. So a thread of its own reads, and
+//! Reading a camera may block for ever, if it hangs. So a separate thread reads, and
 //! the device's thread watches over it, judges the light of each frame, and makes pictures. When
 //! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
 //! needs V4L2 is behind `Video`; the crate's feature `camera` brings the real one.
 
 mod flash;
 mod frame;
-#[cfg(any(feature = "camera", test))]
-mod name;
-mod reader;
 mod upright;
 #[cfg(feature = "camera")]
 mod v4l;
@@ -20,30 +17,28 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
+use self::flash::{Cycle, FrameLight};
+use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use crate::ring::{Sink, Stop};
+use crate::scene::SourceId;
+
 pub use frame::Rgb;
 pub use upright::Turn;
 pub use viewfinder::{FlashState, Viewfinder};
 
 pub(crate) use flash::{Flash, FlashControl, FlashLine, Shutter};
 pub(crate) use frame::{Frame, FrameError};
-pub(crate) use reader::Video;
 pub(crate) use upright::upright;
 #[cfg(feature = "camera")]
 pub(crate) use v4l::{V4l, cameras};
 pub(crate) use viewfinder::CameraView;
 
-use self::flash::{Cycle, FrameLight};
-use self::reader::{ControlRequest, News};
-use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
-use crate::ring::{Sink, Stop};
-use crate::scene::SourceId;
-
-/// How often the device's thread looks around, at least.
+/// The longest time between two looks of the device's thread.
 const LOOK: Duration = Duration::from_millis(50);
 /// No picture for this long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
-/// How long a stop waits for the reader to give the camera back.
+/// The time that the reader has at a stop to give the camera back.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
@@ -61,18 +56,18 @@ pub struct Camera {
     name: String,
 }
 
-/// Why a reader is followed no more.
+/// The reason why a reader has ended.
 enum CameraEnd {
     Stop,
     Failed(OpenError),
     Lost(String),
 }
 
-/// What lasts from one reader to the next.
+/// The state that lasts from one reader to the next.
 struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
-    control: &'a Control,
+    link: &'a DeviceLink,
     cycle: Cycle,
     /// A picture was seen at least once.
     seen: bool,
@@ -144,13 +139,13 @@ impl Device for Camera {
         [Some(&self.plain), flash].into_iter().flatten().map(images).collect()
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
-        control.state(DeviceState::Opening, "");
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
+        link.state(DeviceState::Opening, "");
         let cycle = Cycle::new(self.settle);
         let mut watch = CameraWatch {
             camera: self,
             sinks,
-            control,
+            link,
             cycle,
             seen: false,
             pushed: None,
@@ -158,9 +153,9 @@ impl Device for Camera {
             summed_up: None,
         };
         let mut retry = Retry::new(LONGEST_RETRY);
-        while !control.stopped() {
+        while !link.stopped() {
             let stop = Stop::default();
-            let (orders, news) = reader::start(watch.camera.video.clone(), stop.clone())?;
+            let (orders, news) = start_reader(watch.camera.video.clone(), stop.clone())?;
             let end = watch.follow(&orders, &news);
             watch.light_off(&orders);
             stop.request();
@@ -171,12 +166,12 @@ impl Device for Camera {
             match end {
                 CameraEnd::Stop => break,
                 CameraEnd::Failed(error) => {
-                    retry.failed(error, watch.seen, control)?;
+                    retry.failed(error, watch.seen, link)?;
                 }
                 CameraEnd::Lost(why) => {
                     retry.opened();
-                    control.state(DeviceState::Lost, why);
-                    control.sleep_until(Instant::now() + RETRY);
+                    link.state(DeviceState::Lost, why);
+                    link.sleep_until(Instant::now() + RETRY);
                 }
             }
         }
@@ -185,10 +180,10 @@ impl Device for Camera {
 }
 
 impl CameraWatch<'_> {
-    /// Makes pictures of what the reader sends, until it ends.
+    /// Makes pictures of the reader's frames, until it ends.
     fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
         let mut last = Instant::now();
-        while !self.control.stopped() {
+        while !self.link.stopped() {
             match news.recv_timeout(LOOK) {
                 Ok(News::Opened) => last = Instant::now(),
                 Ok(News::Failed(error)) => return CameraEnd::Failed(error),
@@ -199,7 +194,7 @@ impl CameraWatch<'_> {
                     if self.frame(&frame, at, orders) {
                         last = Instant::now();
                         self.seen = true;
-                        self.control.state(DeviceState::Streaming, "");
+                        self.link.state(DeviceState::Streaming, "");
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
@@ -210,13 +205,13 @@ impl CameraWatch<'_> {
             if last.elapsed() > STALLED {
                 let why =
                     "no usable frame arrives; if this persists, unplug it and plug it in again";
-                self.control.state(DeviceState::Stalled, why);
+                self.link.state(DeviceState::Stalled, why);
             }
         }
         CameraEnd::Stop
     }
 
-    /// Deals with one frame; whether it was good, or good for nothing but not to blame.
+    /// Handles a frame. False if it was damaged.
     fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<ControlRequest>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
@@ -234,7 +229,7 @@ impl CameraWatch<'_> {
                 self.pushed = Some(at);
             }
             if index == 1 && !good {
-                // The frame with flash was damaged: once more.
+                // The frame with flash was damaged: take another one.
                 self.camera.shutter.flash();
             }
         }
@@ -265,8 +260,8 @@ impl CameraWatch<'_> {
     fn damaged(&mut self, error: &FrameError) {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
-            let (name, count) = (&self.camera.name, self.damaged);
-            self.control.warn(format!("{name}: {count} frames were damaged; the last: {error}"));
+            let count = self.damaged;
+            self.link.warn(format!("{count} frames were damaged; the last: {error}"));
             (self.damaged, self.summed_up) = (0, Some(Instant::now()));
         }
     }
@@ -291,11 +286,10 @@ impl CameraWatch<'_> {
     fn no_light(&mut self, why: &str) {
         self.cycle.cancel();
         self.camera.viewfinder.light(FlashState::Failed);
-        let name = &self.camera.name;
-        self.control.warn(format!("{name}: the flash cannot be switched: {why}"));
+        self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
-    /// Leaves no light on behind.
+    /// Switches the light off, if it is on.
     fn light_off(&mut self, orders: &Sender<ControlRequest>) {
         if self.cycle.lit() {
             self.switch(false, orders);
@@ -306,3 +300,94 @@ impl CameraWatch<'_> {
 
 #[cfg(test)]
 mod tests;
+
+/// A camera that can be opened, again and again.
+pub trait Video: Send + Sync {
+    /// The name of the camera that it opens.
+    fn device(&self) -> String;
+
+    /// Opens the camera, and starts its stream. Called on the thread that reads.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    fn open(&self) -> Result<Box<dyn Frames>, OpenError>;
+}
+
+/// The frames of an open camera.
+pub trait Frames {
+    /// The next frame; waits for it without limit.
+    ///
+    /// # Errors
+    /// If there will be no more: why, for people.
+    fn next(&mut self) -> Result<Frame, String>;
+
+    /// Sets a control of the camera.
+    ///
+    /// # Errors
+    /// If it has no such control, or refuses the value: why, for people.
+    fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
+}
+
+/// News from the reader.
+enum News {
+    Opened,
+    Failed(OpenError),
+    /// A frame, and when it came.
+    Frame(Frame, Instant),
+    Obeyed(Result<(), String>),
+    Ended(String),
+}
+
+/// A control to be set.
+struct ControlRequest {
+    pub control: u32,
+    pub value: i64,
+}
+
+/// Starts to read. Frames that cannot be taken at once are dropped: the next one is fresher.
+fn start_reader(
+    video: Arc<dyn Video>,
+    stop: Stop,
+) -> Result<(Sender<ControlRequest>, Receiver<News>), DeviceError> {
+    let (orders, ordered) = crossbeam_channel::bounded(4);
+    let (send, news) = crossbeam_channel::bounded(1);
+    std::thread::Builder::new()
+        .name("camera-read".into())
+        .spawn(move || {
+            let last = match video.open() {
+                Ok(frames) => read(frames, &stop, &ordered, &send),
+                Err(error) => Some(News::Failed(error)),
+            };
+            if let Some(last) = last {
+                let _ = send.send(last);
+            }
+        })
+        .map_err(|error| {
+            DeviceError::Failed(format!("cannot start a thread to read the camera: {error}"))
+        })?;
+    Ok((orders, news))
+}
+
+/// Reads until the end, and gives the last news; none if there is no receiver any more.
+fn read(
+    mut frames: Box<dyn Frames>,
+    stop: &Stop,
+    ordered: &Receiver<ControlRequest>,
+    send: &Sender<News>,
+) -> Option<News> {
+    send.send(News::Opened).ok()?;
+    loop {
+        // Orders come first, and also after a request to stop: the last one switches the light off.
+        for ControlRequest { control, value } in ordered.try_iter() {
+            let obeyed = frames.control(control, value);
+            let _ = send.send(News::Obeyed(obeyed));
+        }
+        if stop.requested() {
+            return None;
+        }
+        match frames.next() {
+            Ok(frame) => drop(send.try_send(News::Frame(frame, Instant::now()))),
+            Err(why) => return Some(News::Ended(why)),
+        }
+    }
+}

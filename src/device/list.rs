@@ -1,6 +1,6 @@
-//! What is plugged into this machine, by names that stay, and what is wrong with each.
+//! Lists the devices of this machine, with permanent names and the problems of each.
 //!
-//! Nothing is opened to find out that need not be: opening a serial line resets some boards.
+//! Serial lines are not opened for it: that resets some boards.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -9,17 +9,20 @@ use std::path::{Path, PathBuf};
 
 use serialport::SerialPortType;
 
+#[cfg(any(feature = "camera", test))]
+use super::OpenError;
+
 /// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ListedDevice {
     /// Names it in a configuration. It stays the same when something else is plugged in, unless
     /// `problem` says otherwise.
     pub id: String,
-    /// For people: what it is.
+    /// A description of the device.
     pub name: String,
     /// The device node that it has now, if it has one.
     pub node: Option<String>,
-    /// What keeps it from being used, and what to do; none if it can be used.
+    /// The reason why it cannot be used, and what to do; `None` if it can be used.
     pub problem: Option<String>,
 }
 
@@ -54,7 +57,7 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
         SerialPortType::Unknown => (node.into(), "on board".to_string(), true),
     };
     let unstable = || {
-        let text = "it has no name that stays (no udev?); its number may change at the next plug";
+        let text = "it has no permanent name (no udev?); its number may change when it is plugged in again";
         (!stays).then(|| text.to_string())
     };
     ListedDevice {
@@ -72,7 +75,7 @@ pub(super) fn alias(folder: &Path, node: &Path) -> Option<PathBuf> {
     links.filter(|link| link.canonicalize().is_ok_and(|target| target == node)).min()
 }
 
-/// What keeps this user from a device node: that it is gone, not permitted, or in use.
+/// The reason why this user cannot use a device node: it is gone, not permitted, or in use.
 pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     use rustix::fs::{Access, access};
     match access(node, Access::READ_OK | Access::WRITE_OK) {
@@ -85,7 +88,7 @@ pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     }
 }
 
-/// What to do where the user may not use a device node: `group` is who usually may.
+/// Says how a user gets the right to use a device node. `group` is the group that usually has it.
 pub fn permission_hint(node: &Path, group: &str) -> String {
     let subsystem = if group == "video" { "video4linux" } else { "tty" };
     let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
@@ -119,8 +122,44 @@ fn holder(proc: &Path, node: &Path) -> Option<String> {
     })
 }
 
+/// Folders in which udev keeps links to cameras that stay: by model, or by the socket.
+#[cfg(any(feature = "camera", test))]
+const CAMERA_FOLDERS: [&str; 2] = ["v4l/by-id", "v4l/by-path"];
+
+/// The number N of `/dev/videoN` that `id` means: a link in `/dev/v4l/by-id` or `by-path`, with or
+/// without the folder, or a node itself. `dev` is `/dev`.
+///
+/// # Errors
+/// If there is no such camera, or the name is that of something else.
+#[cfg(any(feature = "camera", test))]
+pub(super) fn camera_number(dev: &Path, id: &str) -> Result<u32, OpenError> {
+    let places = CAMERA_FOLDERS.map(|folder| dev.join(folder).join(id));
+    // An absolute path replaces what it is joined to.
+    let node = places.iter().chain([&dev.join(id)]).find_map(|path| path.canonicalize().ok());
+    let Some(node) = node else { return Err(OpenError::Absent(format!("camera {id}"))) };
+    video_number(&node).ok_or_else(|| {
+        let node = node.display();
+        OpenError::Unfit(format!("camera {id} leads to {node}; expected a node /dev/videoN"))
+    })
+}
+
+/// The number N of a node `/dev/videoN`.
+#[cfg(any(feature = "camera", test))]
+fn video_number(node: &Path) -> Option<u32> {
+    node.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
+}
+
+/// The permanent name of a node, if it has one: by model rather than by socket.
+#[cfg(any(feature = "camera", test))]
+pub(super) fn camera_alias(dev: &Path, node: &Path) -> Option<PathBuf> {
+    CAMERA_FOLDERS.iter().find_map(|folder| alias(&dev.join(folder), node))
+}
+
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+
     use super::*;
 
     #[test]
@@ -170,5 +209,33 @@ mod tests {
         child.kill().unwrap();
         child.wait().unwrap();
         assert_eq!(found, Some(format!("{} (sleep)", child.id())));
+    }
+
+    #[test]
+    fn a_camera_is_found_by_any_of_its_names() {
+        let dir = tempfile::tempdir().unwrap();
+        // As the system would report it.
+        let dev = dir.path().canonicalize().unwrap();
+        for folder in CAMERA_FOLDERS {
+            fs::create_dir_all(dev.join(folder)).unwrap();
+        }
+        let node = dev.join("video12");
+        fs::write(&node, "").unwrap();
+        fs::write(dev.join("ttyACM0"), "").unwrap();
+        symlink("../../video12", dev.join("v4l/by-path/pci-usb-0:2-video-index0")).unwrap();
+        let by_path = dev.join("v4l/by-path/pci-usb-0:2-video-index0");
+        assert_eq!(camera_alias(&dev, &node), Some(by_path.clone()));
+        symlink("../../video12", dev.join("v4l/by-id/usb-Eye-video-index0")).unwrap();
+        let by_id = dev.join("v4l/by-id/usb-Eye-video-index0");
+        assert_eq!(camera_alias(&dev, &node), Some(by_id.clone()));
+
+        let paths = [&node, &by_id, &by_path].map(|path| path.to_str().unwrap());
+        let short = ["video12", "usb-Eye-video-index0", "pci-usb-0:2-video-index0"];
+        for id in paths.into_iter().chain(short) {
+            assert_eq!(camera_number(&dev, id), Ok(12), "{id}");
+        }
+        assert!(matches!(camera_number(&dev, "usb-Gone"), Err(OpenError::Absent(_))));
+        let said = camera_number(&dev, "ttyACM0").unwrap_err().to_string();
+        assert!(said.contains("/dev/videoN"), "{said}");
     }
 }

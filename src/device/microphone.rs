@@ -1,6 +1,6 @@
 //! The microphone: 44.1 kHz and one channel, from any sound device.
 //!
-//! The sound system calls back on a thread of its own, which must never wait: it mixes to one
+//! The sound system calls back on its own thread, which must never wait: it mixes to one
 //! channel and puts that into a ring, in which losses keep their place. The device's thread
 //! carries it on to the session, watches level and pace, and reopens the stream when it is
 //! lost. What needs the sound system is behind [`Sound`]; the crate's feature `microphone` brings
@@ -11,7 +11,6 @@ mod alsa;
 mod callback_sink;
 mod level;
 mod lost_sound;
-mod mono;
 mod pace;
 
 use std::any::Any;
@@ -24,14 +23,13 @@ pub use alsa::Alsa;
 
 #[cfg(feature = "microphone")]
 pub(crate) use alsa::microphones;
-pub(crate) use callback_sink::CallbackSink;
+pub(crate) use callback_sink::{CallbackSink, Pick};
 pub(crate) use level::{LevelWatch, SoundLevel};
-pub(crate) use mono::Pick;
 
 use lost_sound::Listening;
 
 use super::open::{LONGEST_RETRY, OpenError, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
 
@@ -41,14 +39,14 @@ pub const RATE_HZ: u32 = 44_100;
 /// Between the callback and the device's thread, in seconds: the longest that this thread may be
 /// held up without a loss, and more than comes at once from a server that was held up.
 const BUFFER_S: f64 = 5.0;
-/// How often the device's thread looks around, at least.
+/// The longest time between two looks of the device's thread.
 const LOOK: Duration = Duration::from_millis(20);
 /// No sound for this long is a stall, in seconds.
 const STALLED_S: f64 = 0.7;
 /// No sound for this long, and the stream is reopened, in seconds.
 const GIVE_UP_S: f64 = 4.0;
 
-/// What goes wrong with a stream that runs.
+/// Errors of a stream that is open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StreamError {
     /// Samples were lost before they could be read; the stream continues.
@@ -59,7 +57,7 @@ pub enum StreamError {
 
 /// A sound system.
 pub trait Sound: Send {
-    /// For people: the microphone that it opens.
+    /// The name of the microphone that it opens.
     fn device(&self) -> String;
 
     /// Opens the microphone at [`RATE_HZ`]. From then on `sink` is fed from a callback, and
@@ -83,11 +81,11 @@ pub struct Microphone {
     name: String,
 }
 
-/// Why a stream that ran does so no more.
+/// The reason why a stream has ended.
 enum StreamEnd {
     Stop,
     Lost(String),
-    /// For good.
+    /// It ended for good.
     Unfit(String),
 }
 
@@ -122,14 +120,14 @@ impl Device for Microphone {
         vec![StreamSpec { id: self.stream.clone(), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let Some(sink) = sinks.first_mut().and_then(Sink::series) else {
             return Err(DeviceError::Failed("a microphone needs the ring of a series".into()));
         };
-        control.state(DeviceState::Opening, "");
+        link.state(DeviceState::Opening, "");
         let (begin, mut listening) = (Instant::now(), Listening::new(sink));
         let mut retry = Retry::new(LONGEST_RETRY);
-        while !control.stopped() {
+        while !link.stopped() {
             let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * f64::from(RATE_HZ)) as usize;
             let (enter, tap) = series(1, buffer, waker.clone());
@@ -138,24 +136,24 @@ impl Device for Microphone {
             let broken = sink.broken();
             let open = match self.sound.open(sink, trouble) {
                 Ok(open) => open,
-                Err(error) => match retry.failed(error, listening.received(), control)? {
+                Err(error) => match retry.failed(error, listening.received(), link)? {
                     true => continue,
                     false => break,
                 },
             };
             retry.opened();
-            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, control);
+            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, link);
             drop(open);
             if broken.get() > 0 {
                 let count = broken.get();
-                control.warn(format!("{}: {count} samples were no numbers; silence", self.name));
+                link.warn(format!("{count} samples were not numbers and became silence"));
             }
             match end {
                 StreamEnd::Stop => break,
                 StreamEnd::Unfit(why) => return Err(DeviceError::Failed(why)),
                 StreamEnd::Lost(why) => {
-                    control.state(DeviceState::Lost, why);
-                    control.sleep_until(Instant::now() + Duration::from_millis(250));
+                    link.state(DeviceState::Lost, why);
+                    link.sleep_until(Instant::now() + Duration::from_millis(250));
                 }
             }
         }
@@ -169,11 +167,11 @@ impl OpenStream {
         &mut self,
         listening: &mut Listening,
         begin: Instant,
-        control: &Control,
+        link: &DeviceLink,
     ) -> StreamEnd {
         let now_s = || begin.elapsed().as_secs_f64();
         listening.opened(now_s());
-        while !control.stopped() {
+        while !link.stopped() {
             let _ = self.woken.recv_timeout(LOOK);
             // Before the ring is looked at: what follows an overrun is in the ring after it.
             let mut gone = None;
@@ -185,10 +183,10 @@ impl OpenStream {
             }
             let carried = listening.look(&mut self.tap, gone.is_some(), now_s);
             if carried.sound {
-                control.state(DeviceState::Streaming, "");
+                link.state(DeviceState::Streaming, "");
             }
             if let Some(level) = carried.level {
-                control.warn(said_of(level));
+                link.warn(said_of(level));
             }
             if let Some(why) = gone {
                 return StreamEnd::Lost(why);
@@ -206,7 +204,7 @@ impl OpenStream {
             }
             if silent_s > STALLED_S {
                 let why = "open, but no sound arrives; check that nothing has suspended it";
-                control.state(DeviceState::Stalled, why);
+                link.state(DeviceState::Stalled, why);
             }
         }
         StreamEnd::Stop
@@ -217,8 +215,8 @@ fn said_of(level: SoundLevel) -> &'static str {
     match level {
         SoundLevel::Normal => "the microphone's level is normal again",
         SoundLevel::Silent => {
-            "the microphone is silent, without even a noise; check that it is plugged in, switched \
-             on and not muted"
+            "the microphone delivers pure silence; check that it is plugged in, switched on and not \
+             muted"
         }
         SoundLevel::Clipped => "the microphone is clipped; lower its gain, or press less",
     }

@@ -1,15 +1,13 @@
-//! What produces streams: the stylus, a microphone, a camera, or a recording that is played.
+//! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
 //!
-//! All are a [`Device`]: it declares its streams, then runs on a thread of its own, pushes into
-//! one ring a stream, and reports its state and the marks of scans through its [`Control`].
+//! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into
+//! one ring a stream, and reports its state and the marks of scans through its [`DeviceLink`].
 //! Nothing downstream can distinguish a recording from a sensor.
 
 #[doc(hidden)]
 pub mod camera;
-mod control;
-mod error;
+mod link;
 pub(crate) mod list;
-mod mark;
 #[doc(hidden)]
 pub mod microphone;
 mod open;
@@ -17,9 +15,9 @@ mod replay;
 #[doc(hidden)]
 pub mod serial;
 
-pub use control::{Control, DeviceReport, DeviceReportKind, DeviceState};
-pub use error::DeviceError;
-pub use mark::{Begin, Mark, Open};
+pub use link::{
+    Begin, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, Mark, Open,
+};
 pub use open::OpenError;
 pub use replay::{Replay, Speed};
 
@@ -28,26 +26,28 @@ use crate::scene::SourceId;
 
 /// A source of streams.
 pub trait Device: Send {
-    /// For people: which device this is.
+    /// The name of the device, for messages.
     fn name(&self) -> &str;
 
-    /// What it will push, in the order of the sinks that [`Device::run`] gets. Called once, before
+    /// The streams that it will push, in the order of the sinks that [`Device::run`] gets. Called
+    /// once, before
     /// it runs; names are unique in a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
-    /// Whether it can wait for its reader. One that cannot loses what does not fit; when all
+    /// Whether it can wait for its reader. A device that cannot loses data that do not fit; when
+    /// all
     /// can, nothing in the session is lost or dropped anywhere.
     fn waits(&self) -> bool {
         false
     }
 
-    /// Pushes until there is no more, or `control` says stop; to be looked at every 50 ms or so.
+    /// Pushes until there is no more, or `link` says stop; to be looked at every 50 ms or so.
     /// `sinks` holds one sink a stream. Losing the hardware is no reason to return: a driver
     /// reports its state and tries again.
     ///
     /// # Errors
     /// If it cannot continue at all.
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError>;
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError>;
 }
 
 /// One stream of a device.
@@ -55,11 +55,11 @@ pub trait Device: Send {
 pub struct StreamSpec {
     /// Its name.
     pub id: SourceId,
-    /// What it carries.
+    /// The kind of data.
     pub kind: StreamKind,
 }
 
-/// What a stream carries.
+/// The kind of data of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StreamKind {
     /// Samples in time.

@@ -1,10 +1,10 @@
-//! Why hardware cannot be opened, and what to do about it.
+//! Errors of opening hardware, each with a remedy, and repeated attempts.
 
 use std::time::{Duration, Instant};
 
-use super::{Control, DeviceError, DeviceState};
+use super::{DeviceError, DeviceLink, DeviceState};
 
-/// How long a driver waits before it tries again.
+/// The time until a driver tries again.
 pub(super) const RETRY: Duration = Duration::from_millis(300);
 
 /// The longest wait of drivers that look through all the hardware of their kind.
@@ -27,7 +27,7 @@ pub enum OpenError {
         /// what to do
         hint: String,
     },
-    /// it can never do what is needed, so trying again is useless
+    /// it is unsuitable, so trying again is useless
     #[error("{0}")]
     Unfit(String),
     /// anything else that the system said
@@ -42,21 +42,21 @@ impl OpenError {
     }
 }
 
-/// How a driver tries to open its hardware again and again.
+/// Repeats attempts to open hardware.
 pub(super) struct Retry {
-    /// Why it could not be opened, if it could not.
+    /// The last failure, if there was one.
     reported: Option<OpenError>,
     wait: Duration,
     longest: Duration,
 }
 
 impl Retry {
-    /// Waits [`RETRY`] at first, and ever longer up to `longest`, for what is dear to open.
+    /// Waits [`RETRY`] at first, then twice as long each time, up to `longest`.
     pub fn new(longest: Duration) -> Self {
         Self { reported: None, wait: RETRY, longest }
     }
 
-    /// It could be opened.
+    /// Notes that the hardware could be opened.
     pub fn opened(&mut self) {
         *self = Self::new(self.longest);
     }
@@ -64,26 +64,26 @@ impl Retry {
     /// Reports a failure to open, then waits. False if it is time to stop.
     ///
     /// # Errors
-    /// If trying again is of no use.
+    /// If trying again is useless.
     pub fn failed(
         &mut self,
         error: OpenError,
         was_there: bool,
-        control: &Control,
+        link: &DeviceLink,
     ) -> Result<bool, DeviceError> {
         if !error.may_pass() {
             return Err(DeviceError::Failed(error.to_string()));
         }
         let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
-        control.state(state, error.to_string());
-        // The state stays, but the reason is another one: busy instead of absent, say.
+        link.state(state, error.to_string());
+        // The state is the same, but the reason has changed, such as busy instead of absent.
         if self.reported.as_ref().is_some_and(|before| *before != error) {
-            control.warn(error.to_string());
+            link.warn(error.to_string());
         }
         self.reported = Some(error);
         let wait = self.wait;
         self.wait = (2 * wait).min(self.longest.max(RETRY));
-        Ok(control.sleep_until(Instant::now() + wait))
+        Ok(link.sleep_until(Instant::now() + wait))
     }
 }
 
@@ -98,11 +98,11 @@ mod tests {
         // Stopped, so that nothing waits.
         let stop = Stop::default();
         stop.request();
-        let control = Control::new(0, stop, send);
+        let link = DeviceLink::new(0, stop, send);
         let waits = |retry: &mut Retry| -> Vec<u64> {
             let wait = |_| {
                 let wait = retry.wait.as_millis() as u64;
-                assert!(!retry.failed(OpenError::Absent("it".into()), false, &control).unwrap());
+                assert!(!retry.failed(OpenError::Absent("it".into()), false, &link).unwrap());
                 wait
             };
             (0..6).map(wait).collect()
@@ -112,7 +112,7 @@ mod tests {
         dear.opened();
         assert_eq!(dear.wait, RETRY);
         assert_eq!(waits(&mut Retry::new(RETRY)), [300; 6]);
-        // Once, however often it fails.
+        // One report for all failures.
         assert_eq!(reports.try_iter().count(), 1);
     }
 }

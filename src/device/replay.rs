@@ -3,22 +3,20 @@
 //! A trial is played picture first, then its taps, then its drags; the sources of one phase
 //! progress together in time. A recording carries its marks, and these override any detection.
 
-mod player;
-mod speed;
-
+use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use self::player::Player;
-use self::speed::SPEEDS;
-pub use self::speed::Speed;
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use super::{
+    Begin, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind, StreamSpec,
+};
 use crate::library::{Entry, LibraryError};
-use crate::ring::{Sink, Stopped};
-use crate::scene::{Domain, Scene, SourceSpec};
-use crate::trial::Trial;
+use crate::ring::{SeriesSink, Sink, Stopped};
+use crate::scene::{Domain, Phase, Scene, SourceSpec};
+use crate::trial::{Image, Series, Signal, Trial};
 
 /// Sizes the ring of a source whose rate the scene leaves open.
 const ANY_RATE_HZ: f64 = 44_100.0;
@@ -114,19 +112,19 @@ impl Device for Replay {
         self.speed == Speed::Max
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         self.check()?;
-        control.state(DeviceState::Opening, "reading the first trial");
+        link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
         for entry in &self.entries {
-            let trial = match next(&loaded, control)? {
+            let trial = match next(&loaded, link)? {
                 Ok(trial) => trial,
                 Err(problem) => {
-                    control.warn(format!("{} is left out: {problem}", entry.key));
+                    link.warn(format!("{} is left out: {problem}", entry.key));
                     continue;
                 }
             };
-            control.state(DeviceState::Streaming, "");
+            link.state(DeviceState::Streaming, "");
             let player = Player {
                 specs: &self.specs,
                 speed: self.speed,
@@ -134,7 +132,7 @@ impl Device for Replay {
                 pause_s: self.pause_s,
                 synthetic: self.synthetic,
                 sinks,
-                control,
+                link,
                 due: Instant::now(),
             };
             player.play(trial)?;
@@ -159,10 +157,9 @@ fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError>
             }
         }
     };
-    std::thread::Builder::new()
-        .name("replay-load".into())
-        .spawn(work)
-        .map_err(|error| DeviceError::Failed(format!("no thread to read trials: {error}")))?;
+    std::thread::Builder::new().name("replay-load".into()).spawn(work).map_err(|error| {
+        DeviceError::Failed(format!("cannot start a thread to read trials: {error}"))
+    })?;
     Ok(receiver)
 }
 
@@ -172,15 +169,211 @@ fn panicked(entry: &Entry) -> LibraryError {
 }
 
 /// The next trial, once it is read.
-fn next(loaded: &Receiver<LoadedTrial>, control: &Control) -> Result<LoadedTrial, DeviceError> {
+fn next(loaded: &Receiver<LoadedTrial>, link: &DeviceLink) -> Result<LoadedTrial, DeviceError> {
     use crossbeam_channel::RecvTimeoutError::{Disconnected, Timeout};
     loop {
         match loaded.recv_timeout(Duration::from_millis(20)) {
             Ok(trial) => return Ok(trial),
-            Err(Timeout) if control.stopped() => return Err(Stopped.into()),
+            Err(Timeout) if link.stopped() => return Err(Stopped.into()),
             Err(Timeout) => {}
             Err(Disconnected) => {
                 return Err(DeviceError::Failed("the reader of trials ended early".into()));
+            }
+        }
+    }
+}
+
+/// The allowed speeds.
+const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
+
+/// The speed at which a recording is played.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Speed {
+    /// This many times as fast as it was recorded, from 0.001 to 10 000; what the session does not take is lost.
+    RealTime(f64),
+    /// As fast as the session takes it; nothing is lost.
+    Max,
+}
+
+impl FromStr for Speed {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "max" => Ok(Self::Max),
+            Ok(factor) if SPEEDS.contains(&factor) => Ok(Self::RealTime(factor)),
+            _ => Err(format!(
+                "`{text}` is not a speed; expected a number from {} to {}, or `max`",
+                SPEEDS.start(),
+                SPEEDS.end()
+            )),
+        }
+    }
+}
+
+/// One trial on its way into the rings.
+struct Player<'a> {
+    pub specs: &'a [SourceSpec],
+    pub speed: Speed,
+    /// Pushed at a time, in seconds of the recording.
+    pub chunk_s: f64,
+    /// Silence after the trial, in seconds of the recording.
+    pub pause_s: f64,
+    pub synthetic: bool,
+    pub sinks: &'a mut [Sink],
+    pub link: &'a DeviceLink,
+    /// The moment until which the recording was played, at the set speed.
+    pub due: Instant,
+}
+
+/// A series on its way.
+struct Track {
+    /// Index of its source and its sink.
+    index: usize,
+    series: Series,
+    /// Frames that were pushed.
+    played: usize,
+}
+
+impl Player<'_> {
+    /// Plays the trial, with its marks.
+    ///
+    /// # Errors
+    /// If a stop was requested.
+    pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
+        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.synthetic };
+        self.link.mark(Mark::Begin(begin));
+        for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
+            let mut tracks = Vec::new();
+            for index in 0..self.specs.len() {
+                let spec = &self.specs[index];
+                let signal = match spec.phase == phase {
+                    true => trial.signals.remove(&spec.id),
+                    false => None,
+                };
+                match (signal, &self.sinks[index]) {
+                    (None, _) => {}
+                    (Some(Signal::Image(image)), Sink::Images(_)) => {
+                        self.picture(index, image)?;
+                    }
+                    (Some(Signal::Series(series)), Sink::Series(sink))
+                        if series.channels() <= sink.channels() =>
+                    {
+                        tracks.push(Track { index, series, played: 0 });
+                    }
+                    (Some(other), _) => self.misfit(spec, &other, &trial),
+                }
+            }
+            self.series(tracks)?;
+        }
+        self.link.mark(Mark::End { at: Instant::now() });
+        if let Speed::RealTime(factor) = self.speed {
+            let pause = Duration::from_secs_f64(self.pause_s / factor);
+            if !self.link.sleep_until(self.due + pause) {
+                return Err(Stopped.into());
+            }
+        }
+        Ok(())
+    }
+
+    fn misfit(&self, spec: &SourceSpec, found: &Signal, trial: &Trial) {
+        let found = match found {
+            Signal::Image(_) => "a picture".into(),
+            Signal::Series(series) => format!("a series of {} channels", series.channels()),
+        };
+        self.link.warn(format!(
+            "{}: source {} is left out: it holds {found}, but the scene says {:?} with {} channels",
+            trial.key, spec.id, spec.domain, spec.channels
+        ));
+    }
+
+    fn open(&self, index: usize, start: u64, rate_hz: f64, channels: usize) {
+        let spec = &self.specs[index];
+        let (source, stream) = (spec.id.clone(), spec.id.clone());
+        let open = Open { source, stream, start, phase: spec.phase, rate_hz, channels };
+        self.link.mark(Mark::Open(open));
+    }
+
+    fn close(&self, index: usize) {
+        let source = self.specs[index].id.clone();
+        self.link.mark(Mark::Close { source, end: self.sinks[index].position() });
+    }
+
+    fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
+        self.open(index, self.sinks[index].position(), 1.0, 3);
+        if let Some(sink) = self.sinks[index].images() {
+            if self.speed == Speed::Max {
+                sink.push_waiting(image.into(), self.link.stop())?;
+            } else {
+                sink.push(image.into());
+            }
+        }
+        self.close(index);
+        Ok(())
+    }
+
+    /// Plays series side by side.
+    fn series(&mut self, mut tracks: Vec<Track>) -> Result<(), DeviceError> {
+        for Track { index, series, .. } in &tracks {
+            let start = self.sinks[*index].position();
+            self.open(*index, start, series.rate_hz(), series.channels());
+        }
+        let from = self.due;
+        let mut step = 0_u32;
+        while !tracks.is_empty() {
+            step += 1;
+            let played_s = f64::from(step) * self.chunk_s;
+            if let Speed::RealTime(factor) = self.speed {
+                let longest =
+                    tracks.iter().map(|track| track.series.duration_s()).fold(0.0, f64::max);
+                self.due = from + Duration::from_secs_f64(played_s.min(longest) / factor);
+                self.link.sleep_until(self.due);
+            }
+            if self.link.stopped() {
+                return Err(Stopped.into());
+            }
+            let mut still = Vec::with_capacity(tracks.len());
+            for mut track in tracks {
+                let frames = track.series.frames();
+                let until = ((played_s * track.series.rate_hz()) as usize).min(frames);
+                if until > track.played {
+                    self.push(&track, until)?;
+                    track.played = until;
+                }
+                match until < frames {
+                    true => still.push(track),
+                    false => self.close(track.index),
+                }
+            }
+            tracks = still;
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, track: &Track, until: usize) -> Result<(), Stopped> {
+        let channels = track.series.channels();
+        let samples = &track.series.samples()[track.played * channels..until * channels];
+        let Some(sink) = self.sinks[track.index].series() else { return Ok(()) };
+        if channels == sink.channels() {
+            return self.push_frames(track.index, samples);
+        }
+        // A stream is as wide as the scene says; a narrower recording fills its first channels.
+        let mut wide = vec![0.0; (until - track.played) * sink.channels()];
+        for (to, from) in wide.chunks_mut(sink.channels()).zip(samples.chunks(channels)) {
+            to[..channels].copy_from_slice(from);
+        }
+        self.push_frames(track.index, &wide)
+    }
+
+    fn push_frames(&mut self, index: usize, samples: &[f32]) -> Result<(), Stopped> {
+        let stop = self.link.stop();
+        let Some(sink) = self.sinks[index].series() else { return Ok(()) };
+        let sink: &mut SeriesSink = sink;
+        match self.speed {
+            Speed::Max => sink.push_waiting(samples, stop),
+            Speed::RealTime(_) => {
+                sink.push(samples);
+                Ok(())
             }
         }
     }

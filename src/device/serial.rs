@@ -3,30 +3,31 @@
 //!
 //! [`Intake`] turns bytes into frames, without I/O; [`OpenPort`] is where the bytes come from, a
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
-//! until the stylus answers, for a command that was damaged on its way is met with silence.
+//! until the stylus answers, since it does not answer a damaged command.
 //!
 //! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which is
 //! 0 or 1.
 
 mod connection;
 mod intake;
-mod light;
 mod port;
 
-use std::time::Instant;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use self::connection::{Connection, ConnectionEnd, LinkErrors};
+use super::camera::FlashLine;
+use super::open::{RETRY, Retry};
+use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use crate::ring::Sink;
+use crate::scene::SourceId;
 
 pub use intake::{Intake, IntakeEvent};
 pub use port::{OpenPort, Selector};
 
 pub(crate) use intake::{Value, Wanted};
-pub(crate) use light::Light;
 pub(crate) use port::Port;
-
-use self::connection::{Connection, ConnectionEnd, LinkErrors};
-use super::open::{RETRY, Retry};
-use super::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
-use crate::ring::Sink;
-use crate::scene::SourceId;
 
 /// Rate of the stylus's sampling clock in Hz.
 pub const RATE_HZ: u32 = 10_000;
@@ -102,15 +103,15 @@ impl Device for Stylus {
         self.wanted.iter().map(spec).collect()
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
         let begin = Instant::now();
         let (mut was_there, mut retry) = (false, Retry::new(RETRY));
-        while !control.stopped() {
+        while !link.stopped() {
             match self.port.open() {
                 Ok((port, path)) => {
                     retry.opened();
-                    control.state(DeviceState::Opening, path.clone());
+                    link.state(DeviceState::Opening, path.clone());
                     intake.reopened();
                     let now = Instant::now();
                     let mut connection = Connection {
@@ -118,7 +119,7 @@ impl Device for Stylus {
                         path,
                         intake: &mut intake,
                         sinks,
-                        control,
+                        link,
                         light: &self.light,
                         begin,
                         samples_at: now,
@@ -129,21 +130,64 @@ impl Device for Stylus {
                         errors: LinkErrors::new(now),
                     };
                     let end = connection.run();
-                    connection.errors.report(control);
+                    connection.errors.report(link);
                     match end {
                         ConnectionEnd::Stop => return Ok(()),
                         ConnectionEnd::Lost(why) => {
                             was_there = true;
-                            control.state(DeviceState::Lost, why);
+                            link.state(DeviceState::Lost, why);
                         }
                     }
                 }
                 Err(error) => {
-                    retry.failed(error, was_there, control)?;
+                    retry.failed(error, was_there, link)?;
                     continue;
                 }
             }
-            control.sleep_until(Instant::now() + RETRY);
+            link.sleep_until(Instant::now() + RETRY);
+        }
+        Ok(())
+    }
+}
+
+/// The time that the stylus has to confirm.
+const CONFIRM: Duration = Duration::from_millis(500);
+
+/// Switches the camera's light on the stylus; clones switch the same one.
+#[derive(Clone, Debug, Default)]
+pub struct Light(Arc<[AtomicBool; 2]>);
+
+impl Light {
+    /// Requests the light on or off; the driver repeats the command until the stylus confirms it.
+    pub fn set(&self, on: bool) {
+        self.0[0].store(on, Ordering::Release);
+    }
+
+    /// Whether the stylus last said that the light is on.
+    pub fn is_on(&self) -> bool {
+        self.0[1].load(Ordering::Acquire)
+    }
+
+    fn wanted(&self) -> bool {
+        self.0[0].load(Ordering::Acquire)
+    }
+
+    /// Notes what the stylus says of it.
+    fn confirm(&self, on: bool) {
+        self.0[1].store(on, Ordering::Release);
+    }
+}
+
+impl FlashLine for Light {
+    fn switch(&mut self, on: bool) -> Result<(), String> {
+        self.set(on);
+        let until = Instant::now() + CONFIRM;
+        while self.is_on() != on {
+            if Instant::now() >= until {
+                self.set(false);
+                return Err("the stylus, which switches the light, does not answer".into());
+            }
+            std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::recognise::amplitude_spectrum;
+use crate::spectrum::amplitude_spectrum;
 
 /// Bands of a spectrum.
 const BANDS: usize = 96;

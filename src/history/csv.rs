@@ -60,14 +60,19 @@ impl<W: Write> CsvWriter<W> {
 }
 
 fn cell(scan: &Value, column: &str) -> String {
-    match column {
-        "nearest" => text(&scan["ranked"][0]["surface"]),
+    let (value, text) = match column {
+        "nearest" => (&scan["ranked"][0]["surface"], None),
         "correction" => match text(&scan["correction"]["was"]).as_str() {
-            "surface" => text(&scan["correction"]["surface"]),
-            "" => String::new(),
-            other => format!("({other})"),
+            "surface" | "" => (&scan["correction"]["surface"], None),
+            other => (&Value::Null, Some(format!("({other})"))),
         },
-        column => text(&scan[column]),
+        column => (&scan[column], None),
+    };
+    let text = text.unwrap_or_else(|| self::text(value));
+    // A spreadsheet would take it for a formula, and do what it says.
+    match !value.is_number() && text.starts_with(['+', '-', '=', '@', '\t', '\r']) {
+        true => format!("'{text}"),
+        false => text,
     }
 }
 
@@ -94,6 +99,12 @@ mod tests {
         writer.scan(&scan).unwrap();
         let text = String::from_utf8(writer.finish().unwrap()).unwrap();
         let line = text.lines().nth(1).unwrap();
+        let cells = serde_json::json!({
+            "surface": "=1+1", "margin": -1.5, "truth": "@x", "sources": ["+a"], "became": "-b",
+        });
+        assert_eq!(cell(&cells, "surface"), "'=1+1");
+        let others = ["margin", "truth", "sources", "became"].map(|column| cell(&cells, column));
+        assert_eq!(others, ["-1.5", "'@x", "'+a", "'-b"]);
         assert_eq!(line, "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),");
     }
 }

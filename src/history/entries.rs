@@ -8,9 +8,6 @@ use super::file::Disk;
 use super::log::{Head, LogLine, Span};
 use super::{Correction, HistoryError};
 
-/// The part of the space that answers may take; the rest is for signals.
-const FOR_ANSWERS: u64 = 8;
-
 /// One answer of the past.
 #[derive(Debug)]
 pub(super) struct HistoryEntry {
@@ -118,7 +115,7 @@ impl HistoryState {
     /// The same, where the disk lacks `lacking` bytes.
     pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
-        let for_answers = disk.most_bytes / FOR_ANSWERS;
+        let for_answers = disk.for_answers();
         let most = (disk.most_bytes - for_answers).min(self.signals.saturating_sub(lacking));
         while self.signals > most {
             let Some(entry) = self.entries.iter_mut().find(|entry| entry.signals.is_some()) else {

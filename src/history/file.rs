@@ -8,10 +8,15 @@ use rustix::fs::{FlockOperation, flock, statvfs};
 
 use super::error::HistoryError;
 use super::log::Log;
+use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
 
+/// The part of the space that answers may take; the rest is for signals.
+const FOR_ANSWERS: u64 = 8;
 /// Name of the folder of scans.
 pub(super) const SCANS: &str = "scans";
+/// Where scans are set aside that the log does not know.
+const ASIDE: &str = "aside";
 /// Name of the log.
 const LOG: &str = "answers.jsonl";
 /// The part of its disk that signals of past scans leave free: for trials, which are worth more.
@@ -48,6 +53,11 @@ impl Disk {
         Ok(Self { root: root.to_path_buf(), log, most_bytes: u64::MAX, _lock: None })
     }
 
+    /// Bytes that answers may take.
+    pub fn for_answers(&self) -> u64 {
+        self.most_bytes / FOR_ANSWERS
+    }
+
     /// The folder itself.
     pub fn root(&self) -> &Path {
         &self.root
@@ -58,16 +68,40 @@ impl Disk {
         self.root.join(SCANS).join(id)
     }
 
-    /// The scans that have a folder.
+    /// The scans that have a folder; what is no folder is somebody else's.
     pub fn scans(&self) -> Result<HashSet<String>, HistoryError> {
         let folder = self.root.join(SCANS);
         let listed = fs::read_dir(&folder).map_err(HistoryError::io(&folder))?;
-        Ok(listed.flatten().filter_map(|item| item.file_name().into_string().ok()).collect())
+        let folders = listed.flatten().filter(|item| item.file_type().is_ok_and(|is| is.is_dir()));
+        Ok(folders.filter_map(|item| item.file_name().into_string().ok()).collect())
     }
 
-    /// Removes what is no scan that is known: left behind by a crash.
-    pub fn remove_strays(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
-        self.scans()?.iter().filter(|id| !is_known(id)).try_for_each(|id| self.remove(id))
+    /// Removes what a crash left unfinished, and sets the scans aside that the log does not know: it
+    /// may be the log that is damaged.
+    pub fn tidy(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
+        let aside = self.root.join(ASIDE);
+        let (mut moved, fail) = (0, HistoryError::io(&aside));
+        let set_aside = |id: &str| {
+            fs::create_dir_all(&aside)?;
+            fs::rename(self.folder(id), aside.join(id))
+        };
+        let mut done = Ok(());
+        for id in self.scans()?.iter().filter(|id| !is_known(id)) {
+            if id.ends_with(UNFINISHED) {
+                self.remove(id)?;
+            } else {
+                moved += 1;
+                done = done.and(set_aside(id));
+            }
+        }
+        if moved > 0 {
+            tracing::warn!(
+                "{}: {moved} scans that the list of answers does not know are set aside here; look \
+                 at them with `surfaced export`, or remove the folder",
+                aside.display()
+            );
+        }
+        done.map_err(fail)
     }
 
     /// Removes the signals of a scan.

@@ -9,7 +9,7 @@
 //! ```
 
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
@@ -17,9 +17,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{AnswerState, Correction, HistoryError};
+use crate::library::files;
+use crate::record::edit::is_plain;
 use crate::station::Answer;
 
-/// Longest line that is read: an answer of some ten thousand surfaces.
+/// Longest line that is read, with its end: an answer of some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
 
 /// What is known of an answer without reading it.
@@ -49,6 +51,16 @@ pub(super) enum LogLine {
 }
 
 impl LogLine {
+    /// The scan that it is about, which names a folder.
+    fn id(&self) -> &str {
+        match self {
+            Self::Answer(Head { id, .. })
+            | Self::Signals { id, .. }
+            | Self::Correction { id, .. }
+            | Self::Trial { id, .. } => id,
+        }
+    }
+
     pub fn to_json(&self) -> String {
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         serde_json::to_string(self).unwrap_or_default()
@@ -79,8 +91,13 @@ impl Log {
         if !read_only {
             options.append(true).create(true);
         }
-        let opened = options.open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
-        let (bytes, file) = opened.map_err(fail)?;
+        // Refused at once, unlike by a pipe that nobody writes into.
+        let is_regular = match files::open(path) {
+            Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        };
+        let open = || options.open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+        let (bytes, file) = is_regular.and_then(|()| open()).map_err(fail)?;
         Ok(Self { path: path.to_path_buf(), file, bytes })
     }
 
@@ -89,23 +106,30 @@ impl Log {
         self.bytes
     }
 
-    /// All lines; what a crash cut short, or is none of ours, is passed over.
-    pub fn read(&mut self) -> Result<Vec<(LogLine, Span)>, HistoryError> {
+    /// The lines of the last `most` bytes; what a crash cut short, or is none of ours, is passed over.
+    pub fn read(&mut self, most: u64) -> Result<Vec<(LogLine, Span)>, HistoryError> {
+        self.lines(most).map_err(HistoryError::io(&self.path))
+    }
+
+    fn lines(&self, most: u64) -> std::io::Result<Vec<(LogLine, Span)>> {
         let mut lines = Vec::new();
-        let file = File::open(&self.path).map_err(HistoryError::io(&self.path))?;
-        let (mut reader, mut text, mut offset) = (BufReader::new(file), Vec::new(), 0);
+        let mut reader = BufReader::new(File::open(&self.path)?);
+        let mut offset = reader.seek(SeekFrom::Start(self.bytes.saturating_sub(most)))?;
+        let (mut text, mut is_begin) = (Vec::new(), offset == 0);
         loop {
             text.clear();
-            let read = reader.read_until(b'\n', &mut text).map_err(HistoryError::io(&self.path))?;
+            let read = reader.by_ref().take(LONGEST as u64).read_until(b'\n', &mut text)?;
             if read == 0 {
                 return Ok(lines);
             }
             let line = text.trim_ascii_end();
-            if line.len() <= LONGEST
-                && let Ok(said) = serde_json::from_slice(line)
+            if is_begin
+                && let Ok(said) = serde_json::from_slice::<LogLine>(line)
+                && is_plain(said.id())
             {
                 lines.push((said, Span { offset, length: line.len() as u32 }));
             }
+            is_begin = text.ends_with(b"\n");
             offset += read as u64;
         }
     }

@@ -7,6 +7,7 @@
 //!     trial.toml  ac.wav  ca1.png  …
 //!     .why.json                  why it was named as it was, and its outline beside the nearest trial's
 //!     .nearest-ca1.jpg           pictures of the nearest trial
+//!   aside/ID/                    scans that the log does not know, for it may be damaged
 //! ```
 //! [`Keeper`] listens to a station and writes; [`History`] is read by what shows it. Nothing here
 //! knows of the network.
@@ -29,6 +30,7 @@ pub(crate) use review::precision;
 pub use review::{Correction, Precision};
 pub(crate) use view::{four_digits, jpeg};
 
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -37,6 +39,7 @@ use serde_json::Value;
 use self::entries::{HistoryEntry, HistoryState, Text};
 use self::file::{Disk, SCANS};
 use self::log::{Head, LogLine};
+use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
@@ -56,6 +59,8 @@ pub(crate) fn nearest_picture(source: &SourceId) -> String {
 #[derive(Debug)]
 pub struct History {
     inner: Mutex<HistoryState>,
+    /// Held while a scan is made a trial, or such a trial is corrected.
+    review: Mutex<()>,
 }
 
 /// How much is kept.
@@ -82,7 +87,7 @@ impl Default for History {
 impl History {
     /// A history of the last thousand answers, without their signals, that ends with the program.
     pub fn in_memory() -> Self {
-        Self { inner: Mutex::default() }
+        Self { inner: Mutex::default(), review: Mutex::default() }
     }
 
     /// The history in a folder, which is made if need be, of at most `most_bytes`, and less where its
@@ -93,20 +98,23 @@ impl History {
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let mut disk = Disk::open(folder, most_bytes)?;
         let mut inner = HistoryState::default();
-        for (line, span) in disk.log.read()? {
+        for (line, span) in disk.log.read(disk.for_answers())? {
             inner.take(line, span);
         }
-        disk.remove_strays(|id| {
-            inner.entries.iter().any(|e| e.head.id == id && e.signals.is_some())
-        })?;
+        let known: HashSet<&str> = inner.entries.iter().map(|e| e.head.id.as_str()).collect();
+        disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
         for entry in &mut inner.entries {
-            entry.signals = entry.signals.filter(|_| there.contains(&entry.head.id));
+            // A crash may have come between the signals and their line.
+            entry.signals = match there.contains(&entry.head.id) {
+                true => entry.signals.or_else(|| disk.size(&entry.head.id).ok()),
+                false => None,
+            };
         }
         inner.signals = inner.entries.iter().filter_map(|entry| entry.signals).sum();
         inner.disk = Some(disk);
         inner.make_room()?;
-        Ok(Self { inner: Mutex::new(inner) })
+        Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
     }
 
     /// The history in a folder, to be read alone.
@@ -116,16 +124,23 @@ impl History {
     pub fn read(folder: &Path) -> Result<Self, HistoryError> {
         let mut disk = Disk::read_only(folder)?;
         let mut inner = HistoryState::default();
-        for (line, span) in disk.log.read()? {
+        for (line, span) in disk.log.read(u64::MAX)? {
             inner.take(line, span);
         }
         inner.disk = Some(disk);
-        Ok(Self { inner: Mutex::new(inner) })
+        Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
     }
 
     fn lock(&self) -> MutexGuard<'_, HistoryState> {
         // Each change leaves it whole.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps others from making scans trials, and from correcting them, until it is dropped: each
+    /// scan becomes one trial, however many ask for it at a time.
+    pub(crate) fn reviewing(&self) -> MutexGuard<'_, ()> {
+        // It guards nothing that a panic could leave half done.
+        self.review.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Whether answers are written to disk, by a [`Keeper`].
@@ -199,6 +214,23 @@ impl History {
         let inner = &mut *self.lock();
         inner.find(id)?;
         inner.change(LogLine::Trial { id: id.into(), trial })
+    }
+
+    /// Notes where trials went that scans had become.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub(crate) fn relocated(&self, moves: &[Move]) -> Result<(), HistoryError> {
+        let inner = &mut *self.lock();
+        let went: BTreeMap<&str, &str> =
+            moves.iter().map(|one| (one.from.as_str(), one.to.as_str())).collect();
+        let of = |entry: &HistoryEntry| {
+            let to = *went.get(entry.trial.as_deref()?)?;
+            let trial = (!to.starts_with('.')).then(|| to.to_string());
+            Some(LogLine::Trial { id: entry.head.id.clone(), trial })
+        };
+        let lines: Vec<LogLine> = inner.entries.iter().filter_map(of).collect();
+        lines.into_iter().try_for_each(|line| inner.change(line))
     }
 
     /// The newest answers first, at most `most`, those before the scan of a name or number alone.

@@ -67,10 +67,10 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
         assert!(matches!(History::open(dir.path(), 1), Err(HistoryError::InUse(_))));
         id
     };
-    // A crash cut the last line short, and left a folder that nobody knows.
+    // A crash cut the last line short, and left a folder that is unfinished.
     let log = dir.path().join("answers.jsonl");
     fs::write(&log, fs::read_to_string(&log).unwrap() + "{\"answer\":{\"id\":\"x").unwrap();
-    fs::create_dir(dir.path().join("scans/stray")).unwrap();
+    fs::create_dir(dir.path().join("scans/.stray.unfinished")).unwrap();
     let history = History::open(dir.path(), 1 << 20).unwrap();
     assert_eq!(scans(&history), [2, 1]);
     let first = history.answer("1").unwrap();
@@ -80,7 +80,7 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
     assert!(history.folder(&id).unwrap().join("ir.wav").exists());
     assert!(matches!(history.folder("2"), Err(HistoryError::NoSignals(_))));
     assert!(matches!(history.answer("3"), Err(HistoryError::NoScan(_))));
-    assert!(!dir.path().join("scans/stray").exists());
+    assert!(!dir.path().join("scans/.stray.unfinished").exists());
     history.answered(&answer(3, None)).unwrap();
     assert_eq!(scans(&history), [3, 2, 1], "the line that was cut short spoils no other");
     assert_eq!(history.precision()[0].corrected, 1);
@@ -170,4 +170,49 @@ fn a_history_in_memory_remembers_a_thousand_answers() {
     assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
     history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();
     assert_eq!(history.answer("1200").unwrap()["correction"]["was"], "bad");
+}
+
+#[test]
+fn signals_that_a_damaged_log_does_not_know_are_set_aside_and_files_of_others_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let ids = {
+        let history = History::open(dir.path(), 1 << 20).unwrap();
+        [1, 2, 3].map(|scan| keep(&history, scan, 100))
+    };
+    let log = dir.path().join("answers.jsonl");
+    let text = fs::read_to_string(&log).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    // The first scan is missing; of the second, the line that its signals are there; ids that lead
+    // elsewhere, and a line without an end.
+    let evil = lines[0].replace(&ids[0], "../../oak/anna-01");
+    let long = "x".repeat(3 << 20);
+    fs::write(&log, [lines[2], &evil, &long, lines[4], lines[5]].join("\n") + "\n").unwrap();
+    fs::write(dir.path().join("scans/.DS_Store"), "").unwrap();
+    let history = History::open(dir.path(), 1 << 26).unwrap();
+    assert_eq!(scans(&history), [3, 2]);
+    assert!(history.folder(&ids[1]).unwrap().join("ir.wav").exists());
+    assert!(dir.path().join("aside").join(&ids[0]).join("ir.wav").exists());
+    assert!(dir.path().join("scans/.DS_Store").exists());
+    drop(history);
+    // Without a log, all are set aside.
+    fs::remove_file(&log).unwrap();
+    drop(History::open(dir.path(), 1 << 20).unwrap());
+    assert_eq!(fs::read_dir(dir.path().join("aside")).unwrap().count(), 3);
+}
+
+#[test]
+fn a_log_that_is_no_file_is_refused_and_of_a_long_one_only_the_end_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = dir.path().join("answers.jsonl");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &log, rustix::fs::Mode::RWXU).unwrap();
+    for opened in [History::open(dir.path(), 1 << 20), History::read(dir.path())] {
+        assert!(opened.unwrap_err().to_string().contains("not a regular file"));
+    }
+    fs::remove_file(&log).unwrap();
+    // Sparse: as large as a disk, and quickly read all the same.
+    fs::File::create(&log).unwrap().set_len(3 << 30).unwrap();
+    let history = History::open(dir.path(), 1 << 20).unwrap();
+    keep(&history, 1, 100);
+    assert!(fs::metadata(&log).unwrap().len() < 1 << 20);
+    assert_eq!(scans(&history), [1]);
 }

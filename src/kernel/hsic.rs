@@ -17,7 +17,7 @@ use crate::kernel::Pearson3;
 /// than 1 in 24, so that nothing could be significant at 5 %.
 pub const FEWEST_PAIRS: usize = 5;
 
-/// Why two sets of samples cannot be tested.
+/// Errors of a test of independence.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum HsicError {
     /// different numbers of samples
@@ -50,7 +50,7 @@ pub enum HsicError {
         "side {0} is constant: its samples are all alike, so nothing can be said about dependence"
     )]
     Constant(usize),
-    /// a significance level that is none
+    /// not a valid significance level
     #[error("a significance level of {0} is not possible; expected a number between 0 and 0.5")]
     Alpha(f64),
     /// too few permutations for the level
@@ -67,7 +67,7 @@ pub enum HsicError {
     },
 }
 
-/// How the threshold κ is found.
+/// The way to find the threshold κ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Threshold {
@@ -128,7 +128,7 @@ pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
 }
 
 /// HSIC_b = tr(KHLH)/n² of paired samples of shape (n, channels), with a length scale for each
-/// side. Never negative but for rounding, which is cut off.
+/// side. Negative rounding errors are cut off.
 pub fn hsic_b(x: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>, sigma_x: f64, sigma_y: f64) -> f64 {
     let n = x.nrows() as f64;
     let k = centred(kernel_matrix(x, sigma_x));

@@ -3,7 +3,7 @@
 use multiversion::multiversion;
 use ndarray::ArrayView2;
 
-/// How many samples the median is taken over: the first ones, in the order drawn.
+/// Number of samples in the median: the first ones, in the order drawn.
 pub const MEDIAN_SUBSET: usize = 100;
 
 /// Length scale σ of the Gaussian kernel from samples of shape (n, channels), by the paper's

@@ -12,7 +12,6 @@ mod mmd;
 mod padded_points;
 mod pearson3;
 mod permutation_moments;
-mod permute;
 mod simd;
 mod table;
 
@@ -31,8 +30,7 @@ pub(crate) use f64_sums::{F64Points, f64_self_sum, f64_sum};
 pub(crate) use hsic::FEWEST_PAIRS;
 pub(crate) use lanes::{lane_self_sum, lane_sum};
 pub(crate) use line::LineSum;
-pub(crate) use mmd::{CrossSums, mmd2_from_sums};
+pub(crate) use mmd::{CrossSums, mmd2_from_sums, pair_test};
 pub(crate) use pearson3::Pearson3;
 pub(crate) use permutation_moments::{CentredMoments, permutation_moments};
-pub(crate) use permute::pair_test;
 pub(crate) use table::{FOLD, NODES, SelfMean};

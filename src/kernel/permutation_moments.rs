@@ -9,7 +9,7 @@
 
 use ndarray::Array2;
 
-/// What the three moments need to know of a symmetric matrix W whose rows sum to zero.
+/// The sums that the three moments need of a symmetric matrix W whose rows sum to zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CentredMoments {
     /// tr W

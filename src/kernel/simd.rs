@@ -138,7 +138,7 @@ fn add_kernel<const C: usize>(sum: __m512, at: &[__m512; C], other: &[__m512; C]
     }
     power = _mm512_max_ps(power, set(-REACH));
     let n = _mm512_castps_si512(_mm512_add_ps(set(ROUND), power));
-    // What rounding took away.
+    // The part that rounding took away.
     let f = _mm512_reduce_ps::<0>(power);
     // SAFETY: the pointer is that of an array of 16 u32, all of which are read, unaligned.
     let table = unsafe { _mm512_loadu_si512(TABLE.as_ptr().cast()) };

@@ -11,7 +11,7 @@ pub const NODES: usize = 32;
 pub const FOLD: f64 = 64.0;
 
 /// Mean kernel value over all pairs of one set, by length scale.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfMean {
     /// ln of the length scale in the middle.
     middle: f64,
@@ -57,16 +57,6 @@ impl SelfMean {
             2.0 / NODES as f64 * self.values.iter().enumerate().map(term).sum::<f64>()
         };
         (NODES - 3..NODES).map(|j| coefficient(j).abs()).sum()
-    }
-
-    /// The numbers that make the table, for storage.
-    pub fn parts(&self) -> (f64, &[f64; NODES]) {
-        (self.middle, &self.values)
-    }
-
-    /// A table from its [`SelfMean::parts`].
-    pub fn from_parts(middle: f64, values: [f64; NODES]) -> Self {
-        Self { middle, values }
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{LibraryError, files};
+use crate::trial::normal;
 
 /// Name of the file.
 pub(crate) const FILE: &str = "trial.toml";
@@ -35,24 +36,12 @@ pub struct About {
     /// Cut short, for example by a loss of power: not to be compared with.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub incomplete: bool,
-    /// When the tap and the drag were; the files hold these parts already cut out.
+    /// When the tap and the drag were, as older versions noted it: kept as it stands, and not used.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub scan: Option<ScanMarks>,
+    pub scan: Option<toml::Table>,
     /// Which device each source came from.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub devices: BTreeMap<String, String>,
-}
-
-/// Start and end of the parts of a scan, in seconds since the recording began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ScanMarks {
-    /// The tap.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub tap_s: Option<[f64; 2]>,
-    /// The drag.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub drag_s: Option<[f64; 2]>,
 }
 
 fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<String>, D::Error> {
@@ -88,21 +77,14 @@ impl About {
     }
 
     fn from_toml(text: &str) -> Result<Self, String> {
-        let about: Self =
+        let mut about: Self =
             toml::from_str(text).map_err(|error| error.to_string().trim_end().to_string())?;
+        for name in [&mut about.surface, &mut about.user].into_iter().flatten() {
+            *name = normal(name);
+        }
         let names = [("surface", &about.surface), ("user", &about.user)];
         if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
             return Err(format!("{key} = \"\"; expected a name, or no such line"));
-        }
-        let marks = about.scan.unwrap_or_default();
-        for (key, part) in [("tap_s", marks.tap_s), ("drag_s", marks.drag_s)] {
-            if let Some([start, end]) = part
-                && !(0.0 <= start && start < end && end.is_finite())
-            {
-                return Err(format!(
-                    "[scan] {key} = [{start}, {end}]; expected 0 ≤ start < end, in seconds"
-                ));
-            }
         }
         Ok(about)
     }
@@ -122,7 +104,7 @@ mod tests {
             notes: Some("pressed hard".into()),
             synthetic: true,
             incomplete: true,
-            scan: Some(ScanMarks { tap_s: Some([0.1, 0.3]), drag_s: Some([0.5, 5.3]) }),
+            scan: Some(toml::toml! { drag_s = [0.5, 5.3] }),
             devices: BTreeMap::from([("mi2".into(), "hw:1".into())]),
         };
         assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
@@ -136,11 +118,5 @@ mod tests {
         assert_eq!(start("started_at = \"noon\"").unwrap(), "noon");
         let error = start("notes = \"\"\nstarted_at = 12").unwrap_err();
         assert!(error.contains("line 2") && error.contains("neither a date"), "{error}");
-    }
-
-    #[test]
-    fn marks_that_run_backwards_are_refused() {
-        let error = About::from_toml("[scan]\ndrag_s = [5, 1]").unwrap_err();
-        assert!(error.contains("drag_s = [5, 1]; expected 0 ≤ start < end"), "{error}");
     }
 }

@@ -33,6 +33,8 @@ const HEADER: usize = MAGIC.len() + 2 + 8;
 const CHECKSUM: u64 = 4;
 /// Longest name of a record in bytes: those of a surface and a user, and a number.
 const LONGEST_NAME: u32 = 1 << 16;
+/// Largest record in bytes that is read: a sparse file may claim any number.
+const LARGEST_RECORD: u64 = 1 << 30;
 /// How the name of a file ends that is being written; its writer holds a lock on it.
 const UNFINISHED: &str = ".unfinished";
 /// A file that nobody has locked for so long was left by a writer that was killed.
@@ -118,6 +120,9 @@ impl Cache {
     /// The bytes stored under a name, if they are whole and their stamp is this one.
     pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
         let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
+        if place.length > LARGEST_RECORD {
+            return None;
+        }
         let mut bytes = vec![0; usize::try_from(place.length + CHECKSUM).ok()?];
         self.file.as_ref()?.read_exact_at(&mut bytes, place.begin).ok()?;
         let sum = bytes.split_off(place.length as usize);
@@ -204,7 +209,7 @@ fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
     let mut name_length = [0; 4];
     file.read_exact_at(&mut name_length, at).ok()?;
     let name_length = u32::from_le_bytes(name_length);
-    if name_length > LONGEST_NAME {
+    if name_length == 0 || name_length > LONGEST_NAME {
         return None;
     }
     let mut rest = vec![0; name_length as usize + 16];
@@ -281,6 +286,19 @@ mod tests {
             let (cache, _) = Cache::open(folder.path(), "m", 5);
             assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "cut at {at}");
         }
+    }
+
+    #[test]
+    fn a_record_of_a_terabyte_is_not_read() {
+        let folder = written();
+        let path = folder.path().join(".m.surfaced-cache");
+        let mut bytes = fs::read(&path).unwrap();
+        let at = HEADER + head("oak · expert · 1", 7, 0).len() - 8;
+        bytes[at..at + 8].copy_from_slice(&(1u64 << 40).to_le_bytes());
+        fs::write(&path, bytes).unwrap();
+        File::options().write(true).open(&path).unwrap().set_len(1 << 41).unwrap();
+        let (cache, _) = Cache::open(folder.path(), "m", 5);
+        assert_eq!(cache.get("oak · expert · 1", 7), None);
     }
 
     #[test]

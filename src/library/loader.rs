@@ -84,6 +84,7 @@ impl SourceFiles {
         match self {
             Self::Series { path, header, mixed } => {
                 let series = series_file::read(path)?;
+                plausible(path, &series)?;
                 if (series.rate_hz(), series.channels()) != (header.rate_hz, header.channels) {
                     let problem = "it changed since the library was opened; open it again";
                     return Err(LibraryError::file(path, problem));
@@ -96,9 +97,26 @@ impl SourceFiles {
                     .map(Signal::Series)
             }
             Self::Picture(path) => picture::read(path).map(Signal::Image),
-            Self::Columns { paths, rate_hz } => text::read(paths, *rate_hz).map(Signal::Series),
+            Self::Columns { paths, rate_hz } => {
+                let series = text::read(paths, *rate_hz)?;
+                plausible(&paths[0], &series)?;
+                Ok(Signal::Series(series))
+            }
         }
     }
+}
+
+/// Refuses samples whose squares do not fit into f32: they would spoil every mean of a library.
+fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
+    const MOST: f32 = 1e18;
+    let Some(at) = series.samples().iter().position(|x| x.abs() > MOST) else { return Ok(()) };
+    let (frame, channel) = (at / series.channels() + 1, at % series.channels() + 1);
+    let problem = format!(
+        "channel {channel} is {:e} at sample {frame}, which no sensor gives; expected at most \
+         ±{MOST:e}: record again, or remove the file",
+        series.samples()[at]
+    );
+    Err(LibraryError::file(path, problem))
 }
 
 /// The mean of all channels.

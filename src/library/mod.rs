@@ -6,7 +6,6 @@ pub mod cache;
 pub(crate) mod files;
 mod flac;
 pub(crate) mod loader;
-pub mod lock;
 mod loose;
 mod picture;
 pub mod recording;
@@ -16,8 +15,8 @@ pub(crate) mod series_header;
 mod text;
 mod wav;
 
+pub use about::About;
 pub(crate) use about::FILE as ABOUT_FILE;
-pub use about::{About, ScanMarks};
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -19,7 +19,7 @@ use super::loader::{FileTrial, Headers, SourceFiles};
 use super::seen::Seen;
 use super::{About, Entry, Library, LibraryError, Opened, loose, series_header};
 use crate::scene::{Domain, LibraryToml, Scene, SourceId};
-use crate::trial::{EXPERT, TrialKey, UNLABELLED};
+use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
 /// Name of the file that describes a library.
 pub(crate) const DESCRIPTION: &str = "library.toml";
@@ -44,8 +44,20 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
 /// # Errors
 /// If the folder cannot be read, `library.toml` is wrong, or nothing can be used.
 pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
+    something(path, open_part(path, path, defaults)?)
+}
+
+/// The same of a folder whose sources the `library.toml` of another describes; it may hold nothing.
+///
+/// # Errors
+/// If the folder cannot be read, or `library.toml` is wrong.
+pub(crate) fn open_part(
+    path: &Path,
+    described_in: &Path,
+    defaults: &Scene,
+) -> Result<Opened, LibraryError> {
     let folders = files::list(path)?;
-    let mut opening = RecordingOpening::new(path, defaults.clone())?;
+    let mut opening = RecordingOpening::new(path, described_in, defaults.clone())?;
     for surface in &folders {
         if surface.is_dir && !surface.is_hidden() {
             opening.surface(surface);
@@ -57,7 +69,17 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
         let files = folders.iter().filter(|item| item.is_series() && !item.is_hidden());
         opening.loose(UNLABELLED, &files.collect::<Vec<_>>());
     }
-    opening.library()
+    Ok(opening.library())
+}
+
+/// A library that holds something.
+fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
+    if !opened.library.entries.is_empty() {
+        return Ok(opened);
+    }
+    let Opened { library: Library { scene, remarks, .. }, bad } = opened;
+    let nothing = || nothing_found(path, &scene, &remarks);
+    Err(LibraryError::of_all(bad).unwrap_or_else(nothing))
 }
 
 /// Opens a single WAV or FLAC file as a library of one unlabelled trial; errors are as of [`open`].
@@ -66,10 +88,10 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
     let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
         return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
     };
-    let mut opening = RecordingOpening::new(folder, defaults.clone())?;
+    let mut opening = RecordingOpening::new(folder, folder, defaults.clone())?;
     opening.name.clone_from(&item.name);
     opening.loose(UNLABELLED, &[&item]);
-    opening.library()
+    something(folder, opening.library())
 }
 
 /// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one; its `library.toml` counts.
@@ -81,10 +103,11 @@ pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, Lib
     let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
         return Err(LibraryError::file(&folder, "not the folder of a trial"));
     };
-    let mut opening = RecordingOpening::new(surface.parent().unwrap_or(surface), defaults.clone())?;
+    let root = surface.parent().unwrap_or(surface);
+    let mut opening = RecordingOpening::new(root, root, defaults.clone())?;
     let label = surface.file_name().unwrap_or_default().to_string_lossy();
     opening.trial(&label, &item);
-    opening.library()?.whole()
+    something(root, opening.library())?.whole()
 }
 
 /// An entry whose data lie in files; `folder` is theirs alone, if there is one.
@@ -127,7 +150,7 @@ struct RecordingOpening<'a> {
 }
 
 impl<'a> RecordingOpening<'a> {
-    fn new(root: &'a Path, scene: Scene) -> Result<Self, LibraryError> {
+    fn new(root: &'a Path, described_in: &Path, scene: Scene) -> Result<Self, LibraryError> {
         let mut opening = Self {
             root,
             name: String::new(),
@@ -140,7 +163,7 @@ impl<'a> RecordingOpening<'a> {
             passed: BTreeMap::new(),
             bad: Vec::new(),
         };
-        let described = root.join(DESCRIPTION);
+        let described = described_in.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
             let described = LibraryToml::parse(&text, &opening.scene)
                 .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
@@ -153,16 +176,12 @@ impl<'a> RecordingOpening<'a> {
         Ok(opening)
     }
 
-    fn library(mut self) -> Result<Opened, LibraryError> {
+    fn library(mut self) -> Opened {
         for (path, what) in self.headers.remarks() {
             self.pass_over(&path, what);
         }
         let RecordingOpening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
         let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
-        if trials.is_empty() {
-            let nothing = || nothing_found(root, &scene, &remarks);
-            return Err(LibraryError::of_all(bad).unwrap_or_else(nothing));
-        }
         let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
             // A file without a folder of its own lies among others.
             let folder = path.is_dir().then_some(path);
@@ -173,7 +192,7 @@ impl<'a> RecordingOpening<'a> {
             let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
             name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         }
-        Ok(Opened { library: Library { name, scene, entries, synthetic, remarks }, bad })
+        Opened { library: Library { name, scene, entries, synthetic, remarks }, bad }
     }
 
     fn pass_over(&mut self, path: &Path, why: impl Into<String>) {
@@ -204,7 +223,7 @@ impl<'a> RecordingOpening<'a> {
                 _ => item.unusable.iter().for_each(|why| self.pass_over(&item.path, *why)),
             }
         }
-        self.loose(&surface.name, &loose);
+        self.loose(&normal(&surface.name), &loose);
     }
 
     /// Files of a surface without trial folders: a trial each.
@@ -270,7 +289,7 @@ impl<'a> RecordingOpening<'a> {
             return Ok(());
         }
         let key = TrialKey {
-            surface: about.surface.unwrap_or_else(|| surface.to_string()),
+            surface: about.surface.unwrap_or_else(|| normal(surface)),
             user: about.user.unwrap_or_else(|| EXPERT.to_string()),
             number: number?,
         };

@@ -13,7 +13,7 @@ use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 
-use super::{BackOff, PATIENCE, QUEUE};
+use super::{BackOff, OutputHealth, PATIENCE, QUEUE};
 use crate::station::config::HttpAddress;
 use crate::station::{End, Listener, StationEvent};
 
@@ -24,11 +24,13 @@ const ATTEMPT: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 pub struct HttpOutput {
     answers: Option<Sender<String>>,
+    health: OutputHealth,
     ending: Arc<AtomicBool>,
     end: End,
 }
 
 struct Poster {
+    health: OutputHealth,
     address: HttpAddress,
     runtime: Runtime,
     back_off: BackOff,
@@ -45,14 +47,26 @@ impl HttpOutput {
         let (ending, ended) = bounded::<Infallible>(0);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let stop = Arc::new(AtomicBool::new(false));
+        let HttpAddress { host, path } = &address;
+        let health = OutputHealth::new(format!("http://{}:{}{path}", host.0, host.1));
+        let (back_off, ending_too) = (BackOff::new(), stop.clone());
         let mut poster =
-            Poster { address, runtime, back_off: BackOff::new(), ending: stop.clone() };
+            Poster { health: health.clone(), address, runtime, back_off, ending: ending_too };
         let run = move || {
             let _ending = ending;
-            to_post.iter().for_each(|answer| poster.deliver(&answer));
+            for answer in &to_post {
+                poster.health.waits(to_post.len() + 1);
+                poster.deliver(&answer);
+                poster.health.waits(to_post.len());
+            }
         };
         std::thread::Builder::new().name("http-output".into()).spawn(run)?;
-        Ok(Self { answers: Some(answers), ending: stop, end: End::of(ended) })
+        Ok(Self { answers: Some(answers), health, ending: stop, end: End::of(ended) })
+    }
+
+    /// How it is, now and later.
+    pub fn health(&self) -> OutputHealth {
+        self.health.clone()
     }
 }
 
@@ -65,7 +79,8 @@ impl Listener for HttpOutput {
         // Plain structs, numbers and text: nothing here that JSON cannot express.
         let text = serde_json::to_string(&**answer).unwrap_or_default();
         if answers.try_send(text).is_err() {
-            tracing::warn!("answer {} is not posted: too many wait", answer.id);
+            self.health
+                .failed(&format!("{QUEUE} wait already, so answer {} is dropped", answer.id));
         }
     }
 }
@@ -91,16 +106,23 @@ impl Poster {
         loop {
             match self.post(answer) {
                 Ok(status) if status.is_success() => {
+                    self.health.arrived();
                     return self.back_off.reset();
                 }
                 // It will not be taken another time either.
+                Ok(status) if status.is_redirection() => {
+                    return self.health.failed(&format!(
+                        "{status}, a redirect, which is not followed; write the new address into \
+                         the configuration"
+                    ));
+                }
                 Ok(status)
                     if status.is_client_error() && status != StatusCode::TOO_MANY_REQUESTS =>
                 {
-                    return tracing::warn!("an answer that was posted is refused: {status}");
+                    return self.health.failed(&format!("refused with {status}"));
                 }
-                Ok(status) => tracing::debug!("posting: {status}"),
-                Err(error) => tracing::debug!("posting: {error}"),
+                Ok(status) => self.health.failed(&format!("{status}; they are tried again")),
+                Err(error) => self.health.failed(&format!("{error}; they are tried again")),
             }
             let mut left = self.back_off.next();
             while left > Duration::ZERO {

@@ -3,7 +3,7 @@
 //!
 //! Each output has a bounded queue and a thread of its own, so that nobody holds up the station.
 //! What cannot be delivered is tried again, ever more slowly; where the queue is full, the newest
-//! answers are dropped, with a warning. Answers carry an `id` that stays, by which a receiver knows
+//! answers are dropped. [`OutputHealth`] says so once, and counts. Answers carry an `id` that stays, by which a receiver knows
 //! one that comes twice.
 
 mod http;
@@ -12,12 +12,85 @@ mod mqtt;
 pub use http::HttpOutput;
 pub use mqtt::MqttOutput;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+
+use serde::Serialize;
 
 /// Answers that wait for one output.
 const QUEUE: usize = 256;
 /// How long the end of the program waits for answers under way.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How an output is, as programs and the page see it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct OutputView {
+    /// Where answers go.
+    pub output: String,
+    /// Answers that wait.
+    pub waiting: u64,
+    /// Attempts that failed, and answers that were refused or found no room.
+    pub failures: u64,
+    /// For people: why answers do not arrive now, if so.
+    pub problem: Option<String>,
+}
+
+/// How an output is. It is said when answers begin to fail, and when they arrive again.
+#[derive(Clone, Debug)]
+pub struct OutputHealth(Arc<Health>);
+
+#[derive(Debug)]
+struct Health {
+    output: String,
+    waiting: AtomicU64,
+    failures: AtomicU64,
+    problem: Mutex<Option<String>>,
+}
+
+impl OutputHealth {
+    fn new(output: String) -> Self {
+        let (waiting, failures) = (AtomicU64::new(0), AtomicU64::new(0));
+        Self(Arc::new(Health { output, waiting, failures, problem: Mutex::default() }))
+    }
+
+    /// How it is now.
+    pub fn view(&self) -> OutputView {
+        let Health { output, waiting, failures, problem } = &*self.0;
+        OutputView {
+            output: output.clone(),
+            waiting: waiting.load(Ordering::Relaxed),
+            failures: failures.load(Ordering::Relaxed),
+            // Each change is one assignment.
+            problem: problem.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+        }
+    }
+
+    fn set_problem(&self, now: Option<String>) -> Option<String> {
+        let mut problem = self.0.problem.lock().unwrap_or_else(PoisonError::into_inner);
+        std::mem::replace(&mut *problem, now)
+    }
+
+    /// Answers that wait now.
+    fn waits(&self, answers: usize) {
+        self.0.waiting.store(answers as u64, Ordering::Relaxed);
+    }
+
+    /// An attempt failed.
+    fn failed(&self, why: &str) {
+        self.0.failures.fetch_add(1, Ordering::Relaxed);
+        if self.set_problem(Some(why.into())).is_none() {
+            tracing::warn!("answers do not reach {}: {why}", self.0.output);
+        }
+    }
+
+    /// An answer arrived.
+    fn arrived(&self) {
+        if self.set_problem(None).is_some() {
+            tracing::warn!("answers reach {} again", self.0.output);
+        }
+    }
+}
 
 /// The time before the next attempt: doubled after each that fails, up to a minute.
 #[derive(Debug)]

@@ -1,4 +1,4 @@
-//! Whether trials can be compared at all: with their scene, and with each other.
+//! Checks that trials can be compared with their scene and with each other.
 
 use std::collections::BTreeSet;
 
@@ -37,7 +37,7 @@ pub fn check_signal(
     }
 }
 
-/// Checks that a library leaves something to choose between.
+/// Checks that a library has at least two surfaces.
 ///
 /// # Errors
 /// If its trials are of fewer than two surfaces.

@@ -1,4 +1,4 @@
-//! Two trials, source by source: how unlike they are, and whether chance explains it.
+//! Compares two trials, source by source, and tests whether chance explains the difference.
 
 use std::sync::Arc;
 
@@ -6,7 +6,8 @@ use ndarray::{Array2, Axis};
 
 use super::error::RecogniseError;
 use super::reference::{
-    Cut, DomainSamples, PreparedTrial, keyed_positions, log_score, score_samples, shared_sources,
+    DomainSamples, PreparedTrial, SampledSource, keyed_positions, log_score, score_samples,
+    shared_sources,
 };
 use crate::kernel::pair_test;
 use crate::library::Entry;
@@ -45,7 +46,7 @@ pub struct Comparison {
     pub ds: f64,
 }
 
-/// How the test is done.
+/// Settings of the test.
 #[derive(Clone, Copy, Debug)]
 pub struct TestOptions {
     /// Samples drawn from a source, n.
@@ -91,7 +92,8 @@ pub fn compare(
 
 /// The checks that the method itself makes.
 fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
-    let unsampled = |_: &SourceSpec, _: &Signal, _| Cut { sets: Vec::new(), domain: None };
+    let unsampled =
+        |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };
     let prepared = |trial: &Trial| {
         PreparedTrial::new(&Entry::in_memory(trial.clone()), trial, scene, false, unsampled)
     };

@@ -152,10 +152,7 @@ pub struct Evidence {
 pub struct SourceEvidence {
     /// The source.
     pub source: SourceId,
-    /// Whether the method learnt from the library how far to trust it. Where some sources are
-    /// trained, the others do not count.
-    pub trained: bool,
-    /// The term of each surface: those of the sources that count add up to what surfaces are
-    /// ranked by, the smallest first. Infinite for a surface that lacks the source.
+    /// The term of each surface: those of all sources add up to what surfaces are ranked by, the
+    /// smallest first. Infinite for a surface that lacks the source.
     pub terms: Vec<f64>,
 }

@@ -12,7 +12,6 @@
 
 mod checks;
 pub(crate) mod classify;
-mod combine;
 mod compare;
 mod decide;
 pub(crate) mod embedding;
@@ -55,12 +54,10 @@ pub use features::hsv;
 pub use follow::LOOK_S;
 #[doc(hidden)]
 pub use reference::{
-    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, amplitude_spectrum, image_grid,
-    score_samples,
+    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
 };
 
-pub(crate) use combine::{log_discrepancy, medians};
 pub(crate) use compare::{Comparison, TestOptions, compare};
 pub(crate) use decide::interval::{can_show, reaches, wilson_of_groups};
-pub(crate) use rank::rank;
+pub(crate) use rank::{log_discrepancy, medians, rank};
 pub(crate) use spec::MOST_COUNT;

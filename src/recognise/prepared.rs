@@ -6,7 +6,6 @@ use super::embedding::TrialFrames;
 use super::error::RecogniseError;
 use super::features::FeatureVector;
 use super::reference::prepared_trial::PreparedTrial;
-use super::reference::storage::{decode, encode};
 use crate::library::Entry;
 use crate::trial::TrialKey;
 
@@ -89,7 +88,7 @@ impl Prepared {
     /// The trial as bytes; `None` if that would be as large as the recording.
     pub(super) fn encode(&self) -> Option<Vec<u8>> {
         let (kind, bytes) = match self {
-            Self::Samples(trial) => (SAMPLES, encode(trial)),
+            Self::Samples(trial) => (SAMPLES, trial.encode()),
             Self::Frames(trial) => (FRAMES, postcard::to_allocvec(&trial.sources).ok()),
             Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
         };
@@ -102,7 +101,7 @@ impl Prepared {
     pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let key = entry.key.clone();
         Some(match bytes.split_last()? {
-            (&SAMPLES, bytes) => Self::Samples(Arc::new(decode(entry, bytes)?)),
+            (&SAMPLES, bytes) => Self::Samples(Arc::new(PreparedTrial::decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;
                 Self::Frames(Arc::new(TrialFrames { key, sources }))

@@ -47,7 +47,8 @@ impl PreparedLibrary {
 /// all is prepared anew. `progress` gets how much is done of how much.
 ///
 /// What comes of it is the same with and without a cache: a stored trial counts only if the method's
-/// settings and the trial's files are what they were.
+/// settings and the trial's files are what they were. One whose files change while they are read is
+/// not stored.
 ///
 /// # Errors
 /// If a trial cannot be read, or does not fit the scene.
@@ -84,9 +85,10 @@ pub(super) fn prepare_for(
             return Ok(None);
         }
         let entry = &entries[i];
-        let stored = cache.as_ref().and_then(|cache| {
-            Prepared::decode(entry, &cache.get(&entry.cache_name(), entry.stamp()?)?)
-        });
+        let before = entry.stamp();
+        let stored = cache
+            .as_ref()
+            .and_then(|cache| Prepared::decode(entry, &cache.get(&entry.cache_name(), before?)?));
         let prepared = match stored {
             Some(prepared) => {
                 from_cache.fetch_add(1, Ordering::Relaxed);
@@ -95,9 +97,9 @@ pub(super) fn prepare_for(
             None => method.prepare(entry, &entry.load()?, &shape)?,
         };
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, wanted.len());
-        Ok(Some(prepared))
+        Ok(Some((prepared, before.filter(|_| before == entry.stamp()))))
     };
-    let trials: Vec<Option<Prepared>> =
+    let trials: Vec<Option<(Prepared, Option<u64>)>> =
         (0..entries.len()).into_par_iter().map(prepare).collect::<Result<_, RecogniseError>>()?;
     let from_cache = from_cache.into_inner();
     if let Some(cache) = cache
@@ -107,11 +109,14 @@ pub(super) fn prepare_for(
             .par_iter()
             .zip(&trials)
             .filter_map(|(entry, prepared)| {
-                let (name, stamp) = (entry.cache_name(), entry.stamp()?);
+                let name = entry.cache_name();
                 // A trial that was not wanted this time stays, if it still is what it was.
-                let bytes = match prepared {
-                    Some(prepared) => prepared.encode()?.into(),
-                    None => cache.get(&name, stamp)?.into(),
+                let (stamp, bytes) = match prepared {
+                    Some((prepared, stamp)) => ((*stamp)?, prepared.encode()?.into()),
+                    None => {
+                        let stamp = entry.stamp()?;
+                        (stamp, cache.get(&name, stamp)?.into())
+                    }
                 };
                 Some(Record { name, stamp, bytes })
             })
@@ -120,5 +125,6 @@ pub(super) fn prepare_for(
             remarks.extend(cache.replace(&records));
         }
     }
+    let trials = trials.into_iter().map(|prepared| Some(prepared?.0)).collect();
     Ok(PreparedLibrary { shape, trials, remarks, from_cache })
 }

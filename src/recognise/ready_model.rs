@@ -52,7 +52,8 @@ pub fn ready_model(
     let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
     let model = prepared.fit(method, wanted)?;
     let mut remarks = prepared.remarks;
-    if let Some(kept) = kept
+    // One of trials that have changed meanwhile is used, and not kept.
+    if let Some(kept) = kept.filter(|kept| stamp(&of_model) == Some(kept.stamp))
         && let Some(bytes) = model.store()
     {
         let why = kept.replace(bytes.into());
@@ -62,6 +63,17 @@ pub fn ready_model(
         }
     }
     Ok(ReadyModel { model, from_cache: false, remarks })
+}
+
+/// Stands for the files of some trials as they are now.
+fn stamp(entries: &[&Entry]) -> Option<u64> {
+    let trial = |entry: &&Entry| {
+        let mut name = entry.cache_name().into_bytes();
+        name.extend(entry.stamp()?.to_le_bytes());
+        Some(name)
+    };
+    let trials: Vec<Vec<u8>> = entries.iter().map(trial).collect::<Option<_>>()?;
+    Some(seed::stable_hash(&trials.iter().map(Vec::as_slice).collect::<Vec<_>>()))
 }
 
 /// The cache of a library's model.
@@ -82,13 +94,7 @@ impl Kept {
         // Another build may make another model of the same trials.
         let key = [method.model_key(shape)?, program_stamp()?].map(u64::to_le_bytes);
         let key = seed::stable_hash(&[&key[0], &key[1]]);
-        let trial = |entry: &&Entry| {
-            let mut name = entry.cache_name().into_bytes();
-            name.extend(entry.stamp()?.to_le_bytes());
-            Some(name)
-        };
-        let trials: Vec<Vec<u8>> = entries.iter().map(trial).collect::<Option<_>>()?;
-        let stamp = seed::stable_hash(&trials.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let stamp = stamp(entries)?;
         // Whatever is wrong with it, the model is made anew, and the file with it.
         let (cache, _) = Cache::open(folder, &format!("{}-model", method.name()), key);
         Some(Self { cache, stamp })

@@ -1,4 +1,4 @@
-//! What the trials of a library have in common: their rates, channels and lengths.
+//! The shape of a library: the rates, channels and lengths of its sources.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Which method compares trials, and with what settings: the one way to say so.
+//! The methods by which trials are compared, with their settings: one table.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,76 +11,82 @@ use crate::scene::Scene;
 /// The most of anything that settings may count: samples, repetitions, neighbours.
 pub const MOST_COUNT: usize = 1_000_000;
 
-/// The methods.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum MethodName {
-    /// The paper's method, exactly.
-    Reference,
-    /// Fourier features and a shrinkage discriminant.
-    Embedding,
-    /// Hand-made features: Gaussian naive Bayes.
-    NaiveBayes,
-    /// Hand-made features: support vector machine with RBF kernel.
-    Svm,
-    /// Hand-made features: nearest neighbours.
-    Knn,
-    /// Hand-made features: nearest neighbours by Mahalanobis distance.
-    Mahalanobis,
-    /// Hand-made features: boosted trees.
-    Adaboost,
-    /// Hand-made features: random forest.
-    RandomForest,
-}
-
-impl MethodName {
-    /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::Reference,
-        Self::Embedding,
-        Self::NaiveBayes,
-        Self::Svm,
-        Self::Knn,
-        Self::Mahalanobis,
-        Self::Adaboost,
-        Self::RandomForest,
-    ];
-
-    /// The name as text, the same everywhere.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Reference => "reference",
-            Self::Embedding => "embedding",
-            Self::NaiveBayes => "naive-bayes",
-            Self::Svm => "svm",
-            Self::Knn => "knn",
-            Self::Mahalanobis => "mahalanobis",
-            Self::Adaboost => "adaboost",
-            Self::RandomForest => "random-forest",
+/// Defines [`MethodName`] and [`MethodSpec`] by one table. A line holds a method, its settings, its
+/// name as text, its help, and how it is built from a scene and its settings.
+macro_rules! methods {
+    ($($name:ident($options:ty) = $text:literal, $help:literal, |$scene:ident, $set:pat_param| $build:expr;)*) => {
+        /// The methods.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum MethodName {
+            $(#[doc = $help] #[serde(rename = $text)] $name,)*
         }
-    }
+
+        impl MethodName {
+            /// All methods.
+            pub const ALL: [Self; [$($text),*].len()] = [$(Self::$name),*];
+
+            /// The name as text, the same everywhere.
+            pub const fn as_str(self) -> &'static str {
+                match self { $(Self::$name => $text,)* }
+            }
+
+            /// The method in a few words.
+            pub(crate) fn help(self) -> &'static str {
+                match self { $(Self::$name => $help,)* }
+            }
+        }
+
+        /// A method with its settings.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "method")]
+        pub enum MethodSpec {
+            $(#[doc = $help] #[serde(rename = $text)] $name($options),)*
+        }
+
+        impl From<MethodName> for MethodSpec {
+            /// The method with its usual settings.
+            fn from(name: MethodName) -> Self {
+                match name { $(MethodName::$name => Self::$name(<$options>::default()),)* }
+            }
+        }
+
+        impl MethodSpec {
+            /// The name of the method.
+            pub fn name(&self) -> MethodName {
+                match self { $(Self::$name(_) => MethodName::$name,)* }
+            }
+
+            /// The method, on the sources of a scene.
+            pub fn build(&self, scene: &Scene) -> Box<dyn Method> {
+                match self {
+                    $(Self::$name($set) => {
+                        let $scene = scene.clone();
+                        Box::new($build)
+                    })*
+                }
+            }
+        }
+    };
 }
 
-/// A method with its settings.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "method", rename_all = "kebab-case")]
-pub enum MethodSpec {
-    /// The paper's method, exactly.
-    Reference(ReferenceOptions),
-    /// Fourier features and a shrinkage discriminant.
-    Embedding(EmbeddingOptions),
-    /// Gaussian naive Bayes.
-    NaiveBayes(NoOptions),
-    /// Support vector machine.
-    Svm(NoOptions),
-    /// Nearest neighbours.
-    Knn(NoOptions),
-    /// Nearest neighbours by Mahalanobis distance.
-    Mahalanobis(NoOptions),
-    /// Boosted trees.
-    Adaboost(TreeOptions),
-    /// Random forest.
-    RandomForest(TreeOptions),
+methods! {
+    Reference(ReferenceOptions) = "reference", "The paper's method, exactly",
+        |scene, options| Reference::new(scene, options.clone());
+    Embedding(EmbeddingOptions) = "embedding", "Fourier features and a shrinkage discriminant",
+        |scene, options| Embedding::new(scene, options.clone());
+    NaiveBayes(NoOptions) = "naive-bayes", "Hand-made features: Gaussian naive Bayes",
+        |scene, _| OnFeatures::new(MethodName::NaiveBayes.as_str(), scene, NaiveBayes);
+    Svm(NoOptions) = "svm", "Hand-made features: support vector machine with RBF kernel",
+        |scene, _| OnFeatures::new(MethodName::Svm.as_str(), scene, Svm);
+    Knn(NoOptions) = "knn", "Hand-made features: nearest neighbours",
+        |scene, _| OnFeatures::new(MethodName::Knn.as_str(), scene, Neighbours { distance: Distance::Euclidean });
+    Mahalanobis(NoOptions) = "mahalanobis",
+        "Hand-made features: nearest neighbours by Mahalanobis distance",
+        |scene, _| OnFeatures::new(MethodName::Mahalanobis.as_str(), scene, Neighbours { distance: Distance::Mahalanobis });
+    Adaboost(TreeOptions) = "adaboost", "Hand-made features: boosted trees",
+        |scene, options| OnFeatures::new(MethodName::Adaboost.as_str(), scene, AdaBoost { seed: options.seed });
+    RandomForest(TreeOptions) = "random-forest", "Hand-made features: random forest",
+        |scene, options| OnFeatures::new(MethodName::RandomForest.as_str(), scene, RandomForest { seed: options.seed });
 }
 
 /// Settings of a method that has none.
@@ -99,63 +105,6 @@ pub struct TreeOptions {
 impl Default for TreeOptions {
     fn default() -> Self {
         Self { seed: 1 }
-    }
-}
-
-impl From<MethodName> for MethodSpec {
-    /// The method with its usual settings.
-    fn from(name: MethodName) -> Self {
-        match name {
-            MethodName::Reference => Self::Reference(ReferenceOptions::default()),
-            MethodName::Embedding => Self::Embedding(EmbeddingOptions::default()),
-            MethodName::NaiveBayes => Self::NaiveBayes(NoOptions {}),
-            MethodName::Svm => Self::Svm(NoOptions {}),
-            MethodName::Knn => Self::Knn(NoOptions {}),
-            MethodName::Mahalanobis => Self::Mahalanobis(NoOptions {}),
-            MethodName::Adaboost => Self::Adaboost(TreeOptions::default()),
-            MethodName::RandomForest => Self::RandomForest(TreeOptions::default()),
-        }
-    }
-}
-
-impl MethodSpec {
-    /// Which method it is.
-    pub fn name(&self) -> MethodName {
-        match self {
-            Self::Reference(_) => MethodName::Reference,
-            Self::Embedding(_) => MethodName::Embedding,
-            Self::NaiveBayes(_) => MethodName::NaiveBayes,
-            Self::Svm(_) => MethodName::Svm,
-            Self::Knn(_) => MethodName::Knn,
-            Self::Mahalanobis(_) => MethodName::Mahalanobis,
-            Self::Adaboost(_) => MethodName::Adaboost,
-            Self::RandomForest(_) => MethodName::RandomForest,
-        }
-    }
-
-    /// The method, on the sources of a scene.
-    pub fn build(&self, scene: &Scene) -> Box<dyn Method> {
-        let scene = scene.clone();
-        match self {
-            Self::Reference(options) => Box::new(Reference::new(scene, options.clone())),
-            Self::Embedding(options) => Box::new(Embedding::new(scene, options.clone())),
-            Self::NaiveBayes(_) => Box::new(OnFeatures::new(scene, NaiveBayes)),
-            Self::Svm(_) => Box::new(OnFeatures::new(scene, Svm)),
-            Self::Knn(_) => {
-                let distance = Distance::Euclidean;
-                Box::new(OnFeatures::new(scene, Neighbours { distance }))
-            }
-            Self::Mahalanobis(_) => {
-                let distance = Distance::Mahalanobis;
-                Box::new(OnFeatures::new(scene, Neighbours { distance }))
-            }
-            Self::Adaboost(TreeOptions { seed }) => {
-                Box::new(OnFeatures::new(scene, AdaBoost { seed: *seed }))
-            }
-            Self::RandomForest(TreeOptions { seed }) => {
-                Box::new(OnFeatures::new(scene, RandomForest { seed: *seed }))
-            }
-        }
     }
 }
 

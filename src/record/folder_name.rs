@@ -2,21 +2,28 @@
 
 use std::fmt::Write;
 
+use crate::dataset;
+use crate::library::recording::DESCRIPTION;
 use crate::seed::stable_hash;
+use crate::trial::normal;
 
 /// Longest name in bytes; file systems allow 255, and the trial's number follows.
 const LONGEST: usize = 160;
 
 /// A folder name for a label: letters, digits, `.`, `_`, `-` and inner spaces stay, every other
-/// byte becomes `%XX`, as do dots and spaces at either end. So no label leads out of its folder,
-/// and different labels get different names.
+/// byte becomes `%XX`, as do dots and spaces at either end, and the first letter of a name that means
+/// something else. So no label leads out of its folder, and different labels get different names.
 pub(super) fn encode(label: &str) -> String {
+    let label = &*normal(label);
     let last = label.len().saturating_sub(1);
+    let is_taken = means_something_else(label);
     let mut name = String::with_capacity(label.len());
     for (at, byte) in label.bytes().enumerate() {
         let inner = at != 0 && at != last;
         match byte {
-            b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'_' | b'-' => name.push(char::from(byte)),
+            b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'_' | b'-' if at > 0 || !is_taken => {
+                name.push(char::from(byte));
+            }
             b'.' | b' ' if inner => name.push(char::from(byte)),
             // Writing to a string cannot fail.
             _ => write!(name, "%{byte:02X}").unwrap_or_default(),
@@ -31,6 +38,17 @@ pub(super) fn encode(label: &str) -> String {
     name
 }
 
+/// Whether a file or folder of this name is no surface: in a library, or on Windows, where it may be
+/// copied to.
+fn means_something_else(label: &str) -> bool {
+    let lower = label.to_ascii_lowercase();
+    let stem = lower.split('.').next().unwrap_or_default();
+    let port = stem.strip_prefix("com").or(stem.strip_prefix("lpt"));
+    let is_device = matches!(stem, "con" | "prn" | "aux" | "nul")
+        || port.is_some_and(|n| n.len() == 1 && n.bytes().all(|byte| byte.is_ascii_digit()));
+    is_device || lower == DESCRIPTION || dataset::is_layout_name(label)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -40,6 +58,18 @@ mod tests {
     fn common_labels_stay_as_they_are() {
         assert_eq!(encode("G1EpoxyRasterPlate"), "G1EpoxyRasterPlate");
         assert_eq!(encode("oak, sanded v1.2"), "oak%2C sanded v1.2");
+    }
+
+    #[test]
+    fn names_that_mean_something_else_are_escaped() {
+        assert_eq!(encode("library.toml"), "%6Cibrary.toml");
+        for label in ["SoundScans", "accelscanscomponents", "DataLMT108", "Con", "nul.oak", "COM1"]
+        {
+            assert!(encode(label).starts_with('%'), "{label}");
+        }
+        for label in ["console", "com", "com10", "sounds", "oak.library.toml"] {
+            assert_eq!(encode(label), label);
+        }
     }
 
     #[test]

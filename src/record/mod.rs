@@ -20,10 +20,11 @@ use std::path::{Path, PathBuf};
 
 use image::ImageEncoder;
 
+use crate::dataset;
 use crate::library::recording::{DESCRIPTION, UNFINISHED, number_in};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
-use crate::trial::{Image, Series, Signal, Trial, TrialKey};
+use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
 /// What is written beside a trial's data, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,8 +71,14 @@ pub fn write_library_toml(
 /// Makes sure that trials can be written into a library, making its folder if need be.
 ///
 /// # Errors
-/// If the folder cannot be made, or nothing can be written there; why, and what to do.
+/// If the folder cannot be made, nothing can be written there, or nothing that is would be read
+/// again; why, and what to do.
 pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
+    if dataset::is_foreign(dir) {
+        let problem = "this holds the LMT108 database in a layout of its own, in which trials that are \
+                       added are never read; choose another folder for them";
+        return Err(LibraryError::file(dir, problem));
+    }
     fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
     // A byte, since a full disk still takes empty files.
     let mut probe = unfinished(".probe.").tempfile_in(dir).map_err(|error| failed(dir, error))?;
@@ -167,11 +174,13 @@ impl<'a> UnfinishedTrial<'a> {
             return Err(LibraryError::file(&trial_folder(library, key), problem));
         }
         let surface = library.join(folder_name::encode(&key.surface));
-        fs::create_dir_all(&surface).map_err(|error| failed(&surface, error))?;
-        let folder = unfinished(&format!(".{}.", trial_name(key)))
-            .permissions(mode(0o777))
-            .tempdir_in(&surface)
-            .map_err(|error| failed(&surface, error))?;
+        let name = format!(".{}.", trial_name(key));
+        let create = || {
+            fs::create_dir_all(&surface)?;
+            unfinished(&name).permissions(mode(0o777)).tempdir_in(&surface)
+        };
+        // An edit may take the empty folder of a surface away at this very moment.
+        let folder = create().or_else(|_| create()).map_err(|error| failed(&surface, error))?;
         let unfinished = Self { library, surface, options, folder };
         write_signals(unfinished.folder.path(), trial, scene, options)?;
         unfinished.describe(key)?;
@@ -181,8 +190,8 @@ impl<'a> UnfinishedTrial<'a> {
     /// Writes its `trial.toml`.
     fn describe(&self, key: &TrialKey) -> Result<(), LibraryError> {
         let about = About {
-            surface: Some(key.surface.clone()),
-            user: Some(key.user.clone()),
+            surface: Some(normal(&key.surface)),
+            user: Some(normal(&key.user)),
             trial: Some(key.number),
             ..self.options.about.clone()
         };
@@ -229,11 +238,14 @@ pub(crate) fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
     dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
 }
 
-/// The first number that no folder of a surface's trials has in its name; 1 where there is none.
+/// The first number that no folder of a surface's trials, be they removed, has in its name; 1 where
+/// there is none.
 /// Others may have it in their `trial.toml`: this is for where there is no time to read those.
 pub(crate) fn number_by_names(dir: &Path, surface: &str) -> u32 {
-    let listed = fs::read_dir(dir.join(folder_name::encode(surface)));
-    let names = listed.into_iter().flatten().flatten().map(|item| item.file_name());
+    let folder = folder_name::encode(surface);
+    let folders = [dir.join(&folder), dir.join(edit::REMOVED).join(&folder)];
+    let items = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
+    let names = items.map(|item| item.file_name());
     let highest = names.filter_map(|name| number_in(name.to_str()?)).max();
     highest.map_or(1, |number| number.saturating_add(1))
 }

@@ -81,12 +81,12 @@ impl ImageTap {
         self.reckoning.position()
     }
 
-    /// What this ring has carried.
+    /// The meter of this ring.
     pub fn meter(&self) -> &Arc<Meter> {
         self.reckoning.meter()
     }
 
-    /// Whether the device is gone and all it pushed was taken.
+    /// Whether the device has ended and all its images were taken.
     pub fn exhausted(&self) -> bool {
         self.reckoning.exhausted()
     }

@@ -7,14 +7,14 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
-use super::{Meter, Stop, Stopped, Waker};
+use super::{Stop, Stopped, Waker};
 
 /// The longest time for which a waiting producer relies on being woken.
 const NAP: Duration = Duration::from_millis(2);
@@ -124,7 +124,7 @@ impl Reckoning {
 
     /// Whether the producer is gone and nothing is left to come.
     pub(super) fn exhausted(&self) -> bool {
-        // `closed` first: whatever was counted before it was set is seen after.
+        // `closed` is read first, so that all counts made before it was set are seen.
         self.meter.closed.load(Ordering::Acquire) && self.position >= self.head()
     }
 
@@ -144,7 +144,7 @@ impl Reckoning {
         None
     }
 
-    /// How many of `available` frames follow each other without a gap.
+    /// The number of the `available` frames that follow each other without a gap.
     pub(super) fn contiguous(&self, available: usize) -> usize {
         match self.stretches.try_peek() {
             Some(&(start, _)) => {
@@ -164,7 +164,7 @@ impl Reckoning {
         }
     }
 
-    /// What is missing up to `head`, once the ring was emptied of all before it.
+    /// The number of frames missing up to `head`, once the ring was emptied of all before it.
     pub(super) fn missing_before(&mut self, head: u64) -> Option<u64> {
         let missing = head.checked_sub(self.position).filter(|&frames| frames > 0)?;
         self.position = head;
@@ -175,4 +175,56 @@ impl Reckoning {
 /// Whether a ring should be emptied soon.
 pub(super) fn half_full<R: Observer>(ring: &R) -> bool {
     ring.occupied_len() * 2 >= ring.capacity().get()
+}
+
+/// Counts of one ring, readable from any thread while it works.
+///
+/// Counts are in frames (one sample of every channel) or images.
+#[derive(Debug)]
+pub struct Meter {
+    pub(super) capacity: u64,
+    /// Index of the next frame: all that were pushed or lost so far.
+    pub(super) head: AtomicU64,
+    pub(super) lost: AtomicU64,
+    pub(super) received: AtomicU64,
+    pub(super) closed: AtomicBool,
+    pub(super) waiting: AtomicBool,
+}
+
+/// Counts of a ring at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Counts {
+    /// Frames offered by the device: those in the ring, those that left it, and those lost.
+    pub pushed: u64,
+    /// Frames that came out of the ring.
+    pub received: u64,
+    /// Frames that never entered it: no room, or never arrived at the device.
+    pub lost: u64,
+    /// Frames in the ring now.
+    pub fill: u64,
+    /// Frames that the ring can hold.
+    pub capacity: u64,
+}
+
+impl Meter {
+    pub(super) fn new(capacity: usize) -> Arc<Self> {
+        Arc::new(Self {
+            capacity: capacity as u64,
+            head: AtomicU64::new(0),
+            lost: AtomicU64::new(0),
+            received: AtomicU64::new(0),
+            closed: AtomicBool::new(false),
+            waiting: AtomicBool::new(false),
+        })
+    }
+
+    /// The figures now. While frames move, `fill` may be off by those in motion; once the stream
+    /// is closed and emptied, `pushed = received + lost` exactly.
+    pub fn counts(&self) -> Counts {
+        let received = self.received.load(Ordering::Acquire);
+        let lost = self.lost.load(Ordering::Acquire);
+        let pushed = self.head.load(Ordering::Acquire);
+        let fill = pushed.saturating_sub(lost + received).min(self.capacity);
+        Counts { pushed, received, lost, fill, capacity: self.capacity }
+    }
 }

@@ -6,30 +6,30 @@
 //! of the tap, or the tap says that it is missing, at its place and in its order.
 //!
 //! A producer pushes in one of two manners:
-//! - `push` never blocks, for sensors that do not stop for anybody: what does not fit is
+//! - `push` never blocks, for sensors that cannot wait: data that do not fit are
 //!   lost, and counted;
-//! - `push_waiting` waits for room, for what can wait: nothing is lost.
+//! - `push_waiting` waits for room, for sources that can wait: nothing is lost.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crossbeam_channel::{Receiver, Sender};
 
 mod images;
 mod ledger;
-mod meter;
 mod series;
-mod stop;
 
 pub use images::ImageSink;
-pub use meter::Counts;
+pub use ledger::Counts;
 pub use series::SeriesSink;
 
 #[doc(hidden)] // For the project's own tests and tools.
 pub use series::{Piece, SeriesTap, series};
-#[doc(hidden)]
-pub use stop::{Stop, Waker};
 
 pub(crate) use images::{ImageTap, images};
-pub(crate) use meter::Meter;
-pub(crate) use stop::Stopped;
+pub(crate) use ledger::Meter;
 
-/// Where a device puts the data of one stream.
+/// The end of a ring into which a device puts the data of one stream.
 pub enum Sink {
     /// Samples in time.
     Series(SeriesSink),
@@ -60,5 +60,44 @@ impl Sink {
             Self::Images(sink) => Some(sink),
             Self::Series(_) => None,
         }
+    }
+}
+
+/// A request that threads end; clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// Requests the end; there is no way back.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    /// Whether the end was requested.
+    pub(crate) fn requested(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+/// The wait ended because the end was requested.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("stopped")]
+pub struct Stopped;
+
+/// Wakes the thread that empties the rings; clones wake the same one.
+#[derive(Clone, Debug)]
+pub struct Waker(Sender<()>);
+
+impl Waker {
+    /// A waker, and the channel on which its thread waits.
+    pub fn new() -> (Self, Receiver<()>) {
+        let (sender, receiver) = crossbeam_channel::bounded(1);
+        (Self(sender), receiver)
+    }
+
+    /// Wakes the thread, now or when it next waits. Never blocks.
+    pub(crate) fn wake(&self) {
+        // Full means that it is about to wake; disconnected, that the thread has ended.
+        let _ = self.0.try_send(());
     }
 }

@@ -22,7 +22,7 @@ pub struct SeriesTap {
     reckoning: Reckoning,
 }
 
-/// What comes out of a ring of samples, in order.
+/// A piece of a ring of samples; pieces come in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece<'a> {
     /// Interleaved samples, in whole frames.
@@ -121,12 +121,12 @@ impl SeriesTap {
         self.reckoning.position()
     }
 
-    /// What this ring has carried.
+    /// The meter of this ring.
     pub fn meter(&self) -> &Arc<Meter> {
         self.reckoning.meter()
     }
 
-    /// Whether the device is gone and all it pushed was taken.
+    /// Whether the device has ended and all its frames were taken.
     pub(crate) fn exhausted(&self) -> bool {
         self.reckoning.exhausted()
     }

@@ -22,7 +22,7 @@ const BINS: usize = 120;
 const LEAST_SPAN_S: ClockSecond = 10.0;
 /// No clock is worse; the stylus without its crystal is good to 1 %.
 const WORST_DRIFT: f64 = 0.02;
-/// This many bins in a row off the line by [`STEP_S`] are no late arrivals: the index has stepped.
+/// This many bins in a row off the line by [`STEP_S`] mean that the index has stepped.
 const STEP_BINS: usize = 3;
 const STEP_S: ClockSecond = 0.01;
 
@@ -59,7 +59,7 @@ impl Line {
 }
 
 impl Clock {
-    /// A clock of a stream with this nominal rate in Hz; a rate that is none is taken as 1 Hz.
+    /// A clock of a stream with this nominal rate in Hz; an invalid rate is taken as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }
@@ -112,7 +112,7 @@ impl Clock {
         Some((x / self.period_s - 1e-6).ceil() as u64)
     }
 
-    /// How much longer than nominal the stream's seconds are, as a fraction; 0 while unknown.
+    /// The excess length of the stream's seconds, as a fraction; 0 while unknown.
     #[cfg(test)]
     fn drift(&self) -> f64 {
         self.line.map_or(0.0, |line| line.slope)

@@ -11,11 +11,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Select};
 
-use super::cut::cut;
 use super::event_queue::EventQueue;
-use super::layout::ScanCommand;
-use super::mark::Marked;
-use super::options::Options;
+use super::marked_scan::{Marked, cut};
+use super::options::{Options, ScanCommand};
 use super::progress::{self, SnapshotLengths};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;
@@ -38,7 +36,7 @@ pub(super) struct Collector {
     /// Names of the devices, and whether each has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
-    /// How many have begun, for those outside.
+    /// The number of scans that have begun, for other threads.
     pub begun: Arc<AtomicU32>,
     /// Sets marks where the devices set none.
     pub detector: Option<ScanDetector>,
@@ -157,9 +155,9 @@ impl Collector {
                 let marks = detector.command(command, &self.streams);
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
-            None => {
-                self.event_queue.warn("a recording itself says when its scans begin and end".into())
-            }
+            None => self.event_queue.warn(
+                "the command was ignored: a recording sets the begin and end of its scans".into(),
+            ),
         }
     }
 
@@ -171,7 +169,7 @@ impl Collector {
         warnings.into_iter().for_each(|text| self.event_queue.warn(text));
     }
 
-    /// Gives up the scan in progress, if it is `of` the kind in question.
+    /// Gives up the scan in progress, if `of` holds for it.
     fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;
@@ -241,7 +239,7 @@ impl Collector {
         self.detect(ScanDetector::update);
         self.detect(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
-        // What a device that hangs has not delivered will not come.
+        // A device that hangs will not deliver the rest.
         self.drain();
         self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {

@@ -1,4 +1,5 @@
-//! Where events leave the collector: a reader that does not keep up never holds up live devices.
+//! The queue of events between the collector and its reader: a slow reader never holds up live
+//! devices.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -10,7 +11,7 @@ use crate::ring::Stop;
 
 /// Events kept for a reader that is late, besides those in the channel.
 const BACKLOG: usize = 256;
-/// How long a stop waits for the reader.
+/// The time that a stop waits for the reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 pub(super) struct EventQueue {
@@ -65,7 +66,7 @@ impl EventQueue {
         sent
     }
 
-    /// Passes on what is left over.
+    /// Passes on the backlog.
     pub fn flush(&mut self) {
         while let Some(event) = self.backlog.pop_front() {
             if let Err(back) = self.send(event) {

@@ -66,7 +66,7 @@ impl Group {
         (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
     }
 
-    /// Takes what all the streams that are `alive` have.
+    /// Takes the frames that all streams which are `alive` have.
     pub fn update(
         &mut self,
         streams: &[Stream],

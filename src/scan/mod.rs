@@ -1,17 +1,14 @@
 //! Makes scans out of streams: empties the rings, follows the marks, cuts the sources.
 //!
 //! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
-//! [`Scan`] holds nothing but what came out of the rings; what it truly is travels beside it.
+//! [`Scan`] holds only data from the rings; its true label is kept separately.
 
 pub(crate) mod clock;
 mod collect;
-mod cut;
 pub mod detect;
 mod event_queue;
 mod group;
-mod history;
-mod layout;
-mod mark;
+mod marked_scan;
 mod options;
 mod progress;
 mod scan_detector;
@@ -19,9 +16,8 @@ mod session;
 mod stream;
 mod timeline;
 
-pub use layout::{CutFrom, Detection, ScanCommand};
-pub use options::Options;
-pub use progress::{Fresh, PartialScan, Progress, Trace};
+pub use options::{CutFrom, Detection, Options, ScanCommand};
+pub use progress::{Fresh, Progress, Trace};
 pub(crate) use session::StreamMeter;
 pub use session::{Session, SessionError};
 
@@ -40,7 +36,7 @@ pub struct Scan {
     pub number: u32,
     /// The data. Its key is neutral: no surface, no user, and the number of the scan.
     pub trial: Trial,
-    /// What it truly is, where a recording says so: for reports, not for recognition.
+    /// The true label, where a recording has it: for reports, not for recognition.
     pub truth: Option<TrialKey>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
@@ -50,20 +46,16 @@ pub struct Scan {
     pub lost_samples: u64,
     /// The same for each source that was marked.
     pub lost_by_source: BTreeMap<SourceId, u64>,
-    /// For people: why the scan should not be trusted, a line each; empty if it may be. A gap of
+    /// Reasons why the scan should not be trusted, a line each; empty if there are none. A gap of
     /// at most 1 ms is bridged by repeating the frame before it, and spoils nothing.
     pub spoiled: Vec<String>,
-    /// When its last sample was taken.
+    /// The time of its last sample.
     pub ended_at: Instant,
 }
 
-#[cfg(test)]
 impl Scan {
     /// A scan of these signals, nothing lost, that has just ended; its duration is left at 0.
-    pub(crate) fn of_signals(
-        number: u32,
-        signals: BTreeMap<SourceId, crate::trial::Signal>,
-    ) -> Self {
+    pub fn of_signals(number: u32, signals: BTreeMap<SourceId, crate::trial::Signal>) -> Self {
         Self {
             number,
             trial: Trial { key: TrialKey::new("", "", number), signals },
@@ -78,7 +70,7 @@ impl Scan {
     }
 }
 
-/// What happens in a session.
+/// Events of a session.
 #[derive(Debug)]
 pub enum Event {
     /// A scan is complete.
@@ -90,20 +82,20 @@ pub enum Event {
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// What is new in the scan in progress.
+    /// New data of the scan in progress.
     Progress(Progress),
-    /// What is new in the streams, during scans and between them.
+    /// New data of the streams, during scans and between them.
     Trace(Trace),
     /// A device has changed its state.
     Device {
         /// its name
         device: String,
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
-    /// For people: something was lost, damaged or not understood, and work continues.
+    /// A warning: something was lost, damaged or not understood, and work continues.
     Warning(String),
     /// All devices have ended and all that they sent was processed; the last event.
     Finished(Totals),
@@ -114,7 +106,7 @@ pub enum Event {
 pub struct Totals {
     /// Scans that were sent.
     pub scans: u32,
-    /// What each stream carried.
+    /// Counts of each stream.
     pub streams: BTreeMap<SourceId, Counts>,
     /// Devices that failed or panicked, and why.
     pub failed: Vec<(String, String)>,

@@ -1,33 +1,34 @@
-//! How a session works.
+//! The settings of a session, and how its scans are detected and cut.
 
 use std::time::Duration;
 
-use super::layout::Detection;
+use super::detect::{DetectorConfig, SensorKind};
+use crate::scene::{Phase, SourceId};
 
-/// How a session works.
+/// The settings of a session.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// How much the ring of a series holds, in seconds at its nominal rate; at least one frame.
+    /// Length of the ring of a series, in seconds at its nominal rate; at least one frame.
     pub ring_s: f64,
-    /// How many pictures the ring of a camera holds.
+    /// Pictures that the ring of a camera holds.
     pub ring_images: usize,
     /// A [`Progress`](super::Progress) each this many seconds of drag; `Some(0.05)` makes 20 a
     /// second in real time. Off by default.
     pub progress_every_s: Option<f64>,
     /// A [`Trace`](super::Trace) each this many seconds of real time. Off by default.
     pub trace_every_s: Option<f64>,
-    /// How much of each stream is kept for marks that look back, in seconds.
+    /// Length of each stream that is kept for marks that look back, in seconds.
     pub lookback_s: f64,
-    /// How long a scan may last, in seconds. One that was detected or begun by command ends then; of
+    /// The longest scan, in seconds. A scan that was detected or begun by command ends then; of
     /// a recorded one that is longer, the rest is lost.
     pub longest_scan_s: f64,
-    /// How long after its end a scan waits for data that do not come.
+    /// The time that a scan waits after its end for missing data.
     pub deliver_limit: Duration,
-    /// How long a stop waits for a device.
+    /// The time that a stop waits for a device.
     pub stop_limit: Duration,
-    /// How many events wait for their reader.
+    /// Events that wait for their reader.
     pub events: usize,
-    /// How scans are detected in streams that carry no marks. Off by default.
+    /// The detection of scans in streams that carry no marks. Off by default.
     pub detection: Option<Detection>,
 }
 
@@ -46,4 +47,38 @@ impl Default for Options {
             detection: None,
         }
     }
+}
+
+/// The detection of scans, and the sources that are cut for them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Thresholds of taps and drags.
+    pub detector: DetectorConfig,
+    /// Streams that show contact, by device: those of one group share one sample counter and one
+    /// rate. The first group whose data arrive leads.
+    pub groups: Vec<Vec<(SourceId, SensorKind)>>,
+    /// The sources of a scan.
+    pub cuts: Vec<CutFrom>,
+}
+
+/// A source of a scan, and the stream that it is cut from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CutFrom {
+    /// The source.
+    pub source: SourceId,
+    /// Its stream.
+    pub stream: SourceId,
+    /// The part of the scan.
+    pub phase: Phase,
+    /// The number of the stream's channels, from the first one, that belong to the source.
+    pub channels: usize,
+}
+
+/// A command of a person or a program, which a detector does not overrule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScanCommand {
+    /// A drag begins now; a scan in progress that was detected then ends by command alone.
+    Begin,
+    /// The scan in progress ends now.
+    End,
 }

@@ -1,16 +1,14 @@
-//! What a scan holds so far, in steps of scan time: each snapshot carries only what is new.
+//! Snapshots of a scan in progress, in steps of scan time: each carries only the new data.
 //!
 //! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
-//! so a reader that adds them up ([`PartialScan`]) always has the scan without a gap.
+//! so a reader that adds them up always has the scan without a gap.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::history::narrow;
-use super::mark::{Marked, SourceSpan};
-use super::stream::{Stream, StreamBuffer};
+use super::marked_scan::{Marked, SourceSpan};
+use super::stream::{Stream, StreamBuffer, narrow};
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Image, Series, Signal, Trial, TrialKey};
+use crate::trial::{Image, TrialKey};
 
 /// New frames of one source, or of one stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +25,7 @@ pub struct Fresh {
     pub samples: Vec<f32>,
 }
 
-/// What is new in the scan in progress.
+/// New data of the scan in progress.
 #[derive(Clone, Debug)]
 pub struct Progress {
     /// Number of the scan.
@@ -56,50 +54,13 @@ impl Progress {
     }
 }
 
-/// What is new in the streams, during scans and between them.
+/// New data of the streams, during scans and between them.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// New frames, a stream each.
     pub fresh: Vec<Fresh>,
     /// The latest picture of each camera stream that has a new one.
     pub images: Vec<(SourceId, Arc<Image>)>,
-}
-
-/// Adds up the snapshots of a scan.
-#[derive(Clone, Debug, Default)]
-pub struct PartialScan {
-    number: u32,
-    series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
-    images: BTreeMap<SourceId, Arc<Image>>,
-}
-
-impl PartialScan {
-    /// Adds a snapshot; one of another scan starts again.
-    pub fn add(&mut self, progress: &Progress) {
-        if self.number != progress.number {
-            *self = Self { number: progress.number, ..Self::default() };
-        }
-        for fresh in &progress.fresh {
-            let begin = || (fresh.rate_hz, fresh.channels, Vec::new());
-            let (_, _, samples) = self.series.entry(fresh.source.clone()).or_insert_with(begin);
-            samples.extend_from_slice(&fresh.samples);
-        }
-        self.images.extend(progress.images.iter().cloned());
-    }
-
-    /// The scan so far. Sources without usable data are left out.
-    pub fn trial(&self) -> Trial {
-        let series = self.series.iter().filter_map(|(id, (rate_hz, channels, samples))| {
-            let series = Series::new(*rate_hz, *channels, samples.clone()).ok()?;
-            Some((id.clone(), Signal::Series(series)))
-        });
-        let images = self.images.iter().map(|(id, image)| {
-            let image = Arc::unwrap_or_clone(image.clone());
-            (id.clone(), Signal::Image(image))
-        });
-        let key = TrialKey::new("", "", self.number);
-        Trial { key, signals: series.chain(images).collect() }
-    }
 }
 
 impl SourceSpan {
@@ -184,7 +145,7 @@ pub(super) fn sent(marked: &mut Marked, step: u64, lengths: &SnapshotLengths) {
     }
 }
 
-/// How much a snapshot holds of each source.
+/// The lengths of a snapshot, by source.
 pub(super) struct SnapshotLengths(Vec<(SourceId, u64)>);
 
 impl SnapshotLengths {
@@ -198,7 +159,7 @@ impl SnapshotLengths {
     }
 }
 
-/// What is new in the streams since each was last traced, and up to where.
+/// The new data of the streams since each was last traced, and the ends of these data.
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {

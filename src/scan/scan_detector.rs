@@ -8,7 +8,7 @@
 
 use super::detect::{DetectorEvent, HOP_S, onset_in};
 use super::group::Group;
-use super::layout::{CutFrom, Detection, ScanCommand};
+use super::options::{CutFrom, Detection, ScanCommand};
 use super::stream::{Stream, StreamBuffer};
 use super::timeline::Timeline;
 use crate::device::{Begin, Mark, Open};
@@ -96,7 +96,7 @@ impl ScanDetector {
         }
         if self.scan.as_ref().is_some_and(|scan| now_s - scan.begun_s >= self.longest_scan_s) {
             let longest_s = self.longest_scan_s;
-            let text = format!("a scan was ended after {longest_s} s, the longest that is kept");
+            let text = format!("a scan was ended after {longest_s} s, the longest allowed");
             self.warnings.push(text);
             self.end_now(streams, now_s, &mut marks);
         }
@@ -129,7 +129,7 @@ impl ScanDetector {
                 }
             }
         }
-        // What has not arrived by now is not lost, but was never sampled.
+        // Frames that have not arrived by now were never sampled; they are not lost.
         for mark in &mut marks {
             let Mark::Close { source, end } = mark else { continue };
             let placed = self.cuts.iter().find(|placed| placed.cut.source == *source);
@@ -138,7 +138,7 @@ impl ScanDetector {
         marks
     }
 
-    /// What was not as it should be since the last call, for people.
+    /// Warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }
@@ -259,7 +259,7 @@ impl ScanDetector {
         }
     }
 
-    /// When a hop of a group began.
+    /// The time at which a hop of a group began.
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
         self.timeline.time_s(group.channels[0].0, group.frame(hop))

@@ -1,4 +1,4 @@
-//! Runs devices and their collector, each on a thread of its own, and ends them again.
+//! Runs devices and their collector, each on its own thread, and ends them.
 
 use std::any::Any;
 use std::collections::{BTreeSet, VecDeque};
@@ -11,13 +11,12 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
 use super::event_queue::EventQueue;
-use super::layout::ScanCommand;
-use super::options::Options;
+use super::options::{Options, ScanCommand};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;
 use super::{Event, Totals};
 use crate::device::{
-    Control, Device, DeviceError, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
+    Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
 };
 use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
@@ -25,24 +24,24 @@ use crate::scene::SourceId;
 /// Reports under way before a device waits.
 const REPORTS: usize = 1024;
 
-/// Why a session cannot start or end.
+/// Errors of the start and the end of a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// two streams of one name
     #[error("two devices have a stream called {0}; rename one of them in the configuration")]
     SameStream(SourceId),
-    /// an interval that is none
+    /// not a valid interval
     #[error("{what} = {value}; expected a positive number of seconds")]
     Seconds {
         /// which option
         what: &'static str,
-        /// what it was
+        /// its value
         value: f64,
     },
     /// the system gave no thread
-    #[error("no thread for {name}: {error}")]
+    #[error("cannot start the thread {name}: {error}")]
     Thread {
-        /// what it was for
+        /// its purpose
         name: String,
         /// what the system said
         error: std::io::Error,
@@ -52,7 +51,7 @@ pub enum SessionError {
     Collector(String),
 }
 
-/// What one stream carries, readable while it does.
+/// The counts of one stream, readable at any time.
 #[derive(Clone, Debug)]
 pub struct StreamMeter {
     /// The stream.
@@ -86,7 +85,7 @@ impl Session {
     /// Starts the devices.
     ///
     /// # Errors
-    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
+    /// If two streams have one name, an option is impossible, or a thread cannot be started. A
     /// device that fails is no error here: it ends in an event.
     pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
         check(&options)?;
@@ -133,7 +132,7 @@ impl Session {
             commands: cued,
         };
         let collector = spawn("collector", move || {
-            // However it ends, no device may wait for it any longer.
+            // After its end, in whatever way, no device may wait for it.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;
@@ -149,21 +148,21 @@ impl Session {
         };
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
-            let control = Control::new(index, session.stop.clone(), report.clone());
+            let link = DeviceLink::new(index, session.stop.clone(), report.clone());
             let report = report.clone();
             // If there is no thread, dropping the session stops those that run.
-            let thread = spawn(&name, move || run(device, sinks, &control, index, &report))?;
+            let thread = spawn(&name, move || run(device, sinks, &link, index, &report))?;
             session.devices.push((name, thread));
         }
         Ok(session)
     }
 
-    /// What happens; ends after [`Event::Finished`]. All clones draw from one queue.
+    /// The events; they end after [`Event::Finished`]. All clones draw from one queue.
     pub fn events(&self) -> &Receiver<Event> {
         &self.events
     }
 
-    /// What each stream carries.
+    /// A meter for each stream.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
     }
@@ -279,11 +278,11 @@ fn spawn<T: Send + 'static>(
 fn run(
     mut device: Box<dyn Device>,
     mut sinks: Vec<Sink>,
-    control: &Control,
+    link: &DeviceLink,
     index: usize,
     reports: &Sender<DeviceReport>,
 ) {
-    let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, control)));
+    let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, link)));
     let result = ran.unwrap_or_else(|panic| {
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
         Err(DeviceError::Failed(problem))

@@ -1,17 +1,18 @@
-//! The collector's end of one stream: its ring, and what is kept of what came out of it.
+//! The collector's end of one stream: its ring, and the recent frames that came out of it.
 
+use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Arc;
 
-use super::history::{ImageHistory, SeriesHistory};
-use crate::ring::{ImageTap, Meter, SeriesTap};
+use crate::ring::{ImageTap, Meter, Piece, SeriesTap};
 use crate::scene::SourceId;
+use crate::trial::Image;
 
 /// Pictures that are kept for marks to come.
 const RECENT_IMAGES: u64 = 8;
 /// Pictures that are kept at most.
 const MOST_IMAGES: usize = 64;
 
-/// One stream.
 pub(super) struct Stream {
     id: SourceId,
     /// Number of its device: streams of one device and one rate share one sample counter.
@@ -125,5 +126,197 @@ impl Stream {
                 history.forget_before(keep, MOST_IMAGES);
             }
         }
+    }
+}
+
+/// The latest frames of a series. A missing frame is stood in for by the one before it, so that an
+/// index always means the same moment; the stretches that were missing are remembered.
+#[derive(Debug)]
+pub struct SeriesHistory {
+    channels: usize,
+    /// Index of the first frame that is kept.
+    base: u64,
+    samples: Vec<f32>,
+    /// In order, not touching each other.
+    missing: VecDeque<Range<u64>>,
+}
+
+impl SeriesHistory {
+    /// An empty history of a stream of `channels` samples a frame.
+    pub fn new(channels: usize) -> Self {
+        Self { channels, base: 0, samples: Vec::new(), missing: VecDeque::new() }
+    }
+
+    /// Samples a frame.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Index of the first frame that is kept.
+    pub fn start(&self) -> u64 {
+        self.base
+    }
+
+    /// Index after the last frame.
+    pub fn end(&self) -> u64 {
+        self.base + (self.samples.len() / self.channels) as u64
+    }
+
+    /// Interleaved samples of the frames `span`, as far as they are kept, and the first index.
+    pub fn frames(&self, span: Range<u64>) -> (u64, &[f32]) {
+        let start = span.start.clamp(self.base, self.end());
+        let end = span.end.clamp(start, self.end());
+        let at = |index: u64| (index - self.base) as usize * self.channels;
+        (start, &self.samples[at(start)..at(end)])
+    }
+
+    /// The stretches within `span` that were missing.
+    pub fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
+        self.missing
+            .iter()
+            .map(move |gap| gap.start.max(span.start)..gap.end.min(span.end))
+            .filter(|gap| gap.start < gap.end)
+    }
+
+    /// Adds what came out of the ring. A gap of more than `most` frames is not filled: what was
+    /// before it is forgotten instead.
+    pub(super) fn extend(&mut self, piece: Piece<'_>, most: u64) {
+        match piece {
+            Piece::Samples(samples) => self.samples.extend_from_slice(samples),
+            Piece::Missing(frames) => {
+                let (start, end) = (self.end(), self.end() + frames);
+                match self.missing.back_mut() {
+                    Some(last) if last.end == start => last.end = end,
+                    _ => self.missing.push_back(start..end),
+                }
+                if frames > most {
+                    self.samples.clear();
+                    self.base = end;
+                    return;
+                }
+                let last = match self.samples.len() {
+                    0 => vec![0.0; self.channels],
+                    len => self.samples[len - self.channels..].to_vec(),
+                };
+                for _ in 0..frames {
+                    self.samples.extend_from_slice(&last);
+                }
+            }
+        }
+        // Many gaps may come in one turn, before anything is forgotten.
+        if self.samples.len() as u64 / self.channels as u64 > most.saturating_mul(2) {
+            self.forget_before(self.end() - most);
+        }
+    }
+
+    /// Forgets frames before `keep`; in large steps, so that it costs little.
+    pub(super) fn forget_before(&mut self, keep: u64) {
+        let old = keep.min(self.end()).saturating_sub(self.base) as usize;
+        if old * 2 * self.channels < self.samples.len() || old == 0 {
+            return;
+        }
+        self.samples.drain(..old * self.channels);
+        // After a burst, its room is given back.
+        if self.samples.capacity() > 8 * self.samples.len() {
+            self.samples.shrink_to(2 * self.samples.len());
+        }
+        self.base += old as u64;
+        while self.missing.front().is_some_and(|gap| gap.end <= self.base) {
+            self.missing.pop_front();
+        }
+    }
+}
+
+/// The latest pictures of a camera.
+#[derive(Debug, Default)]
+pub struct ImageHistory {
+    images: VecDeque<(u64, Arc<Image>)>,
+    end: u64,
+}
+
+impl ImageHistory {
+    /// Index after the last picture.
+    pub fn end(&self) -> u64 {
+        self.end
+    }
+
+    /// The picture with an index, unless it was lost or forgotten.
+    pub fn get(&self, index: u64) -> Option<&Arc<Image>> {
+        self.images.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
+    }
+
+    /// The latest picture and its index.
+    pub fn latest(&self) -> Option<&(u64, Arc<Image>)> {
+        self.images.back()
+    }
+
+    pub(super) fn push(&mut self, index: u64, image: Arc<Image>) {
+        self.images.push_back((index, image));
+    }
+
+    pub(super) fn reach(&mut self, end: u64) {
+        self.end = end;
+    }
+
+    /// Forgets pictures before `keep`, and more than `most`.
+    pub(super) fn forget_before(&mut self, keep: u64, most: usize) {
+        while self.images.front().is_some_and(|(at, _)| *at < keep) || self.images.len() > most {
+            self.images.pop_front();
+        }
+    }
+}
+
+/// The first `channels` of frames that have `wide` channels.
+pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
+    if wide == channels {
+        return samples.to_vec();
+    }
+    samples.chunks(wide).flat_map(|frame| &frame[..channels]).copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_keeps_its_length_in_time() {
+        let mut history = SeriesHistory::new(2);
+        history.extend(Piece::Samples(&[1.0, 2.0]), 100);
+        history.extend(Piece::Missing(1), 100);
+        history.extend(Piece::Missing(1), 100);
+        history.extend(Piece::Samples(&[3.0, 4.0]), 100);
+        assert_eq!(history.frames(0..9), (0, &[1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0][..]));
+        assert_eq!(history.missing_in(2..9).collect::<Vec<_>>(), vec![2..3]);
+        assert_eq!(history.missing_in(0..9).collect::<Vec<_>>(), vec![1..3]);
+    }
+
+    #[test]
+    fn gaps_that_come_all_at_once_fill_no_more_than_twice_the_longest_scan() {
+        let mut history = SeriesHistory::new(7);
+        for _ in 0..1000 {
+            history.extend(Piece::Samples(&[1.0; 7]), 1000);
+            history.extend(Piece::Missing(999), 1000);
+        }
+        assert_eq!(history.end(), 1_000_000);
+        assert!(history.end() - history.start() <= 2000, "{}", history.start());
+        assert!(history.samples.capacity() <= 7 * 8000);
+        assert!(history.missing.len() <= 3);
+    }
+
+    #[test]
+    fn a_gap_that_is_too_long_is_not_filled() {
+        let mut history = SeriesHistory::new(1);
+        history.extend(Piece::Samples(&[1.0]), 10);
+        history.extend(Piece::Missing(1_000_000_000_000), 10);
+        history.extend(Piece::Samples(&[2.0]), 10);
+        assert_eq!(history.frames(0..u64::MAX), (1_000_000_000_001, &[2.0][..]));
+    }
+
+    #[test]
+    fn forgetting_leaves_indices_as_they_are() {
+        let mut history = SeriesHistory::new(1);
+        history.extend(Piece::Samples(&[0.0, 1.0, 2.0, 3.0]), 10);
+        history.forget_before(3);
+        assert_eq!((history.start(), history.frames(3..4)), (3, (3, &[3.0][..])));
     }
 }

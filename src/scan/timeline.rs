@@ -1,4 +1,4 @@
-//! When the frames of each stream were sampled, on the one time base of a session.
+//! The times at which the frames of each stream were sampled, on the one time base of a session.
 
 use std::time::{Duration, Instant};
 
@@ -17,7 +17,7 @@ pub(super) struct Timeline {
     streams: Vec<Arrivals>,
 }
 
-/// What is known of one stream.
+/// Arrivals of one stream.
 struct Arrivals {
     clock: Clock,
     /// Index after its last frame, and when that arrived.
@@ -65,7 +65,7 @@ impl Timeline {
         now_s - self.streams[stream].at_s > GONE_S
     }
 
-    /// When a frame was sampled; none before the stream's first arrival.
+    /// The time at which a frame was sampled; `None` before the stream's first arrival.
     pub fn time_s(&self, stream: usize, frame: u64) -> Option<ClockSecond> {
         self.streams[stream].clock.time_s(frame)
     }

@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Colour, Domain, Phase, Scene, SceneError, SourceId, SourceSpec};
 
-/// What a file said.
+/// A file as it stands.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SceneFile {
     format: toml::Spanned<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     name: Option<String>,
-    /// Text for people; carries no meaning for the program.
+    /// A text for readers of the file, which the program ignores.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     notes: Option<String>,
     /// A library that was made by a generator says so.
@@ -31,7 +31,7 @@ enum DomainName {
     Image,
 }
 
-/// What a file said of one source.
+/// One source as a file describes it.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
@@ -77,11 +77,6 @@ impl Scene {
         parse(text)
     }
 
-    /// The scene as TOML, in the form that [`Scene::from_toml`] reads.
-    pub fn to_toml(&self) -> String {
-        write(self, false)
-    }
-
     /// The scene as the `library.toml` of a library, in the form that
     /// [`LibraryToml::parse`] reads.
     pub fn to_library_toml(&self, synthetic: bool) -> String {
@@ -94,7 +89,7 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// What the `library.toml` of a library says.
+/// The content of a `library.toml`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
     /// The sources that it describes, and the library's name.
@@ -182,7 +177,7 @@ fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Opti
 }
 
 impl SourceBlock {
-    /// What was said, and for the rest what `default` says, if it is of the same domain.
+    /// This description, completed from `default` if that is of the same domain.
     fn over(&self, default: Option<&SourceSpec>) -> Self {
         let Some(default) = default.map(Self::from_spec) else { return self.clone() };
         if self.domain.is_some() && self.domain != default.domain {
@@ -306,4 +301,87 @@ fn write(scene: &Scene, synthetic: bool) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_embedded_scene_holds_the_eight_sources() {
+        let scene = Scene::lmt108();
+        let names: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
+        assert_eq!(names, ["ac", "ca1", "ca2", "fr", "ir", "me", "mi1", "mi2"]);
+        assert_eq!(scene.get("me").unwrap().sigma, Some(1.0));
+    }
+
+    #[test]
+    fn a_scene_survives_being_written() {
+        let scene = Scene::lmt108();
+        assert_eq!(parse(&scene.to_library_toml(false)).unwrap(), scene);
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_with_its_line() {
+        let text = "format = 1\n[sources.pac]\ndomain = \"time\"\nalign = true\n";
+        let error = parse(text).unwrap_err().to_string();
+        assert!(error.contains("line 4") && error.contains("align"), "{error}");
+    }
+
+    #[test]
+    fn an_impossible_band_is_refused_with_its_line() {
+        let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [9, 1]\n";
+        let error = parse(text).unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.contains("low < high"), "{error}");
+    }
+
+    #[test]
+    fn numbers_that_nothing_could_work_with_are_refused() {
+        for (line, part) in [
+            ("rate_hz = 1e300", "rate_hz"),
+            ("rate_hz = 0", "rate_hz"),
+            ("rate_hz = nan", "rate_hz"),
+            ("channels = 0", "channels"),
+            ("channels = 1000000000000", "channels"),
+            ("weight = 1e300", "weight"),
+            ("weight = -1", "weight"),
+            ("sigma = 1e-300", "sigma"),
+            ("score_offset = inf", "score_offset"),
+        ] {
+            let text = format!("format = 1\n\n[sources.pac]\ndomain = \"time\"\n{line}\n");
+            let error = parse(&text).unwrap_err().to_string();
+            assert!(error.contains("line 3") && error.contains(part), "{line}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_source_that_the_defaults_know_needs_only_what_differs() {
+        let of = |lines: &str, name: &str| {
+            let text = format!("format = 1\n[sources.{name}]\n{lines}\n");
+            let parsed = LibraryToml::parse(&text, &Scene::lmt108());
+            parsed.map(|library| library.sources.get(name).unwrap().clone())
+        };
+        let default = |name: &str| Scene::lmt108().get(name).unwrap().clone();
+        let stereo = of("channels = 2", "mi2").unwrap();
+        assert_eq!(stereo, SourceSpec { channels: 2, rate_hz: None, ..default("mi2") });
+        let band = of("band_hz = [50, 5000]", "mi2").unwrap();
+        assert_eq!(band.domain, Domain::Spectrum { band_hz: (50.0, 5000.0) });
+        assert!(band.align_mean && band.what == "sound while dragging");
+        let anew = of("domain = \"time\"", "mi2").unwrap();
+        assert!(
+            !anew.align_mean && anew.domain == Domain::Time,
+            "another domain is another source"
+        );
+        let unknown = of("channels = 2", "pac").unwrap_err().to_string();
+        assert!(unknown.contains("line 2") && unknown.contains("domain = \"time\""), "{unknown}");
+        assert_eq!(of("domain = \"image\"", "top").unwrap().channels, 3);
+    }
+
+    #[test]
+    fn a_band_above_half_the_rate_is_refused() {
+        let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [1500, 3000]\n";
+        let scene = parse(text).unwrap();
+        let spec = scene.get("pac").unwrap();
+        assert!(spec.check_rate(6000.0).is_ok());
+        assert!(spec.check_rate(2000.0).unwrap_err().contains("lower its upper end to 1000"));
+        let error = parse(&format!("{text}rate_hz = 2000\n")).unwrap_err().to_string();
+        assert!(error.contains("above half"), "{error}");
+    }
+}

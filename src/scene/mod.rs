@@ -1,13 +1,11 @@
-//! What the sources of a station are. A source is a row of configuration, not a case in the code.
+//! The sources of a station. A source is a row of configuration, not a case in the code.
 //!
 //! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
 //! works with.
 
 pub(crate) mod config;
-mod error;
 
 pub use config::LibraryToml;
-pub use error::SceneError;
 
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
@@ -61,7 +59,7 @@ impl Borrow<str> for SourceId {
     }
 }
 
-/// How samples are drawn from a source.
+/// The domain in which samples are drawn from a source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
@@ -85,7 +83,7 @@ impl Domain {
     }
 }
 
-/// What of a pixel is compared.
+/// The part of a pixel that is compared.
 #[derive(
     Clone,
     Copy,
@@ -132,15 +130,15 @@ pub enum Phase {
 pub struct SourceSpec {
     /// Short name, also that of its files.
     pub id: SourceId,
-    /// For people.
+    /// A name for messages.
     pub what: String,
     /// The physical sensor.
     pub sensor: String,
     /// The part of a scan it is cut from.
     pub phase: Phase,
-    /// How samples are drawn.
+    /// The domain in which samples are drawn.
     pub domain: Domain,
-    /// What of each pixel is compared; says nothing where the domain is no image.
+    /// The part of each pixel that is compared; it has no meaning where the domain is not an image.
     pub colour: Colour,
     /// Number of channels.
     pub channels: usize,
@@ -178,7 +176,7 @@ impl SourceSpec {
 /// The sources of a station, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// For people.
+    /// A name for messages.
     pub name: String,
     sources: BTreeMap<SourceId, SourceSpec>,
 }
@@ -226,4 +224,41 @@ impl Scene {
     pub fn sources(&self) -> impl ExactSizeIterator<Item = &SourceSpec> {
         self.sources.values()
     }
+}
+
+/// Errors of a description of sources.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// not TOML, an unknown key, a missing one, a wrong type
+    #[error("{0}")]
+    Toml(#[from] toml::de::Error),
+    /// a format of the future
+    #[error("line {line}: format = {found}, but this program reads format 1; update surfaced")]
+    Format {
+        /// line, counted from 1
+        line: usize,
+        /// what the file says
+        found: u32,
+    },
+    /// a source that cannot be
+    #[error("line {line}: source `{source_name}`: {problem}")]
+    Source {
+        /// line of the source's table, counted from 1
+        line: usize,
+        /// its name
+        source_name: String,
+        /// what is wrong, and what was expected
+        problem: String,
+    },
+    /// a name that cannot name a file
+    #[error("`{0}` cannot name a source; use letters, digits, `_` and `-`")]
+    SourceName(String),
+    /// a source that the scene does not have
+    #[error("no source is called `{name}`; there are: {known}")]
+    UnknownSource {
+        /// what was named
+        name: String,
+        /// what there is
+        known: String,
+    },
 }

@@ -1,4 +1,4 @@
-//! Connections: how many, how long, how large.
+//! Accepts connections within limits of number, time and size.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -21,14 +21,13 @@ use tokio_io_timeout::TimeoutStream;
 use super::api;
 use super::client::{Peer, neighbourhood};
 use super::hub::Hub;
-use super::limits::Limits;
-use super::settings::Settings;
+use super::settings::{Limits, Settings};
 
 /// The largest head of a request, in bytes.
 const LARGEST_HEAD: usize = 16 << 10;
 /// The most header fields of a request.
 const MOST_HEADERS: usize = 64;
-/// How long to wait where the system gives no connection, as when files have run out.
+/// The pause after the system gave no connection, for example because no file handles are left.
 const NO_CONNECTION: Duration = Duration::from_millis(100);
 
 /// Serves until `stop`.
@@ -62,7 +61,7 @@ pub async fn serve(
     }
 }
 
-/// Places for connections: some for each address, and for all together.
+/// Places for connections, limited for each address and in total.
 struct Places {
     all: usize,
     an_address: usize,
@@ -83,7 +82,7 @@ impl Places {
         Self { all, an_address, proxies, taken: Mutex::default() }
     }
 
-    /// One place more, if the address may have one. Proxies speak for many, so only the limit for
+    /// Takes a place, if the address may have one. Proxies speak for many, so only the limit for
     /// all holds for them.
     fn take(places: &Arc<Self>, address: IpAddr) -> Option<ConnectionPlace> {
         let taken = &mut *places.taken();
@@ -130,7 +129,7 @@ async fn connection(stream: TcpStream, peer: Peer, router: Router, limits: Limit
         .max_buf_size(LARGEST_HEAD)
         .max_headers(MOST_HEADERS)
         .serve_connection(TokioIo::new(Box::pin(stream)), service);
-    // A client that goes away, or sends what is no request, ends its own connection alone.
+    // A client that goes away, or sends an invalid request, ends only its own connection.
     let _ = serving.await;
 }
 

@@ -1,4 +1,4 @@
-//! The interface for programs: what is at which path.
+//! The interface for programs and the files of the page: the handler of each path.
 
 use std::sync::Arc;
 
@@ -9,17 +9,15 @@ use axum::extract::{DefaultBodyLimit, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Json, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use serde::{Deserialize, Serialize};
 
 use super::guard::{Guard, guard};
 use super::hub::{Hub, Undelivered};
-use super::limits::LARGEST_BODY;
-use super::problem::Problem;
-use super::request::Shared;
-use super::settings::Settings;
+use super::request::{Problem, Shared};
+use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
-use super::{metrics, order, page, scans, shelf};
+use super::{library, metrics, order, scans};
 use crate::station::Command;
 
 impl From<Undelivered> for Problem {
@@ -38,7 +36,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
         .merge(scans::router())
-        .merge(shelf::router())
+        .merge(library::router())
         .route("/library", get(library))
         .route("/events", get(events))
         .route("/openapi.json", get(open_api))
@@ -60,8 +58,8 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .nest("/api/v1", api)
         .route("/metrics", get(all_metrics))
         .route("/healthz", get(health));
-    for (path, content_type, text) in page::FILES {
-        router = router.route(path, page::file(content_type, text));
+    for (path, content_type, text) in FILES {
+        router = router.route(path, file(content_type, text));
     }
     router
         .fallback(|| async { Problem::NotFound })
@@ -103,7 +101,7 @@ async fn enroll(
     send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
 }
 
-/// What is at which path, for programs that read it.
+/// The description of all paths, for programs.
 async fn open_api() -> Response {
     ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
@@ -133,4 +131,32 @@ async fn health(State(hub): Shared) -> Response {
         true => (StatusCode::SERVICE_UNAVAILABLE, "ended"),
     };
     (status, Json(Health { status: text })).into_response()
+}
+
+/// (path, content type, text) of each file.
+const FILES: [(&str, &str, &str); 14] = [
+    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
+    ("/review.css", "text/css; charset=utf-8", include_str!("page/review.css")),
+    ("/dom.js", "text/javascript; charset=utf-8", include_str!("page/dom.js")),
+    ("/answer.js", "text/javascript; charset=utf-8", include_str!("page/answer.js")),
+    ("/history.js", "text/javascript; charset=utf-8", include_str!("page/history.js")),
+    ("/precision.js", "text/javascript; charset=utf-8", include_str!("page/precision.js")),
+    ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),
+    ("/shelf.js", "text/javascript; charset=utf-8", include_str!("page/shelf.js")),
+    ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
+    ("/camera.js", "text/javascript; charset=utf-8", include_str!("page/camera.js")),
+    ("/draw.js", "text/javascript; charset=utf-8", include_str!("page/draw.js")),
+    ("/favicon.svg", "image/svg+xml", include_str!("page/favicon.svg")),
+];
+
+/// Answers with one of them.
+fn file<S: Clone + Send + Sync + 'static>(
+    content_type: &'static str,
+    text: &'static str,
+) -> MethodRouter<S> {
+    // After an update of the program, no browser shows the old page.
+    let headers = [(CONTENT_TYPE, content_type), (CACHE_CONTROL, "no-cache")];
+    get(move || async move { (headers, text).into_response() })
 }

@@ -1,4 +1,4 @@
-//! Who sends a request: the address on the line, or the one that a trusted proxy names.
+//! The sender of a request: the address of the connection, or the one that a trusted proxy names.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
@@ -9,10 +9,9 @@ use axum::http::HeaderMap;
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub SocketAddr);
 
-/// Who sends a request.
+/// The sender of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Client {
-    /// The address.
     pub address: IpAddr,
     /// Whether the client speaks TLS, to a trusted proxy.
     pub tls: bool,
@@ -39,13 +38,14 @@ impl Client {
     }
 }
 
-/// What stands between the commas of all header lines of a name.
+/// The parts between commas of all header lines of a name.
 fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str> {
     let lines = headers.get_all(name).into_iter().filter_map(|value| value.to_str().ok());
     lines.flat_map(|line| line.split(',')).map(str::trim)
 }
 
-/// What counts as one address: of IPv6, the network of 64 bits that one subscriber line has.
+/// The address by which a client is counted: of IPv6, the network of 64 bits that one subscriber
+/// line has.
 pub fn neighbourhood(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => {

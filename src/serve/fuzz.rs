@@ -15,9 +15,7 @@ use tokio::runtime::Runtime;
 use tower_service::Service;
 
 use super::hub::Hub;
-use super::limits::{LARGEST_BODY, Limits};
-use super::settings::Settings;
-use super::token::Token;
+use super::settings::{LARGEST_BODY, Limits, Settings, Token};
 use super::{api, label};
 use crate::station::Command;
 
@@ -105,7 +103,7 @@ thread_local! {
 ///
 /// # Panics
 /// If an answer is not as it must be: an error of the server's own, an order that was not allowed or
-/// whose labels could mean a path, JSON that is none.
+/// whose labels could mean a path, invalid JSON.
 pub fn send(bytes: &[u8]) {
     SERVERS.with_borrow_mut(|servers| {
         for (server, secret) in servers.iter_mut().zip([None, Some(SECRET)]) {

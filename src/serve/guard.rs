@@ -1,6 +1,7 @@
-//! Which requests pass: rate, token, host, origin; and what every answer carries.
+//! Decides which requests pass, by rate, token, host and origin, and adds headers to every answer.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
+use std::hash::Hash;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -14,17 +15,13 @@ use axum::http::header::{
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{AppendHeaders, IntoResponse, Response};
-
 use rand::TryRng;
 use rand::rngs::SysRng;
 
 use super::client::{Client, neighbourhood};
 use super::hub::Hub;
-use super::limits::Limits;
-use super::problem::Problem;
-use super::settings::Settings;
-use super::token::Token;
-use super::token_buckets::Rates;
+use super::request::Problem;
+use super::settings::{Limits, Settings, Token};
 
 /// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "surfaced_token";
@@ -35,7 +32,7 @@ const MOST_SESSIONS: usize = 1024;
 /// Refusals a minute that are logged one by one.
 const LOGGED: u32 = 10;
 
-/// The page needs its own files and nothing else; nobody may frame it.
+/// The page needs its own files only; no other page may frame it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
                       media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'none'";
@@ -49,7 +46,7 @@ const HEADERS: [(HeaderName, &str); 6] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// What every request must pass.
+/// The checks of every request.
 #[derive(Debug)]
 pub struct Guard {
     hub: Arc<Hub>,
@@ -57,12 +54,12 @@ pub struct Guard {
     budgets: Mutex<Budgets>,
 }
 
-/// How often who may do what.
+/// Rates of requests and of wrong tokens, by client.
 #[derive(Debug)]
 struct Budgets {
-    /// Requests of those who need no token, or have none, by address.
+    /// Requests of clients that need no token or have none, by address.
     strangers: Rates<IpAddr>,
-    /// Requests of those who know the token, by address: strangers cannot use theirs up.
+    /// Requests of clients that know the token, by address: strangers cannot use these up.
     known: Rates<IpAddr>,
     /// Wrong tokens, by address, or by the session of a browser that knew the token before.
     guesses: Rates<IpAddr>,
@@ -168,7 +165,7 @@ impl Guard {
                 if token.is_some() {
                     return Err(Problem::Token);
                 }
-                // A name that a stranger's DNS points at this machine is no name of ours. With a
+                // A name that a stranger's DNS points at this machine is refused. With a
                 // token, any name may stand for this machine, and the stranger does not know the
                 // token.
                 if !is_loopback(host) {
@@ -262,7 +259,7 @@ fn is_loopback(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Refuses what a page of another site sends. Programs send neither of these headers.
+/// Refuses requests from pages of other sites. Programs send neither of these headers.
 fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
@@ -278,8 +275,57 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     }
 }
 
+/// Clients that are remembered.
+const MOST_CLIENTS: usize = 4096;
+
+/// A bucket for each client.
+#[derive(Debug)]
+pub struct Rates<K> {
+    a_second: f64,
+    burst: f64,
+    /// The content of each bucket, and the time at which it had that.
+    buckets: HashMap<K, (f64, Instant)>,
+}
+
+impl<K: Copy + Eq + Hash> Rates<K> {
+    /// Full buckets of `burst`, which fill by so much `a_second`.
+    pub fn new(a_second: f64, burst: f64) -> Self {
+        Self { a_second, burst, buckets: HashMap::new() }
+    }
+
+    /// Takes one from the bucket of a client, if there is one in it.
+    pub fn admit(&mut self, client: K, now: Instant) -> bool {
+        let (a_second, burst) = (self.a_second, self.burst);
+        let filled = |(left, since): (f64, Instant)| {
+            let more = now.saturating_duration_since(since).as_secs_f64() * a_second;
+            (left + more).min(burst)
+        };
+        if self.buckets.len() >= MOST_CLIENTS && !self.buckets.contains_key(&client) {
+            // A full bucket is as good as none.
+            self.buckets.retain(|_, bucket| filled(*bucket) < burst);
+            if self.buckets.len() >= MOST_CLIENTS {
+                return false;
+            }
+        }
+        let bucket = self.buckets.entry(client).or_insert((burst, now));
+        let left = filled(*bucket);
+        let admitted = left >= 1.0;
+        *bucket = (if admitted { left - 1.0 } else { left }, now);
+        admitted
+    }
+
+    /// Puts back what was taken.
+    pub fn give_back(&mut self, client: K) {
+        if let Some((left, _)) = self.buckets.get_mut(&client) {
+            *left = (*left + 1.0).min(self.burst);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -309,5 +355,26 @@ mod tests {
             assert!(!passes("origin", origin), "{origin}");
         }
         assert!(!passes("sec-fetch-site", "cross-site") && !passes("sec-fetch-site", "same-site"));
+    }
+
+    #[test]
+    fn a_client_has_its_burst_and_then_its_rate_and_others_are_not_held_up() {
+        let (mut rates, now) = (Rates::new(1.0, 3.0), Instant::now());
+        assert_eq!((0..5).filter(|_| rates.admit('a', now)).count(), 3);
+        assert!(rates.admit('b', now));
+        let later = now + Duration::from_millis(1100);
+        assert!(rates.admit('a', later) && !rates.admit('a', later));
+        rates.give_back('a');
+        assert!(rates.admit('a', later));
+    }
+
+    #[test]
+    fn clients_without_end_take_no_memory_without_end() {
+        let (mut rates, now) = (Rates::new(50.0, 200.0), Instant::now());
+        for n in 0..3 * MOST_CLIENTS {
+            rates.admit(n, now);
+        }
+        assert_eq!(rates.buckets.len(), MOST_CLIENTS);
+        assert!(rates.admit(usize::MAX, now + Duration::from_secs(60)));
     }
 }

@@ -1,4 +1,4 @@
-//! The work of the server's thread: takes in the station's notices, and publishes events.
+//! The work of the server's thread: takes in the station's events, and publishes them.
 //!
 //! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
 //! by their types, run anywhere.
@@ -13,29 +13,29 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
-use super::checks::{CheckView, Checks};
-use super::metrics::{Around, Metrics};
-use super::settings::{Settings, Shelf};
-use super::spectrum;
+use super::metrics::{Elsewhere, Metrics};
+use super::settings::{Audit, LibraryFolder, Settings};
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
-use super::trace::Tracer;
-use super::whole::{StreamsEvent, Whole};
+use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
+use crate::evaluate::CheckReport;
 use crate::history::{History, Precision};
+use crate::outputs::{OutputHealth, OutputView};
+use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::{Phase, SourceId};
 use crate::station::{Command, StationEvent};
 use crate::trial::Image;
 
-/// How often figures of the streams are published.
+/// The interval between two publications of the counts of streams.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// How often spectra are published.
+/// The interval between two publications of spectra.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
-/// How often something is sent on a line that is silent.
+/// The interval between two signs of life on a silent connection.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 
-/// What the handlers of requests share.
+/// State shared by the handlers of requests.
 #[derive(Debug)]
 pub struct Hub {
     inner: Mutex<HubState>,
@@ -45,12 +45,12 @@ pub struct Hub {
     /// Past scans.
     pub history: Arc<History>,
     /// The library that may be edited.
-    pub library: Option<Shelf>,
+    pub library: Option<LibraryFolder>,
     /// Its audit.
     pub checks: Checks,
 }
 
-/// What is behind the lock.
+/// The part behind the lock.
 #[derive(Debug)]
 pub struct HubState {
     pub state: State,
@@ -61,10 +61,14 @@ pub struct HubState {
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
-    /// What the camera sees.
+    /// The view of the camera.
     pub viewfinder: Option<Viewfinder>,
-    /// How it was when that was last published.
+    /// The state of the camera that was last published.
     camera: Option<CameraView>,
+    /// The outputs that answers go to.
+    outputs: Vec<OutputHealth>,
+    /// Their state that was last published.
+    output_views: Vec<OutputView>,
 }
 
 #[derive(Serialize)]
@@ -75,14 +79,16 @@ struct PhaseEvent {
 
 impl HubState {
     /// All that is known now.
-    pub fn whole(&self) -> Whole<'_> {
-        Whole::of(&self.state, self.enrolls, &self.viewfinder, &self.meters)
+    pub fn whole(&self) -> StateDocument<'_> {
+        let outputs = self.outputs.iter().map(OutputHealth::view).collect();
+        StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters, outputs)
     }
 
     /// All figures.
     pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
-        self.metrics.text(&Around {
+        self.metrics.text(&Elsewhere {
             precision,
+            outputs: &self.outputs.iter().map(OutputHealth::view).collect::<Vec<_>>(),
             state: &self.state,
             meters: &self.meters,
             subscribers: self.subscribers.count(),
@@ -94,8 +100,9 @@ impl HubState {
     fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let event = encode(kind, data);
-            let Self { state, meters, enrolls, viewfinder, subscribers, .. } = self;
-            let whole = || Whole::of(state, *enrolls, viewfinder, meters);
+            let Self { state, meters, enrolls, viewfinder, subscribers, outputs, .. } = self;
+            let views = || outputs.iter().map(OutputHealth::view).collect();
+            let whole = || StateDocument::of(state, *enrolls, viewfinder, meters, views());
             subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
         }
     }
@@ -110,7 +117,7 @@ impl HubState {
         self.publish(EventKind::Warning, &warning);
     }
 
-    /// Publishes how the camera is, if that has changed.
+    /// Publishes the view of the camera, if it has changed.
     fn publish_camera(&mut self) {
         let view = self.viewfinder.as_ref().map(Viewfinder::view);
         if view != self.camera {
@@ -119,7 +126,16 @@ impl HubState {
         }
     }
 
-    /// Changes the state, and publishes what follows from it.
+    /// Publishes the state of the outputs, if it has changed.
+    fn publish_outputs(&mut self) {
+        let views: Vec<OutputView> = self.outputs.iter().map(OutputHealth::view).collect();
+        if views != self.output_views {
+            self.publish(EventKind::Outputs, &views);
+            self.output_views = views;
+        }
+    }
+
+    /// Changes the state, and publishes the parts that changed with it.
     fn change(&mut self, change: impl FnOnce(&mut Self)) {
         let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
         change(self);
@@ -154,7 +170,11 @@ impl HubState {
             StationEvent::Phase { scan, phase } => {
                 self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            StationEvent::Guess(guess) => self.publish(EventKind::Guess, guess),
+            // One that came after its scan is no news.
+            StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
+                self.publish(EventKind::Guess, guess);
+            }
+            StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
                 let answer = self.state.answer.clone();
@@ -184,19 +204,19 @@ impl HubState {
     }
 }
 
-/// Why an order does not reach the station.
+/// Reasons why a command does not reach the station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Undelivered {
     /// The station keeps no scans.
     NoLibrary,
     /// The station has ended.
     Ended,
-    /// It has not taken the orders before this one yet.
+    /// The station has not taken earlier commands yet.
     Busy,
 }
 
 impl Hub {
-    /// Nothing is known yet; `missed` counts the notices that found no room.
+    /// A hub that knows nothing yet; `missed` counts the events that found no room.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
@@ -208,6 +228,8 @@ impl Hub {
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
             camera: None,
+            outputs: settings.outputs.clone(),
+            output_views: Vec::new(),
         };
         let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
         let library = settings.library.clone();
@@ -223,7 +245,7 @@ impl Hub {
         }
     }
 
-    /// What is behind the lock.
+    /// The part behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, HubState> {
         // A panic while it was held left plain figures, usable by themselves.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
@@ -235,7 +257,7 @@ impl Hub {
         self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
     }
 
-    /// Takes in a notice. A surface that was enrolled is to be used at once.
+    /// Takes in an event. A surface that was enrolled is used at once.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
             StationEvent::Answer(answer) => Some(answer),
@@ -252,7 +274,7 @@ impl Hub {
             && enrolled.wanted == 0
             && inner.state.library.is_some()
         {
-            // A station that is too busy for it leaves it to the operator.
+            // If the station is too busy, the operator can reload later.
             let _ = self.orders.try_send(Command::Reload);
         }
     }
@@ -267,7 +289,7 @@ impl Hub {
         self.lock().publish(EventKind::Correction, scan);
     }
 
-    /// One subscriber more, unless there are too many.
+    /// Adds a subscriber, unless there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
         if inner.subscribers.count() >= self.most_subscribers {
@@ -277,7 +299,7 @@ impl Hub {
         Some(inner.subscribers.subscribe(filter, first))
     }
 
-    /// Sends an order, never waiting for the station.
+    /// Sends a command, without waiting for the station.
     ///
     /// # Errors
     /// If it has ended, is busy with the orders before, or cannot do that.
@@ -297,7 +319,7 @@ impl Hub {
     }
 }
 
-/// Takes in notices and publishes what is due, until the station and the server have ended.
+/// Takes in events and publishes what is due, until the station and the server have ended.
 pub async fn run(
     hub: Arc<Hub>,
     mut notices: mpsc::Receiver<StationEvent>,
@@ -313,12 +335,16 @@ pub async fn run(
                 Some(notice) => hub.take(&notice),
                 None => listening = false,
             },
-            _ = streams.tick() => hub.lock().publish_streams(),
+            _ = streams.tick() => {
+                let inner = &mut *hub.lock();
+                inner.publish_streams();
+                inner.publish_outputs();
+            }
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
                 inner.publish_camera();
                 if inner.subscribers.wanted(EventKind::Spectrum) {
-                    let event = spectrum::spectra(&inner.tracer);
+                    let event = trace::spectra(&inner.tracer);
                     inner.publish(EventKind::Spectrum, &event);
                 }
             }
@@ -336,4 +362,98 @@ fn every(period: Duration) -> Interval {
     let mut interval = interval(period);
     interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     interval
+}
+
+/// All that is known now.
+#[derive(Serialize)]
+pub struct StateDocument<'a> {
+    #[serde(flatten)]
+    state: &'a State,
+    /// Whether the station keeps scans for a library.
+    enrolls: bool,
+    /// The camera, if there is one.
+    camera: Option<CameraView>,
+    streams: Vec<StreamView>,
+    /// The state of the outputs that answers go to.
+    outputs: Vec<OutputView>,
+}
+
+impl<'a> StateDocument<'a> {
+    /// Collects the state now.
+    pub fn of(
+        state: &'a State,
+        enrolls: bool,
+        viewfinder: &Option<Viewfinder>,
+        meters: &[StreamMeter],
+        outputs: Vec<OutputView>,
+    ) -> Self {
+        let camera = viewfinder.as_ref().map(Viewfinder::view);
+        Self { state, enrolls, camera, streams: views(meters), outputs }
+    }
+}
+
+/// The counts of one stream.
+#[derive(Debug, Serialize)]
+struct StreamView {
+    source: SourceId,
+    device: String,
+    #[serde(flatten)]
+    counts: Counts,
+}
+
+/// The counts of all streams.
+#[derive(Serialize)]
+pub struct StreamsEvent {
+    streams: Vec<StreamView>,
+}
+
+impl StreamsEvent {
+    /// Reads the meters now.
+    pub fn of(meters: &[StreamMeter]) -> Self {
+        Self { streams: views(meters) }
+    }
+}
+
+fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
+    let view = |meter: &StreamMeter| StreamView {
+        source: meter.id.clone(),
+        device: meter.device.clone(),
+        counts: meter.counts(),
+    };
+    meters.iter().map(view).collect()
+}
+
+/// The state of the audit.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckView {
+    /// `none`, `running`, `done` or `failed`.
+    pub state: &'static str,
+    /// Since when.
+    pub unix_ms: u64,
+    /// The reason why it failed.
+    pub problem: Option<String>,
+    /// The last report.
+    pub report: Option<Arc<CheckReport>>,
+}
+
+/// Audits, one at a time.
+#[derive(Debug)]
+pub struct Checks {
+    /// Does one.
+    pub audit: Option<Audit>,
+    view: Mutex<CheckView>,
+}
+
+impl Checks {
+    /// None has run yet.
+    pub fn new(audit: Option<Audit>) -> Self {
+        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
+        Self { audit, view: Mutex::new(view) }
+    }
+
+    /// The state of the last one.
+    pub fn lock(&self) -> MutexGuard<'_, CheckView> {
+        // Each change is one assignment.
+        self.view.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }

@@ -1,5 +1,7 @@
 //! Which labels the network may bring in: those that read the same everywhere.
 
+use crate::trial::normal;
+
 /// Longest label in characters.
 const LONGEST: usize = 80;
 /// What a label may hold beside letters, digits and spaces.
@@ -10,7 +12,7 @@ const MARKS: &str = "_-.,()+'%#";
 /// # Errors
 /// For people: what is wrong with it. `what` names the field.
 pub(super) fn check(what: &str, label: &str) -> Result<String, String> {
-    let label = label.trim();
+    let label = &*normal(label.trim());
     if label.is_empty() {
         return Err(format!("`{what}` is empty; give it a name, such as \"oak\""));
     }
@@ -38,6 +40,7 @@ mod tests {
         for label in ["oak", "G1EpoxyRasterPlate", "Eiche, geölt (2)", "木 100%", " oak "] {
             assert_eq!(check("surface", label).as_deref(), Ok(label.trim()));
         }
+        assert_eq!(check("surface", "e\u{301}rable").as_deref(), Ok("\u{e9}rable"));
     }
 
     #[test]

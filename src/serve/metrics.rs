@@ -8,6 +8,7 @@ use std::fmt::{Display, Write};
 use super::state::State;
 use crate::device::DeviceState;
 use crate::history::Precision;
+use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::scan::StreamMeter;
 use crate::station::AnswerState;
@@ -20,7 +21,7 @@ const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
 /// Bounds of latencies, in seconds.
 const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
-/// How often a value fell below each of some bounds.
+/// Counts of values below each of some bounds.
 #[derive(Debug)]
 struct Histogram {
     bounds: &'static [f64],
@@ -41,7 +42,7 @@ impl Histogram {
     }
 }
 
-/// What is counted here, since nobody else does.
+/// Figures that are counted here.
 #[derive(Debug)]
 pub struct Metrics {
     scan_s: Histogram,
@@ -59,13 +60,15 @@ impl Default for Metrics {
     }
 }
 
-/// What is counted elsewhere.
-pub struct Around<'a> {
+/// Figures that are counted elsewhere.
+pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
     pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
+    /// Where answers go.
+    pub outputs: &'a [OutputView],
     /// Of answers that somebody corrected.
     pub precision: &'a [Precision],
 }
@@ -78,12 +81,12 @@ impl Metrics {
     }
 
     /// All figures.
-    pub fn text(&self, around: &Around<'_>) -> String {
+    pub fn text(&self, elsewhere: &Elsewhere<'_>) -> String {
         let mut page = MetricsPage::default();
-        let state = around.state;
+        let state = elsewhere.state;
         page.head("surfaced_info", "gauge", "The version of the program.");
         page.line("surfaced_info", &[("version", state.version)], 1);
-        page.streams(around.meters);
+        page.streams(elsewhere.meters);
         page.devices(state);
         let counts = state.counts;
         page.head("surfaced_scans_total", "counter", "Scans that were answered.");
@@ -106,20 +109,21 @@ impl Metrics {
             (
                 "surfaced_events_dropped_total",
                 "Events that a slow subscriber missed.",
-                around.dropped_events,
+                elsewhere.dropped_events,
             ),
             (
                 "surfaced_notices_missed_total",
                 "Notices that the server missed.",
-                around.missed_notices,
+                elsewhere.missed_notices,
             ),
         ] {
             page.head(name, "counter", help);
             page.line(name, &[], value);
         }
-        page.precision(around.precision);
+        page.outputs(elsewhere.outputs);
+        page.precision(elsewhere.precision);
         page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
-        page.line("surfaced_readers", &[], around.subscribers);
+        page.line("surfaced_readers", &[], elsewhere.subscribers);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
         let help = "From the end of a scan to its name.";
         page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
@@ -163,6 +167,27 @@ impl MetricsPage {
             for (meter, counts) in &all {
                 let labels = [("source", meter.id.as_str()), ("device", meter.device.as_str())];
                 self.line(name, &labels, figure(counts));
+            }
+        }
+    }
+
+    fn outputs(&mut self, outputs: &[OutputView]) {
+        type Figure = fn(&OutputView) -> u64;
+        let figures: [(&str, &str, &str, Figure); 2] = [
+            (
+                "surfaced_output_failures_total",
+                "counter",
+                "Attempts at an output that failed.",
+                |output| output.failures,
+            ),
+            ("surfaced_output_waiting", "gauge", "Answers that wait for an output.", |output| {
+                output.waiting
+            }),
+        ];
+        for (name, kind, help, figure) in figures {
+            self.head(name, kind, help);
+            for output in outputs {
+                self.line(name, &[("output", &output.output)], figure(output));
             }
         }
     }
@@ -223,15 +248,21 @@ mod tests {
         for latency_s in [0.0005, 0.001, 0.003, 99.0] {
             metrics.scan(1.0, latency_s);
         }
-        let around = Around {
+        let elsewhere = Elsewhere {
             state: &state,
             meters: &[],
             subscribers: 3,
             dropped_events: 4,
             missed_notices: 5,
             precision: &[],
+            outputs: &[OutputView {
+                output: "http://example/".into(),
+                waiting: 7,
+                failures: 2,
+                problem: None,
+            }],
         };
-        let text = metrics.text(&around);
+        let text = metrics.text(&elsewhere);
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
             "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",
@@ -240,6 +271,8 @@ mod tests {
             "surfaced_answer_latency_seconds_count 4",
             "surfaced_scan_seconds_sum 4",
             "surfaced_readers 3",
+            "surfaced_output_failures_total{output=\"http://example/\"} 2",
+            "surfaced_output_waiting{output=\"http://example/\"} 7",
             "surfaced_scans_total{answer=\"named\"} 0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");

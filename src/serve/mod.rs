@@ -1,8 +1,8 @@
 //! The station on the network: a page for the operator, an interface for programs, metrics.
 //!
 //! [`Server::start`] gives a [`Server`] and a [`Reporter`]. The reporter is a
-//! [`Listener`](crate::station::Listener) and does nothing on the station's thread but enter a
-//! notice into a bounded queue; everything else happens on one thread of the server's own:
+//! [`Listener`](crate::station::Listener) and does nothing on the station's thread but enter an
+//! event into a bounded queue; everything else happens on one thread of the server:
 //!
 //! ```text
 //! station ─► reporter ─► hub (state, history, metrics) ─► subscribers (a bounded queue each) ─► SSE
@@ -13,37 +13,23 @@
 
 mod accept;
 mod api;
-mod checks;
 mod client;
-mod error;
 #[cfg(any(test, fuzzing))]
 pub mod fuzz;
 mod guard;
 mod hub;
 mod label;
-mod limits;
+mod library;
 mod metrics;
 mod order;
-mod page;
-mod problem;
-mod reporter;
 mod request;
 mod scans;
 mod server;
 mod settings;
-mod shelf;
-mod spectrum;
 mod state;
 mod subscribers;
-mod token;
-mod token_buckets;
 mod trace;
-mod whole;
 
-pub use error::ServeError;
-pub use limits::Limits;
-pub use reporter::Reporter;
-pub use server::Server;
+pub use server::{Reporter, Server};
 pub(crate) use settings::{Audit, PORT};
-pub use settings::{Settings, Shelf};
-pub use token::Token;
+pub use settings::{LibraryFolder, Limits, ServeError, Settings, Token};

@@ -6,7 +6,8 @@ use axum::Router;
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
@@ -14,14 +15,14 @@ use serde_json::Value;
 
 use super::hub::Hub;
 use super::label;
-use super::problem::Problem;
-use super::request::{Shared, aside, body};
-use super::settings::Shelf;
+use super::request::{Problem, Shared, aside, body};
+use super::settings::LibraryFolder;
 use crate::history::{
     Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,
 };
 use crate::library::{About, LibraryError, recording};
-use crate::record::{TrialOptions, append_trial, edit};
+use crate::record::TrialOptions;
+use crate::record::edit::{self, Editor};
 use crate::scene::SourceId;
 use crate::station::Command;
 use crate::trial::{EXPERT, Trial, TrialKey};
@@ -164,14 +165,38 @@ fn on_disk(file: &str) -> Option<(String, &'static str)> {
     }
 }
 
+/// A part of a file, where a request asks for one that is there, as a player does that seeks; else
+/// all of it (RFC 9110 §14).
+fn part(headers: &HeaderMap, mut bytes: Vec<u8>) -> Response {
+    let length = bytes.len();
+    let range = headers.get(RANGE).and_then(|range| range.to_str().ok()?.strip_prefix("bytes="));
+    let asked = range.and_then(|range| match range.split_once('-')? {
+        ("", last) => Some((length.saturating_sub(last.parse().ok()?), length)),
+        (first, "") => Some((first.parse().ok()?, length)),
+        (first, last) => Some((first.parse().ok()?, last.parse::<usize>().ok()?.checked_add(1)?)),
+    });
+    let Some((first, end)) = asked else {
+        return ([(ACCEPT_RANGES, "bytes")], bytes).into_response();
+    };
+    let end = end.min(length);
+    if first >= end {
+        let all = [(CONTENT_RANGE, format!("bytes */{length}"))];
+        return (StatusCode::RANGE_NOT_SATISFIABLE, all).into_response();
+    }
+    bytes.truncate(end);
+    let part = [(CONTENT_RANGE, format!("bytes {first}-{}/{length}", end - 1))];
+    (StatusCode::PARTIAL_CONTENT, part, bytes.split_off(first)).into_response()
+}
+
 async fn file(
     State(hub): Shared,
     path: Result<Path<(String, String)>, PathRejection>,
+    headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let Path((id, file)) = path.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
     let bytes = aside(move || whole(&hub.history.folder(&id)?.join(file))).await?;
-    Ok(([(CONTENT_TYPE, content_type)], bytes).into_response())
+    Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
 /// What a camera sees now: the latest picture of a stream as it is compared, or the whole of it.
@@ -240,15 +265,49 @@ async fn correct(
     let id = name(id)?;
     let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
     let correction = was.correction()?;
-    let history = hub.history.clone();
+    let (history, library) = (hub.history.clone(), hub.library.clone());
     let scan = aside(move || {
-        let id = full_name(&history.answer(&id)?);
+        let _reviewing = history.reviewing();
+        let scan = history.answer(&id)?;
+        let id = full_name(&scan);
+        let mut is_moved = false;
+        if let (Some(_), Some(library)) = (scan["became"].as_str(), library) {
+            let label = correction.as_ref().and_then(Correction::surface);
+            history.became(&id, correct_trial(&library, &scan, label)?)?;
+            is_moved = true;
+        }
         history.correct(&id, correction)?;
-        Ok(history.answer(&id)?)
+        Ok((history.answer(&id)?, is_moved))
     });
-    let scan = scan.await?;
+    let (scan, is_moved) = scan.await?;
     hub.corrected(&scan);
+    if is_moved {
+        // A station that is too busy for it leaves it to the operator.
+        let _ = hub.order(Command::Reload);
+    }
     Ok(Json(scan))
+}
+
+/// The notes of the trial that a scan becomes, by which it is found again.
+fn notes(scan: &Value) -> String {
+    format!("scan {}", full_name(scan))
+}
+
+/// Gives the trial that a scan became another label, or removes it where the scan was no surface;
+/// says where it is then.
+fn correct_trial(
+    library: &LibraryFolder,
+    scan: &Value,
+    label: Option<&str>,
+) -> Result<Option<String>, LibraryError> {
+    let trial = edit::trial_of_note(&library.folder, &notes(scan), scan["became"].as_str());
+    let Some(trial) = trial else { return Ok(None) };
+    let mut editor = Editor::open(&library.folder, &library.scene)?;
+    let Some(label) = label else {
+        return editor.remove(&[trial]).map(|_| None);
+    };
+    let step = editor.move_to(std::slice::from_ref(&trial), label)?;
+    Ok(Some(step.moves.first().map_or(trial, |one| one.to.clone())))
 }
 
 /// The name of a scan that may have been asked for by its number.
@@ -270,12 +329,21 @@ async fn keep(
     let id = name(id)?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label::check("user", user.as_deref().unwrap_or(EXPERT)).map_err(Problem::Bad)?;
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.history.clone();
     let scan = aside(move || {
+        let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;
         let id = full_name(&scan);
-        let trial = to_library(&shelf, &scan, &history.folder(&id)?, user)?;
+        if let Some(trial) =
+            edit::trial_of_note(&library.folder, &notes(&scan), scan["became"].as_str())
+        {
+            // A crash may have come between the trial and this line.
+            history.became(&id, Some(trial.clone()))?;
+            let why = format!("this scan is a trial of the library already: {trial}");
+            return Err(Problem::Bad(why));
+        }
+        let trial = to_library(&library, &scan, &history.folder(&id)?, user)?;
         history.became(&id, Some(trial))?;
         Ok(history.answer(&id)?)
     });
@@ -288,7 +356,7 @@ async fn keep(
 
 /// Writes a corrected scan into a library, and says as which trial.
 fn to_library(
-    shelf: &Shelf,
+    library: &LibraryFolder,
     scan: &Value,
     folder: &std::path::Path,
     user: String,
@@ -297,22 +365,16 @@ fn to_library(
     let Some(surface) = scan["correction"]["surface"].as_str() else {
         return refuse("say first which surface this scan was");
     };
-    if let Some(trial) = scan["became"].as_str() {
-        return refuse(&format!("this scan is a trial of the library already: {trial}"));
-    }
     if scan["spoiled"].as_array().is_some_and(|reasons| !reasons.is_empty()) {
         return refuse("this scan is spoiled, and no good trial");
     }
     let about = About::read(folder)?;
-    let opened = recording::open_trial(folder, &shelf.scene)?;
+    let opened = recording::open_trial(folder, &library.scene)?;
     let [entry] = opened.entries.as_slice() else { return refuse("this scan holds no signals") };
-    let number = edit::next_number(&shelf.folder, &shelf.scene, surface, &user)?;
-    let key = TrialKey::new(surface, user, number);
+    let key = TrialKey::new(surface, user, 1);
     let trial = Trial { key, signals: entry.load()?.signals };
-    let options = TrialOptions {
-        about: About { notes: Some(format!("scan {}", full_name(scan))), ..about },
-        durable: true,
-    };
-    let (_, kept) = append_trial(&shelf.folder, &trial, &shelf.scene, &options)?;
-    Ok(edit::trial_name(&shelf.folder, &kept))
+    let about = About { notes: Some(notes(scan)), ..about };
+    let options = TrialOptions { about, durable: true };
+    let what = format!("keep {} as a trial of {surface}", notes(scan));
+    Ok(edit::keep(&library.folder, &library.scene, trial, &options, what)?)
 }

@@ -1,19 +1,18 @@
-//! The server: a thread that takes connections, and its end.
+//! The server: its thread, and the reporter that passes station events on to it.
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 
 use super::accept;
-use super::error::ServeError;
 use super::hub::{self, Hub};
-use super::reporter::{self, Reporter};
-use super::settings::Settings;
-use crate::station::Command;
+use super::settings::{ServeError, Settings};
+use crate::station::{Command, Listener, StationEvent};
 
 /// A server at work; dropping it ends it.
 #[derive(Debug)]
@@ -23,7 +22,8 @@ pub struct Server {
     thread: Option<JoinHandle<()>>,
 }
 
-/// How long the end of the server waits for events that are not sent yet, and then for answers under
+/// The time that the end of the server waits for events that are not sent yet, and then for answers
+/// under
 /// way.
 const SHUTDOWN_GRACE: Duration = Duration::from_millis(300);
 
@@ -44,7 +44,7 @@ impl Server {
         let listener = TcpListener::bind(settings.address).map_err(bind)?;
         listener.set_nonblocking(true).map_err(ServeError::System)?;
         let address = listener.local_addr().map_err(ServeError::System)?;
-        let (reporter, notices) = reporter::pair();
+        let (reporter, notices) = pair();
         let hub = Arc::new(Hub::new(settings, orders, reporter.missed()));
         let (stop, stopped) = watch::channel(false);
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -61,7 +61,8 @@ impl Server {
             runtime.block_on(async move {
                 let publishing = tokio::spawn(hub::run(hub.clone(), notices, stopped.clone()));
                 accept::serve(listener, hub, &settings, stopped).await;
-                // What was entered before the end is still sent, to subscribers who read at once.
+                // Events that were queued before the end are still sent, to subscribers who read at
+                // once.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
             // An edit or a list of the library may wait for the disk, or for another program.
@@ -74,7 +75,7 @@ impl Server {
         Ok((Self { address, stop, thread: Some(thread) }, reporter))
     }
 
-    /// Where it serves, with the port that was picked.
+    /// The address, with the port that was picked.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -87,7 +88,7 @@ impl Server {
     fn end(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // Had it panicked, its connections would be closed all the same.
+            // Its connections are closed even if it panicked.
             let _ = thread.join();
         }
     }
@@ -96,5 +97,65 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.end();
+    }
+}
+
+/// Events in the queue.
+const QUEUE: usize = 1024;
+/// Traces leave this much room for what matters more.
+const KEPT_FREE: usize = 768;
+
+/// Passes the events of the station on to the server.
+#[derive(Debug)]
+pub struct Reporter {
+    queue: mpsc::Sender<StationEvent>,
+    missed: Arc<AtomicU64>,
+}
+
+/// A reporter, and the events that it passes on.
+fn pair() -> (Reporter, mpsc::Receiver<StationEvent>) {
+    let (queue, notices) = mpsc::channel(QUEUE);
+    (Reporter { queue, missed: Arc::default() }, notices)
+}
+
+impl Reporter {
+    /// Events that found no room.
+    fn missed(&self) -> Arc<AtomicU64> {
+        self.missed.clone()
+    }
+}
+
+impl Listener for Reporter {
+    fn on_event(&mut self, event: &StationEvent) {
+        // Whole scans are the keeper's.
+        if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
+            return;
+        }
+        let room = self.queue.capacity();
+        let fits = !matches!(event, StationEvent::Trace(_)) || room > KEPT_FREE;
+        if !fits || self.queue.try_send(event.clone()).is_err() {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::Trace;
+
+    #[test]
+    fn a_server_that_does_not_read_holds_up_nothing_and_keeps_room_for_what_matters() {
+        let (mut reporter, mut notices) = pair();
+        let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![], images: vec![] }));
+        (0..10 * QUEUE).for_each(|_| reporter.on_event(&trace));
+        (0..10).for_each(|n| reporter.on_event(&StationEvent::Warning(n.to_string())));
+        let mut warnings = 0;
+        while let Ok(event) = notices.try_recv() {
+            warnings += usize::from(matches!(event, StationEvent::Warning(_)));
+        }
+        assert_eq!(warnings, 10);
+        let kept = (QUEUE - KEPT_FREE) as u64;
+        assert_eq!(reporter.missed().load(Ordering::Relaxed), 10 * QUEUE as u64 - kept);
     }
 }

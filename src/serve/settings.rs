@@ -1,45 +1,49 @@
-//! Where and how to serve, and what clients may take.
+//! Settings of the server: address, token, and the limits of clients.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
-use super::limits::Limits;
-use super::token::Token;
+use subtle::ConstantTimeEq;
+
 use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
 use crate::history::History;
+use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
 /// The default port.
 pub const PORT: u16 = 8080;
 
-/// Where and how to serve.
+/// Settings of the server.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Address and port; port 0 picks a free one.
     pub address: SocketAddr,
-    /// What a client must know, where one is set.
+    /// The token that a client must know, where one is set.
     pub token: Option<Token>,
     /// Proxies in front of the server: what they say of a client (`X-Forwarded-For`,
     /// `X-Forwarded-Proto`) is believed, and their connections are not counted.
     pub proxies: Vec<IpAddr>,
-    /// What a client may take.
+    /// The limits of clients.
     pub limits: Limits,
     /// Whether the station keeps scans for a library.
     pub enrolls: bool,
     /// That library, where it may be edited: scans become its trials.
-    pub library: Option<Shelf>,
+    pub library: Option<LibraryFolder>,
     /// Audits that library, where it may be edited.
     pub check: Option<Audit>,
     /// Past scans.
     pub history: Arc<History>,
-    /// What the camera sees, if there is one.
+    /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
+    /// Where answers go, and whether they arrive.
+    pub outputs: Vec<OutputHealth>,
 }
 
-/// Audits a library, as often as it is called; for people, why not.
+/// Audits a library each time it is called; gives a message if that fails.
 #[derive(Clone)]
 pub struct Audit(
     /// The audit.
@@ -54,10 +58,10 @@ impl fmt::Debug for Audit {
 
 /// A library on disk.
 #[derive(Clone, Debug)]
-pub struct Shelf {
+pub struct LibraryFolder {
     /// Its folder.
     pub folder: PathBuf,
-    /// What its sources are.
+    /// The sources of the library.
     pub scene: Scene,
 }
 
@@ -73,6 +77,131 @@ impl Default for Settings {
             check: None,
             history: Arc::default(),
             viewfinder: None,
+            outputs: Vec::new(),
+        }
+    }
+}
+
+/// The largest body of a request, in bytes.
+pub const LARGEST_BODY: usize = 64 << 10;
+
+/// Limits of clients.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Connections at once; others are closed unread.
+    pub connections: usize,
+    /// Connections of one address, so that no address can take all.
+    pub connections_an_address: usize,
+    /// Subscribers to the stream of events at once.
+    pub readers: usize,
+    /// The time for a request to arrive, and for its answer to be made.
+    pub request: Duration,
+    /// The time after which a client that reads nothing is disconnected.
+    pub unread: Duration,
+    /// Requests a second that one address may make in the long run.
+    pub requests_a_second: f64,
+    /// How many of them at once.
+    pub burst: f64,
+    /// Wrong tokens a second that one address may try in the long run.
+    pub guesses_a_second: f64,
+    /// How many of them at once.
+    pub guess_burst: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 256,
+            connections_an_address: 64,
+            readers: 128,
+            request: Duration::from_secs(10),
+            unread: Duration::from_secs(20),
+            requests_a_second: 50.0,
+            burst: 200.0,
+            guesses_a_second: 1.0,
+            guess_burst: 10.0,
+        }
+    }
+}
+
+/// The secret that a client must know. It is compared in constant time, and never printed.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// A token from its text.
+    ///
+    /// # Errors
+    /// If it is shorter than 16 characters or longer than 256, or would need quoting in a header,
+    /// a cookie or an address.
+    pub fn new(text: &str) -> Result<Self, ServeError> {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-._~".contains(c);
+        if !(16..=256).contains(&text.len()) || !text.chars().all(plain) {
+            return Err(ServeError::Token);
+        }
+        Ok(Self(text.into()))
+    }
+
+    /// Whether a client knows it. The time that this takes depends on the length alone.
+    pub fn matches(&self, given: &str) -> bool {
+        self.0.as_bytes().ct_eq(given.as_bytes()).into()
+    }
+
+    /// The text, for the cookie.
+    pub(super) fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+/// Errors of the start of a server.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// an address that others reach, without a token
+    #[error(
+        "{0} can be reached from other machines; give a token in the environment variable \
+         SURFACED_TOKEN, or serve on 127.0.0.1"
+    )]
+    Open(SocketAddr),
+    /// the address is taken, or not this machine's
+    #[error("{address}: {error}; name another address or port, such as 127.0.0.1:0 for a free one")]
+    Bind {
+        /// where
+        address: SocketAddr,
+        /// what the system said
+        error: std::io::Error,
+    },
+    /// not a valid token
+    #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
+    Token,
+    /// the system gave no thread, or no means to wait on sockets
+    #[error("cannot serve: {0}")]
+    System(std::io::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_whole_token_matches() {
+        let token = Token::new("0123456789abcdef").unwrap();
+        assert!(token.matches("0123456789abcdef"));
+        for wrong in ["", "0123456789abcde", "0123456789abcdef0", "0123456789abcdeF"] {
+            assert!(!token.matches(wrong), "{wrong}");
+        }
+        assert_eq!(format!("{token:?}"), "Token(…)");
+    }
+
+    #[test]
+    fn a_token_that_is_short_or_would_need_quoting_is_refused() {
+        for text in ["", "short", "0123456789abcde;", "0123456789 abcdef", &"x".repeat(257)] {
+            assert!(Token::new(text).is_err(), "{text}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What is known of the station: one document, kept up to date notice by notice.
+//! The state of the station as one document, brought up to date event by event.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
 
-/// What the operator is to do now.
+/// Advice for the operator.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
     /// For programs.
@@ -29,11 +29,10 @@ pub struct Advice {
     pub what: AdviceKind,
     /// How much longer to drag, in seconds, where that is known.
     pub more_s: Option<f64>,
-    /// For people: the same in a few words.
+    /// The same in a few words.
     pub text: String,
 }
 
-/// The kinds of advice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AdviceKind {
@@ -51,33 +50,29 @@ pub enum AdviceKind {
     Ended,
 }
 
-/// A device.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceView {
     /// Its name.
     pub device: String,
     /// How it is.
     pub state: DeviceState,
-    /// For people: why, and what to do.
+    /// The reason, and what to do.
     pub detail: String,
     /// Since when.
     pub since_unix_ms: u64,
 }
 
-/// The library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LibraryView {
-    /// Its name.
     pub name: String,
     /// Its surfaces, sorted.
     pub surfaces: Vec<SurfaceView>,
-    /// Its sources.
     pub sources: Vec<SourceId>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
-    /// For people: why scans cannot be named with it, if they cannot.
+    /// The reason why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
-    /// For people: what answers rest on, a line each.
+    /// The basis of its answers, a line each.
     pub remarks: Vec<String>,
 }
 
@@ -104,11 +99,11 @@ impl From<&LibraryState> for LibraryView {
 pub struct WarningView {
     /// When.
     pub unix_ms: u64,
-    /// For people.
+    /// The warning.
     pub text: String,
 }
 
-/// What has come of the session so far.
+/// Counts of the session so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SessionCounts {
     /// Scans that were named, or found to be unknown.
@@ -127,7 +122,6 @@ pub struct SessionCounts {
     pub enrolled: u64,
     /// Frames and pictures that were lost within scans.
     pub lost_samples: u64,
-    /// Warnings.
     pub warnings: u64,
 }
 
@@ -144,7 +138,7 @@ pub struct State {
     pub scan: Option<u32>,
     /// Its part.
     pub phase: Option<Phase>,
-    /// What to do now.
+    /// The advice for now.
     pub advice: Advice,
     /// How the scan in progress looks so far.
     pub guess: Option<Guess>,
@@ -156,9 +150,9 @@ pub struct State {
     pub library: Option<LibraryView>,
     /// Whether it is being read.
     pub reading: bool,
-    /// What the next scan is to become, if it is to be kept.
+    /// The order for the next scan, if it is to be kept.
     pub enrolling: Option<Enrolling>,
-    /// What has come of it so far.
+    /// Counts of the session so far.
     pub counts: SessionCounts,
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,
@@ -195,18 +189,19 @@ impl State {
         state
     }
 
-    /// Takes in a notice of the station. Traces and figures are none of its
-    /// business.
+    /// Takes in an event of the station; traces and meters are ignored.
     pub fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {
-                if self.scan != Some(*scan) {
-                    self.guess = None;
-                }
-                (self.scan, self.phase) = (phase.map(|_| *scan), *phase);
+                let now = phase.map(|_| *scan);
+                // Nothing else ends a guess, and none comes after its scan.
+                self.guess = self.guess.take().filter(|guess| now == Some(guess.scan));
+                (self.scan, self.phase) = (now, *phase);
             }
-            StationEvent::Guess(guess) => self.guess = Some(guess.clone()),
+            StationEvent::Guess(guess) if self.scan == Some(guess.scan) => {
+                self.guess = Some(guess.clone());
+            }
             StationEvent::Answer(answer) => self.answered(answer),
             StationEvent::Enrolled(enrolled) => {
                 self.counts.enrolled += u64::from(enrolled.trial.is_some());
@@ -225,7 +220,8 @@ impl State {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            StationEvent::Trace(_)
+            StationEvent::Guess(_)
+            | StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)
             | StationEvent::Ending(_)
@@ -260,7 +256,6 @@ impl State {
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
         self.counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
-        self.guess = None;
     }
 
     fn warned(&mut self, text: &str) {
@@ -283,7 +278,16 @@ impl State {
             return say(AdviceKind::Wait, "reading the library");
         }
         if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
-            return say(AdviceKind::Wait, "wait for the stylus");
+            // By name, the stylus is the last of the devices.
+            let gone = |device: &&DeviceView| {
+                matches!(device.state, DeviceState::Absent | DeviceState::Lost)
+            };
+            return match self.devices.iter().rfind(gone) {
+                Some(DeviceView { device, .. }) => {
+                    say(AdviceKind::Wait, &format!("{device} disconnected: plug it in"))
+                }
+                None => say(AdviceKind::Wait, "wait for the devices"),
+            };
         }
         let cannot = self.library.as_ref().is_some_and(|library| library.problem.is_some());
         if cannot && self.enrolling.is_none() {
@@ -311,4 +315,46 @@ impl State {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    fn advice(guess: Guess) -> Advice {
+        let mut state = State::new();
+        state.take(&StationEvent::Phase { scan: 1, phase: Some(Phase::Drag) });
+        state.take(&StationEvent::Guess(guess));
+        state.advice
+    }
+
+    #[test]
+    fn lift_is_advised_only_once_the_drag_is_enough() {
+        let guess = |settled, needed_s, enough| Guess {
+            settled,
+            needed_s,
+            enough,
+            ..Guess::nothing(1, 0.85)
+        };
+        let counting = advice(guess(false, Some(1.0), false));
+        assert_eq!((counting.what, counting.text.as_str()), (AdviceKind::Drag, "0.2 s more"));
+        assert_eq!(advice(guess(true, None, false)).what, AdviceKind::Drag, "no rule to rely on");
+        assert_eq!(advice(guess(true, Some(3.0), true)).what, AdviceKind::Lift);
+        assert_eq!(advice(guess(false, None, false)).text, "drag");
+    }
+
+    #[test]
+    fn a_guess_lasts_as_long_as_its_scan() {
+        let mut state = State::new();
+        let phase = |scan, phase| StationEvent::Phase { scan, phase };
+        let guess = |scan| StationEvent::Guess(Guess::nothing(scan, 0.5));
+        state.take(&phase(1, Some(Phase::Drag)));
+        state.take(&guess(1));
+        assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));
+        state.take(&phase(1, None));
+        assert_eq!(state.guess, None);
+        // The worker was still at it; then the next scan begins.
+        state.take(&guess(1));
+        assert_eq!(state.guess, None);
+        state.take(&phase(2, Some(Phase::Tap)));
+        state.take(&guess(1));
+        assert_eq!(state.guess, None);
+    }
+}

@@ -17,80 +17,52 @@ const QUEUE: usize = 256;
 /// Figures and traces leave this much room for what matters more.
 const KEPT_FREE: usize = 128;
 
-/// The types of event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EventKind {
-    State,
-    Advice,
-    Device,
-    Phase,
-    Guess,
-    Answer,
-    Unnamed,
-    Camera,
-    Correction,
-    Check,
-    Enrolled,
-    Enrolling,
-    Reading,
-    Library,
-    Warning,
-    Streams,
-    Trace,
-    Spectrum,
-    Missed,
-    Finished,
+/// Defines [`EventKind`] by one list of types and their names.
+macro_rules! event_kinds {
+    ($($kind:ident = $name:literal,)*) => {
+        /// The types of event.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum EventKind {
+            $($kind,)*
+        }
+
+        impl EventKind {
+            const ALL: [Self; [$($name),*].len()] = [$(Self::$kind),*];
+
+            fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)*
+                }
+            }
+        }
+    };
+}
+
+event_kinds! {
+    State = "state",
+    Advice = "advice",
+    Device = "device",
+    Phase = "phase",
+    Guess = "guess",
+    Answer = "answer",
+    Unnamed = "unnamed",
+    Camera = "camera",
+    Outputs = "outputs",
+    Correction = "correction",
+    Check = "check",
+    Enrolled = "enrolled",
+    Enrolling = "enrolling",
+    Reading = "reading",
+    Library = "library",
+    Warning = "warning",
+    Streams = "streams",
+    Trace = "trace",
+    Spectrum = "spectrum",
+    Missed = "missed",
+    Finished = "finished",
 }
 
 impl EventKind {
-    const ALL: [Self; 20] = [
-        Self::State,
-        Self::Advice,
-        Self::Device,
-        Self::Phase,
-        Self::Guess,
-        Self::Answer,
-        Self::Unnamed,
-        Self::Camera,
-        Self::Correction,
-        Self::Check,
-        Self::Enrolled,
-        Self::Enrolling,
-        Self::Reading,
-        Self::Library,
-        Self::Warning,
-        Self::Streams,
-        Self::Trace,
-        Self::Spectrum,
-        Self::Missed,
-        Self::Finished,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::State => "state",
-            Self::Advice => "advice",
-            Self::Device => "device",
-            Self::Phase => "phase",
-            Self::Guess => "guess",
-            Self::Answer => "answer",
-            Self::Unnamed => "unnamed",
-            Self::Camera => "camera",
-            Self::Correction => "correction",
-            Self::Check => "check",
-            Self::Enrolled => "enrolled",
-            Self::Enrolling => "enrolling",
-            Self::Reading => "reading",
-            Self::Library => "library",
-            Self::Warning => "warning",
-            Self::Streams => "streams",
-            Self::Trace => "trace",
-            Self::Spectrum => "spectrum",
-            Self::Missed => "missed",
-            Self::Finished => "finished",
-        }
-    }
-
     /// Whether the next one makes up for it.
     fn passes(self) -> bool {
         matches!(self, Self::Trace | Self::Spectrum | Self::Streams | Self::Guess | Self::Advice)
@@ -108,7 +80,7 @@ impl EventFilter {
     /// From names with commas between them. How many were missed is always sent.
     ///
     /// # Errors
-    /// For people: a name that is none.
+    /// If a name is unknown.
     pub fn parse(names: &str) -> Result<Self, String> {
         let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
@@ -134,7 +106,7 @@ pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     Bytes::from(format!("event: {}\ndata: {json}\n\n", kind.name()))
 }
 
-/// What keeps a silent line open, and finds those that are dead.
+/// Keeps a silent line open, and finds those that are dead.
 const KEEP_ALIVE: &[u8] = b":\n\n";
 
 #[derive(Debug, Serialize)]
@@ -149,7 +121,6 @@ struct Subscriber {
     missed: u64,
 }
 
-/// All subscribers.
 #[derive(Debug, Default)]
 pub struct Subscribers {
     subscribers: Vec<Subscriber>,
@@ -158,7 +129,7 @@ pub struct Subscribers {
 }
 
 impl Subscribers {
-    /// One subscriber more; its stream begins with `first`.
+    /// Adds a subscriber; its stream begins with `first`.
     pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };
@@ -167,7 +138,7 @@ impl Subscribers {
         EventStream(events)
     }
 
-    /// How many there are.
+    /// The number of subscribers.
     pub fn count(&self) -> usize {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
@@ -196,7 +167,7 @@ impl Subscribers {
         });
     }
 
-    /// Lets all subscribers go, after what is in their queues.
+    /// Ends all streams, after the events in their queues.
     pub fn close(&mut self) {
         self.subscribers.clear();
     }
@@ -214,7 +185,7 @@ impl Subscriber {
         sent
     }
 
-    /// Once there is room again: how much was missed, and how things are.
+    /// Once there is room again, sends how many events were missed, and the whole state.
     fn catch_up(&mut self, state: &mut dyn FnMut() -> Bytes) {
         if self.missed == 0 || self.queue.capacity() <= KEPT_FREE {
             return;

@@ -1,10 +1,10 @@
-//! Makes streams small enough to draw: the least and the greatest sample of each bin of time.
+//! Makes streams small enough to draw: the extremes of short stretches of time, and spectra.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
-use crate::history::four_digits;
+use crate::history::{Bands, bands, four_digits};
 use crate::scan::{Fresh, Trace};
 use crate::scene::SourceId;
 
@@ -15,10 +15,9 @@ const MOST_BINS: usize = 400;
 /// Frames of each stream that are kept for its spectrum.
 pub const RECENT: usize = 4096;
 
-/// What is new in the streams, small enough to draw.
+/// New data of the streams, small enough to draw.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
-    /// A stream each.
     pub streams: Vec<Bins>,
     /// Camera streams that have a new picture.
     pub pictures: Vec<SourceId>,
@@ -65,7 +64,7 @@ pub struct TracedStream {
     filled: usize,
     /// Its least and greatest sample so far, a pair a channel.
     extremes: Vec<(f32, f32)>,
-    /// How close each channel comes to its limits.
+    /// The limits of each channel.
     limits: Vec<ChannelLimits>,
     /// Whether a channel rested at its limit in the bin that is not full.
     clipped: bool,
@@ -84,7 +83,7 @@ struct ChannelLimits {
     between: usize,
 }
 
-/// This many samples in a row at a limit are no coincidence.
+/// This many samples in a row at a limit are clipped.
 const RUN: usize = 3;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
@@ -189,7 +188,7 @@ impl Bins {
 
 impl Tracer {
     /// Takes what is new, and gives what of it can be drawn. After a gap, or with another rate, a
-    /// stream begins anew.
+    /// stream begins again.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
@@ -215,9 +214,38 @@ impl Tracer {
     }
 }
 
+/// The spectra of all streams.
+#[derive(Debug, Serialize)]
+pub struct SpectrumEvent {
+    pub streams: Vec<StreamBands>,
+}
+
+/// The spectrum of one stream.
+#[derive(Debug, Serialize)]
+pub struct StreamBands {
+    /// The stream.
+    pub source: SourceId,
+    /// Its spectrum.
+    #[serde(flatten)]
+    pub bands: Bands,
+}
+
+/// The spectra of the newest frames, of every stream that has enough of them.
+pub fn spectra(tracer: &Tracer) -> SpectrumEvent {
+    let of = |(source, stream): (&SourceId, &TracedStream)| {
+        let TracedStream { rate_hz, channels, recent, .. } = stream;
+        let full = recent.len() >= RECENT * channels;
+        let samples: Vec<f32> = recent.iter().copied().collect();
+        let bands = full.then(|| bands(&samples, *channels, *rate_hz, RECENT))??;
+        Some(StreamBands { source: source.clone(), bands })
+    };
+    SpectrumEvent { streams: tracer.streams().filter_map(of).collect() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scan::{Fresh, Trace};
 
     fn fresh(start: u64, samples: Vec<f32>) -> Trace {
         let source = SourceId::new("ir").unwrap();
@@ -269,5 +297,17 @@ mod tests {
         let (_, stream) = tracer.streams().next().unwrap();
         assert_eq!(stream.recent.len(), RECENT);
         assert_eq!(stream.recent.back(), Some(&999_999.0));
+    }
+
+    #[test]
+    fn a_stream_has_a_spectrum_once_it_has_enough_frames() {
+        for (frames, spectra_of) in [(RECENT - 1, 0), (RECENT, 1)] {
+            let mut tracer = Tracer::default();
+            let source = SourceId::new("ac").unwrap();
+            let samples = vec![0.0; frames];
+            let fresh = Fresh { source, rate_hz: 10_000.0, channels: 1, start: 0, samples };
+            tracer.add(&Trace { fresh: vec![fresh], images: Vec::new() });
+            assert_eq!(spectra(&tracer).streams.len(), spectra_of);
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! What a station says of a scan.
+//! The answer of a station to a scan.
 
 use std::fmt;
 use std::sync::Arc;
@@ -6,8 +6,7 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use super::recogniser::Recogniser;
-use super::remark::Remark;
+use super::recogniser::{Recogniser, Remark};
 use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
@@ -18,7 +17,7 @@ use crate::scene::SourceId;
 pub struct Answer {
     /// Names the answer for good: when it was given (UTC), and the number of its scan.
     pub id: String,
-    /// Where the page shows it, on whatever address it is served.
+    /// The address of its page, relative to the address of the server.
     pub link: String,
     /// When it was given, in milliseconds since 1970.
     pub unix_ms: u64,
@@ -26,11 +25,11 @@ pub struct Answer {
     pub scan: u32,
     /// Whether the name stands.
     pub state: AnswerState,
-    /// For people: why it does not, a line each; empty for [`AnswerState::Named`].
+    /// Reasons why it does not, a line each; empty for [`AnswerState::Named`].
     pub reasons: Vec<String>,
-    /// The surface; `None` when it is none of the library's, or could not be compared.
+    /// The surface; `None` if the scan fits none, or could not be compared.
     pub surface: Option<String>,
-    /// What it truly was, where a recording says so; likewise the next two.
+    /// The true surface, where a recording has it; likewise the next two.
     pub truth: Option<String>,
     /// The person who dragged.
     pub user: Option<String>,
@@ -58,11 +57,11 @@ pub struct Answer {
     pub lost_samples: u64,
     /// The sources that were compared.
     pub sources: Vec<SourceId>,
-    /// For people: why the scan should not be trusted, a line each.
+    /// Reasons why the scan should not be trusted, a line each.
     pub spoiled: Vec<String>,
     /// How long the drag should have lasted, in seconds, where that is known.
     pub needed_s: Option<f64>,
-    /// What is not perfect about the scan.
+    /// Imperfections of the scan.
     pub remarks: Vec<Remark>,
 }
 
@@ -72,7 +71,7 @@ pub struct Answer {
 pub enum AnswerState {
     /// It does.
     Named,
-    /// It is the nearest surface of the library; there is no threshold that tells unknown ones.
+    /// It is the nearest surface of the library; unknown surfaces are not detected.
     Nearest,
     /// It is the nearest surface, and there are reasons for doubt.
     Unsure,
@@ -95,7 +94,7 @@ impl AnswerState {
     }
 }
 
-/// A scan, whole, with its answer, and what named it.
+/// A scan with its answer and the recogniser that named it.
 pub struct AnsweredScan {
     /// The scan.
     pub scan: Box<Scan>,
@@ -110,7 +109,7 @@ pub struct AnsweredScan {
 pub struct Unnamed {
     /// Its answer, of the state [`AnswerState::Unnamed`].
     pub answer: Arc<Answer>,
-    /// For people: which scan, and why.
+    /// The scan and the reason, for messages.
     pub text: String,
     /// Whether it holds too little: it is silent, or shorter than a frame.
     pub too_little: bool,
@@ -123,8 +122,8 @@ impl fmt::Debug for AnsweredScan {
 }
 
 impl Answer {
-    /// What a scan itself says of its answer, which comes after `latency_ms`: it has no name.
-    pub(super) fn of(scan: &Scan, latency_ms: f64) -> Self {
+    /// The answer that the scan alone allows, `latency_ms` after its end: it has no name.
+    pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
         Self {
@@ -160,7 +159,7 @@ impl Answer {
     }
 }
 
-/// What names an answer for good, such as `20260921-143000.123-7`, and its time in milliseconds
+/// The permanent id of an answer, such as `20260921-143000.123-7`, and its time in milliseconds
 /// since 1970.
 fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);

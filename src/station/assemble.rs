@@ -1,4 +1,4 @@
-//! The devices of a configuration, and what this build leaves out of them.
+//! Makes the devices of a configuration, and names those that this build lacks.
 
 use std::collections::BTreeMap;
 
@@ -14,9 +14,9 @@ use crate::scene::Phase;
 pub struct Assembled {
     /// The devices.
     pub devices: Vec<Box<dyn Device>>,
-    /// For people: what is configured but unavailable, and why.
+    /// Devices that are configured but unavailable, and the reasons.
     pub left_out: Vec<String>,
-    /// Which device each source comes from.
+    /// The device of each source.
     pub device_of: BTreeMap<String, String>,
     /// Requests a picture with flash during each drag, if there is a flash.
     pub flasher: Option<Flasher>,
@@ -88,7 +88,7 @@ impl Assembled {
 #[cfg(not(all(feature = "microphone", feature = "camera")))]
 fn not_built(feature: &str) -> OpenError {
     OpenError::Unfit(format!(
-        "left out of this build; to have it, build with `--features live` or `--features {feature}`"
+        "not part of this build; build with `--features live` or `--features {feature}`"
     ))
 }
 
@@ -104,7 +104,7 @@ fn sound(_: &MicrophoneConfig) -> Result<Box<dyn Device>, OpenError> {
     Err(not_built("microphone"))
 }
 
-/// A camera, and what works it.
+/// A camera with its flash and viewfinder.
 struct StationCamera {
     device: Box<dyn Device>,
     flasher: Option<Flasher>,

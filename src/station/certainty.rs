@@ -1,4 +1,4 @@
-//! Whether an answer stands, and if not, why: the states of an answer and their reasons.
+//! Decides whether an answer stands: its state, and the reasons for doubt.
 
 use super::answer::AnswerState;
 use super::recogniser::Verdict;
@@ -7,52 +7,59 @@ use crate::scan::Scan;
 /// Probability below which the first surface is no more likely than all others together.
 const EVEN: f64 = 0.5;
 
-/// Share of the scan duration that T* asks for with which a scan is not yet too short: fewer samples
+/// Share of the needed drag at which a scan is long enough to be named: fewer samples
 /// than that many make a weaker test, not a wrong one.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// What is known of an answer.
-pub(super) struct Case<'a> {
+/// A scan that was named, as far as its judgement needs it.
+pub(super) struct NamedScan<'a> {
     pub verdict: &'a Verdict,
     pub scan: &'a Scan,
     /// When the answer was settled, if it was.
     pub settled_s: Option<f64>,
 }
 
-/// The state of an answer, and for people the reasons, a line each.
-pub(super) fn judge(case: &Case<'_>) -> (AnswerState, Vec<String>) {
-    let Verdict { ranking, rejection, .. } = case.verdict;
+/// The state of an answer, and the reasons, a line each.
+pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
+    let Verdict { ranking, rejection, .. } = named.verdict;
     let of = ranking.ranked.len();
     if let (Some(p), Some(rejection), true) =
-        (ranking.p_value, rejection, case.verdict.is_unknown())
+        (ranking.p_value, rejection, named.verdict.is_unknown())
     {
         let reason = format!(
-            "looks like none of {of} surfaces: p = {}, and {} or less is unknown",
+            "matches none of your {of} surfaces (p = {}; unknown at {} or below)",
             digits(p),
             digits(rejection.rate)
         );
         return (AnswerState::Unknown, vec![reason]);
     }
-    let doubts = doubts(case);
+    let doubts = doubts(named);
     if !doubts.is_empty() {
         return (AnswerState::Unsure, doubts);
     }
     if rejection.is_none() {
-        let reason = "there is no threshold that tells unknown surfaces from known ones";
+        let reason = "unknown surfaces are not detected";
         return (AnswerState::Nearest, vec![reason.into()]);
     }
     (AnswerState::Named, Vec::new())
 }
 
-fn doubts(case: &Case<'_>) -> Vec<String> {
-    let Case { verdict, scan, settled_s } = case;
-    let Verdict { ranking, rejection, needed_s, left_out, .. } = verdict;
+fn doubts(named: &NamedScan<'_>) -> Vec<String> {
+    let NamedScan { verdict, scan, settled_s } = named;
+    let Verdict { ranking, rejection, needed_s, left_out, lacking, .. } = verdict;
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
     match needed_s.filter(|needed_s| scan.scan_s < LONG_ENOUGH * needed_s) {
         // An answer that would not change any more needs no longer scan.
         Some(needed_s) if settled_s.is_none() => {
             doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
+        }
+        _ if rejection.is_some() && ranking.p_value.is_none() && !lacking.is_empty() => {
+            let names: Vec<&str> = lacking.iter().map(|id| id.as_str()).collect();
+            doubts.push(format!(
+                "without {}, which the library has, it cannot be told whether it is an unknown surface",
+                names.join(", ")
+            ));
         }
         _ if rejection.is_some() && ranking.p_value.is_none() => {
             doubts.push("too short to tell whether it is an unknown surface".into());
@@ -91,8 +98,8 @@ mod tests {
             p_value,
         };
         let rejection = threshold.then(|| Rejection::usual(99).unwrap());
-        let (left_out, remarks) = (Vec::new(), Vec::new());
-        Verdict { ranking, rejection, left_out, needed_s: Some(0.9), remarks }
+        let (left_out, lacking, remarks) = (Vec::new(), Vec::new(), Vec::new());
+        Verdict { ranking, rejection, left_out, lacking, needed_s: Some(0.9), remarks }
     }
 
     fn scan(scan_s: f64) -> Scan {
@@ -100,7 +107,7 @@ mod tests {
     }
 
     fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {
-        let (state, reasons) = judge(&Case { verdict, scan: &scan(scan_s), settled_s });
+        let (state, reasons) = judge(&NamedScan { verdict, scan: &scan(scan_s), settled_s });
         (state, reasons.join("\n"))
     }
 
@@ -111,12 +118,15 @@ mod tests {
         assert_eq!(judged(&known, 1.0, None), (Named, String::new()));
         let (state, reason) = judged(&verdict(Some(0.004), true), 1.0, None);
         assert_eq!(state, Unknown);
-        assert!(reason.starts_with("looks like none of 2 surfaces: p = 0.004"), "{reason}");
+        assert!(reason.starts_with("matches none of your 2 surfaces (p = 0.004"), "{reason}");
         assert_eq!(judged(&known, 0.2, None), (Unsure, "too short: 0.2 s of 0.9 s".into()));
         assert_eq!(judged(&known, 0.2, Some(0.1)).0, Named, "it was settled");
         assert_eq!(judged(&known, 0.6, None).0, Named, "it is long enough");
         assert_eq!(judged(&verdict(None, false), 1.0, None).0, Nearest);
         assert_eq!(judged(&verdict(None, true), 1.0, None).0, Unsure);
+        let lacking = vec![crate::scene::SourceId::new("ir").unwrap()];
+        let (state, reason) = judged(&Verdict { lacking, ..verdict(None, true) }, 1.0, None);
+        assert!(state == Unsure && reason.starts_with("without ir"), "{reason}");
         let silent = Verdict { left_out: vec!["mi2 is left out".into()], ..known.clone() };
         assert_eq!(judged(&silent, 1.0, None), (Unsure, "mi2 is left out".into()));
         let mut close = known;

@@ -1,13 +1,15 @@
-//! What a station reports, and the commands that it takes.
+//! The events of a station, and its commands.
 
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use crossbeam_channel::Receiver;
 use serde::Serialize;
 
 use super::answer::{Answer, AnsweredScan, Unnamed};
-use super::library_state::LibraryState;
+use super::recogniser::LibraryState;
 use crate::device::DeviceState;
 use crate::scan::{StreamMeter, Totals, Trace};
 use crate::scene::Phase;
@@ -21,7 +23,7 @@ pub struct SurfaceProbability {
     pub probability: f64,
 }
 
-/// What the scan in progress looks like so far.
+/// An early answer for the scan in progress.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Guess {
     /// Number of the scan.
@@ -47,7 +49,7 @@ impl Guess {
     }
 }
 
-/// What became of a scan that was to be kept as a trial of a library.
+/// The outcome of a scan that was to be kept as a trial of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolled {
     /// Number of the scan.
@@ -56,13 +58,13 @@ pub struct Enrolled {
     pub surface: String,
     /// The person who dragged.
     pub user: String,
-    /// What became of it.
+    /// The outcome.
     pub outcome: EnrolledOutcome,
     /// Number of the trial, if it was kept.
     pub trial: Option<u32>,
     /// Its folder, if it was kept.
     pub folder: Option<PathBuf>,
-    /// For people: why it was not kept, or what is not perfect about it, a line each.
+    /// Reasons why it was not kept, or its imperfections, a line each.
     pub remarks: Vec<String>,
     /// The surface that the library before it would have named it, if any.
     pub nearest: Option<String>,
@@ -70,24 +72,24 @@ pub struct Enrolled {
     pub wanted: u32,
 }
 
-/// What the next scan is to become.
+/// The surface and person under which the next scan will be kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Enrolling {
     /// The surface.
     pub surface: String,
     /// The person who drags.
     pub user: String,
-    /// How many scans are to come; `None` for every scan until the station ends.
+    /// The number of scans to come; `None` for every scan until the station ends.
     pub wanted: Option<u32>,
 }
 
-/// What became of a scan that was to be kept.
+/// Outcomes of a scan that was to be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EnrolledOutcome {
     /// It is a trial of the library.
     Kept,
-    /// It is no good trial.
+    /// It is not good enough for a trial.
     Refused,
     /// It could not be written, stays in memory, and is tried again.
     Waiting,
@@ -95,22 +97,22 @@ pub enum EnrolledOutcome {
     Lost,
 }
 
-/// What happens in a station.
+/// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
-    /// The session has begun, and this is what its streams carry, now and at any time; the first
+    /// The session has begun; the meters of its streams can be read at any time. The first
     /// event.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
         /// its name
         device: String,
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
-    /// What is new in the streams.
+    /// New data of the streams.
     Trace(Arc<Trace>),
     /// A scan has begun, or has come to another part.
     Phase {
@@ -129,13 +131,13 @@ pub enum StationEvent {
     Scan(Arc<AnsweredScan>),
     /// A scan was kept for a library, or was not.
     Enrolled(Enrolled),
-    /// What the next scan is to become has changed; `None` if it is only named.
+    /// The order for the next scan has changed; `None` if the scan will only be named.
     Enrolling(Option<Enrolling>),
     /// The library is being read; scans wait for it.
     Reading,
     /// Scans are compared with this library from now on.
     Library(LibraryState),
-    /// For people: something was lost, damaged or not understood, and work continues.
+    /// A warning: something was lost, damaged or not understood, and work continues.
     Warning(String),
     /// The station's loop turns; the answer to [`Command::Ping`].
     Alive,
@@ -146,7 +148,7 @@ pub enum StationEvent {
 }
 
 impl StationEvent {
-    /// For people: what it warns of, if it does.
+    /// The text of a warning, if this is one.
     pub fn warning(&self) -> Option<&str> {
         match self {
             Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
@@ -172,13 +174,14 @@ pub enum Command {
         /// how many
         trials: u32,
     },
-    /// End the order in force from the next scan to begin on, but for the station's own.
+    /// End the order in force, unless it is the station's own, from the next scan to begin on.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station. Within 5 s: what is not named by
+    /// End the scan in progress, name it, and stop the station, within 5 s. A scan that is not
+    /// named by
     /// then is reported.
     Quit,
 }
@@ -198,5 +201,40 @@ impl<L: Listener + ?Sized> Listener for &mut L {
 impl<L: Listener + ?Sized> Listener for Box<L> {
     fn on_event(&mut self, event: &StationEvent) {
         (**self).on_event(event);
+    }
+}
+
+/// The end of a listener's thread, which takes nothing more once the station has finished. However
+/// many listeners there are, all of them together are waited for until one moment.
+#[derive(Debug)]
+pub struct End {
+    ended: Receiver<Infallible>,
+    until: Option<Instant>,
+}
+
+impl End {
+    /// Of a thread that holds the other side of `ended` for as long as it works.
+    pub(crate) fn of(ended: Receiver<Infallible>) -> Self {
+        Self { ended, until: None }
+    }
+
+    /// Whether nothing follows this event, so that the thread is to end now.
+    pub(crate) fn is_here(&mut self, event: &StationEvent) -> bool {
+        if let StationEvent::Ending(until) = event {
+            self.until = Some(*until);
+        }
+        matches!(event, StationEvent::Finished(_))
+    }
+
+    /// Waits for the thread, but no longer than `patience` or the end of the station may take; false
+    /// if it still works.
+    pub(crate) fn wait(&self, patience: Duration) -> bool {
+        let patient = Instant::now().checked_add(patience);
+        let until = self.until.into_iter().chain(patient).min();
+        let ended = match until {
+            Some(until) => self.ended.recv_deadline(until).map_err(|error| error.is_disconnected()),
+            None => self.ended.recv().map_err(|_| true),
+        };
+        ended == Err(true)
     }
 }

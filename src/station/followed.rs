@@ -14,14 +14,14 @@ use crate::scene::SourceId;
 #[derive(Default)]
 pub(super) struct Followed {
     scan: u32,
-    /// With what it is followed by.
+    /// The follower, with its recogniser.
     follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
     last: Option<GuessSoFar>,
     trial: TrialNeed,
 }
 
 impl Followed {
-    /// Adds what is new, and gives the scan's first answers and whether it may end.
+    /// Adds new data, and gives the scan's first answers and whether it may end.
     pub fn guess(
         &mut self,
         progress: &Progress,
@@ -57,7 +57,7 @@ impl Followed {
         news
     }
 
-    /// The ranking of a scan that was followed, from what was summed up meanwhile. `None` where the
+    /// The ranking of a scan that was followed, from the sums so far. `None` where the
     /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
     /// another library was read since it began.
     pub fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
@@ -73,14 +73,14 @@ impl Followed {
         Some(Ranked { ranking, flaws })
     }
 
-    /// When the answer of a scan was settled, in seconds of scan time.
+    /// The scan time, in seconds, at which the answer of a scan was settled.
     pub fn settled_s(&self, scan: u32) -> Option<f64> {
         let last = self.last.as_ref().filter(|_| self.scan == scan)?;
         last.settled.as_ref().map(|(_, at)| *at)
     }
 }
 
-/// What `work` gives; `None` if it panicked. One scan must not take the station with it.
+/// The result of `work`; `None` if it panicked. One scan must not take the station with it.
 pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
 }

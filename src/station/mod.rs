@@ -9,14 +9,10 @@ mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
-mod end;
-mod enroll;
 mod event;
 mod followed;
-mod library_state;
 mod orders;
 mod recogniser;
-mod remark;
 mod run;
 mod start;
 mod store;
@@ -26,15 +22,12 @@ mod worker;
 
 pub use answer::{Answer, AnswerState, AnsweredScan, Unnamed};
 pub use assemble::{Assembled, assemble};
-pub use end::End;
 pub use event::{
-    Command, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
+    Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
     SurfaceProbability,
 };
-pub use library_state::LibraryState;
 pub use orders::Keep;
-pub use recogniser::{Load, Recogniser, Verdict};
-pub use remark::{Remark, RemarkKind};
+pub use recogniser::{LibraryState, Load, Recogniser, Remark, RemarkKind, Verdict};
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

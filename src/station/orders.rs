@@ -1,4 +1,4 @@
-//! Which scans are kept as trials: orders, the scans that each covers, and how far it has come.
+//! Orders to keep scans as trials: the scans that each covers, and its progress.
 //!
 //! An order covers the scans that begin after it was given; a scan in progress belongs to the order
 //! before. The station's own order, given before it runs, covers what no other order does.
@@ -12,13 +12,13 @@ pub struct Keep {
     pub surface: String,
     /// The person who drags.
     pub user: String,
-    /// How many trials; `None` for every scan until the station ends.
+    /// The number of trials; `None` for every scan until the station ends.
     pub trials: Option<u32>,
     /// Whether a scan that is not good is refused.
     pub good_only: bool,
 }
 
-/// What a scan is to become.
+/// The label and conditions under which a scan will be kept.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Enrolment {
     /// Number of its order.
@@ -35,7 +35,7 @@ struct Order {
     enrolment: Enrolment,
     /// Trials still to be kept; `None` for every scan.
     wanted: Option<u32>,
-    /// Scans on their way to the disk.
+    /// Scans that are being written.
     under_way: u32,
     /// The first scan that it covers.
     from: u32,
@@ -50,7 +50,7 @@ impl Order {
         Self { enrolment, wanted: trials, under_way: 0, from, until: None }
     }
 
-    /// How many scans are to come; `None` for every scan.
+    /// The number of scans to come; `None` for every scan.
     fn to_come(&self) -> Option<u32> {
         self.wanted.map(|wanted| wanted.saturating_sub(self.under_way))
     }
@@ -90,7 +90,7 @@ impl Orders {
         self.given.push(Order::new(self.count, keep, next));
     }
 
-    /// Ends the order in force, but for the station's own, from scan `next` on.
+    /// Ends the order in force from scan `next` on, unless it is the station's own.
     pub fn end(&mut self, next: u32) {
         for order in self.given.iter_mut().filter(|order| order.until.is_none()) {
             order.until = Some(next);
@@ -98,13 +98,13 @@ impl Orders {
         self.forget();
     }
 
-    /// What the scan `number`, which is in progress, is to become, if it is to be kept.
+    /// The enrolment of the scan `number`, which is in progress, if it is to be kept.
     pub fn covering(&self, number: u32) -> Option<&Enrolment> {
         let mut all = self.given.iter().rev().chain(&self.own);
         all.find(|o| o.covers(number) && o.to_come() != Some(0)).map(|order| &order.enrolment)
     }
 
-    /// What the scan `number`, which has just ended, is to become, if it is to be kept. Scans end
+    /// The enrolment of the scan `number`, which has just ended, if it is to be kept. Scans end
     /// in the order of their numbers.
     pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
         // No earlier scan will come any more.
@@ -121,7 +121,7 @@ impl Orders {
         enrolment
     }
 
-    /// Counts what became of a scan, and says how many trials its order still wants.
+    /// Counts the outcome of a scan, and adds how many trials its order still wants.
     pub fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
@@ -138,7 +138,7 @@ impl Orders {
         enrolled
     }
 
-    /// What the next scan is to become.
+    /// The enrolment of the next scan.
     pub fn in_force(&self) -> Option<Enrolling> {
         let newest = self.given.last().filter(|order| order.until.is_none());
         let open = |order: &&Order| order.to_come() != Some(0);

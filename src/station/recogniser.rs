@@ -1,10 +1,10 @@
-//! Names scans against a library, whatever the method.
+//! Names scans by comparing them with a library, with any method.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::library_state::LibraryState;
-use super::remark::{Remark, RemarkKind};
+use serde::Serialize;
+
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
@@ -15,18 +15,20 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws};
 
-/// What a scan was named.
+/// The result of comparing a scan with a library.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
     /// The library's surfaces, the most alike first.
     pub ranking: Ranking,
     /// The p-value at or below which it would be none of them, where there is such a threshold.
     pub rejection: Option<Rejection>,
-    /// For people: sources that were not compared, and why, a line each.
+    /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
+    /// Sources of the library that the scan does not have.
+    pub lacking: Vec<SourceId>,
     /// How long the drag should last, in seconds, where that is known.
     pub needed_s: Option<f64>,
-    /// What is not perfect about the scan.
+    /// Imperfections of the scan.
     pub remarks: Vec<Remark>,
 }
 
@@ -41,7 +43,7 @@ impl Verdict {
 /// The flaws of series, by their sources.
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
-/// A scan's ranking, and what was found out about its samples on the way.
+/// The ranking of a scan, and the flaws that were found on the way.
 pub struct Ranked {
     /// The library's surfaces.
     pub ranking: Ranking,
@@ -56,9 +58,9 @@ pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 pub struct Recogniser {
     models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
-    /// How scans are followed with each model.
+    /// The options for following scans with each model.
     following: Vec<FollowOptions>,
-    /// How long scans must last with each model, where that is known.
+    /// The scan time of each model, where it is known.
     scan_times: Vec<Option<ScanTime>>,
     /// The same by a plan, which then holds instead.
     planned_s: Option<f64>,
@@ -100,8 +102,8 @@ impl Recogniser {
         self
     }
 
-    /// Calls scans unknown that fit no surface, at a rate of false rejections or the usual one. Gives what that
-    /// rests on, for each model.
+    /// Calls scans unknown that fit no surface, at a stated rate of false rejections or the usual
+    /// one. Gives the threshold of each model and its basis.
     ///
     /// # Errors
     /// If the method gives no p-value, or a library has too few trials; no scan is called
@@ -130,7 +132,7 @@ impl Recogniser {
         both.filter_map(|(settling, scan_time)| Some((settling?, scan_time.clone()))).collect()
     }
 
-    /// Adds remarks on what answers rest on to those of the library.
+    /// Adds remarks on the basis of answers to those of the library.
     pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
@@ -164,7 +166,7 @@ impl Recogniser {
                 kind: RemarkKind::Short,
                 source: None,
                 text: format!(
-                    "{:.1} s of drag are short: with this library it takes {needed_s:.1} s",
+                    "the drag was short: {:.1} s, and this library needs {needed_s:.1} s",
                     scan.scan_s
                 ),
             }
@@ -181,8 +183,8 @@ impl Recogniser {
         Ok(Ranked { ranking, flaws: FlawsBySource::new() })
     }
 
-    /// A scan as a query to its model: what came out of the rings and nothing else, but for
-    /// sources with flaws; and, for people, which those are.
+    /// A scan as a query to its model: the data from the rings, without sources that have flaws; and
+    /// a text for each of these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
         let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
@@ -213,17 +215,19 @@ impl Recogniser {
         self.trials.get(key)
     }
 
-    /// What a scan's ranking says.
+    /// Judges a scan by its ranking.
     pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
         let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
         let needed_s = self.needed_s(scan.truth.as_ref());
         let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
-        Verdict { needed_s, rejection, left_out, remarks, ranking }
+        let is_lacking = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
+        let lacking = self.library.sources.iter().filter(is_lacking).cloned().collect();
+        Verdict { needed_s, rejection, left_out, lacking, remarks, ranking }
     }
 
-    /// For people: sources of a scan that the library has and that were not compared.
+    /// Sources of a scan that the library has and that were not compared, with reasons.
     fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
         let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
         let not_compared = held.filter(|id| !ranking.sources.contains(id));
@@ -250,8 +254,71 @@ impl Recogniser {
         self.planned_s.or_else(found)
     }
 
-    /// For people: what scans are compared with.
+    /// The library that scans are compared with.
     pub fn library(&self) -> LibraryState {
         self.library.clone()
+    }
+}
+
+/// The library that scans are compared with.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LibraryState {
+    /// Its name, or its folder's.
+    pub name: String,
+    /// Its surfaces, sorted, with the number of trials of each.
+    pub surfaces: Vec<(String, usize)>,
+    /// Its sources.
+    pub sources: Vec<SourceId>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+    /// The reason why scans cannot be named with it, if they cannot.
+    pub problem: Option<String>,
+    /// The basis of its answers, a line each.
+    pub remarks: Vec<String>,
+}
+
+impl LibraryState {
+    /// The state of a library of these trials.
+    pub fn of(name: &str, entries: &[Entry], synthetic: bool) -> Self {
+        let (mut surfaces, mut sources) = (BTreeMap::new(), BTreeSet::new());
+        for entry in entries {
+            *surfaces.entry(entry.key.surface.clone()).or_insert(0) += 1;
+            sources.extend(entry.sources.iter().cloned());
+        }
+        Self {
+            name: name.to_string(),
+            surfaces: surfaces.into_iter().collect(),
+            sources: sources.into_iter().collect(),
+            synthetic,
+            problem: None,
+            remarks: Vec::new(),
+        }
+    }
+}
+
+/// An imperfection of a scan; in JSON, its text.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub struct Remark {
+    /// The kind of imperfection.
+    pub kind: RemarkKind,
+    /// The source that it is about, if it is about one.
+    pub source: Option<SourceId>,
+    /// The text for messages.
+    pub text: String,
+}
+
+/// The kinds of remark about a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RemarkKind {
+    /// A channel has a flaw.
+    Flaw,
+    /// The drag is shorter than the library asks for.
+    Short,
+}
+
+impl From<Remark> for String {
+    fn from(remark: Remark) -> Self {
+        remark.text
     }
 }

@@ -1,42 +1,39 @@
 //! The loop of a station: session events, answers and commands in; station events out.
 
-mod naming;
-mod reading;
-
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, at, never, select};
 
-use self::naming::InHand;
 use super::event::{Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent};
 use super::orders::{Enrolment, Keep, Orders};
-use super::recogniser::{Load, Recogniser};
+use super::recogniser::{LibraryState, Load, Recogniser};
 use super::store::{RecordingThread, StoredScan};
-use super::worker::{Job, Worker};
-use crate::scan::{Event, ScanCommand, Session, SessionError, Totals};
+use super::trial_need::Purpose;
+use super::worker::{Job, JobOf, ScanAnswer, Work, Worker, WorkerEvent};
+use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
-/// How long after [`Command::Quit`] answers are waited for. Devices have 2 s of it to stop.
+/// The time after [`Command::Quit`] for the last answers. Devices have 2 s of it to stop.
 const NAMED: Duration = Duration::from_millis(2500);
-/// How long after it the disk is.
+/// The time after it for the disk.
 const WRITTEN: Duration = Duration::from_millis(3200);
-/// How long after it listeners may take.
+/// The time after it for listeners.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
-/// What scans are named with.
+/// The recogniser of scans, if there is one.
 enum Naming {
     /// The library is being read; scans wait.
     Loading,
     Ready(Arc<Recogniser>),
-    /// They cannot be named: why.
+    /// Scans cannot be named: the reason.
     None(String),
 }
 
 type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 
-/// What works for a station, once it is started.
+/// The running parts of a station.
 pub(super) struct Parts {
     pub session: Session,
     pub worker: Worker,
@@ -60,14 +57,14 @@ pub(super) struct StationRun<'a> {
     load: Option<Load>,
     naming: Naming,
     loading: Option<Receiver<LoadedRecogniser>>,
-    /// The library is to be read once more: it may have changed since the reading began.
+    /// The library must be read again: it may have changed since the reading began.
     load_again: bool,
     /// Work that the worker has not taken yet.
     pending: VecDeque<Job>,
     /// The jobs that the worker has.
     in_hand: VecDeque<InHand>,
     orders: Orders,
-    /// What the next scan is to become, as last reported.
+    /// The order for the next scan, as last reported.
     enrolling: Option<Enrolling>,
     /// When the end was ordered.
     ordered: Option<Instant>,
@@ -87,7 +84,7 @@ impl<'a> StationRun<'a> {
             by_t_star,
             waits,
             load,
-            naming: Naming::None("no library was given".into()),
+            naming: Naming::None("no library is set".into()),
             loading: None,
             load_again: false,
             pending: VecDeque::new(),
@@ -99,7 +96,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Reports what the streams carry, and what the first scan is to become.
+    /// Reports the meters of the streams, and the order for the first scan.
     pub fn announce(&mut self) {
         self.emit(StationEvent::Streams(self.session.meters().to_vec()));
         self.report_order();
@@ -141,7 +138,8 @@ impl<'a> StationRun<'a> {
                 },
                 recv(done) -> done => match done {
                     Ok(done) => self.done(done),
-                    // It catches the panics of methods; one of its own is a defect.
+                    // The worker catches the panics of methods; a panic of the worker itself is a
+                    // defect.
                     Err(_) => return,
                 },
                 recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
@@ -159,7 +157,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Waits for what is being written, and reports the end.
+    /// Waits for scans that are being written, and reports the end.
     pub fn finish(mut self) -> Result<Totals, SessionError> {
         let until = self.ordered.map(|ordered| ordered + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
@@ -186,8 +184,8 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Takes note of what became of a scan that was to be kept; it is reported once it is known
-    /// what surface the scan is most like.
+    /// Takes the outcome of a scan that was to be kept; it is reported once the nearest surface of the
+    /// scan is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
@@ -198,13 +196,13 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Reports what became of a scan that was to be kept.
+    /// Reports the outcome of a scan that was to be kept.
     fn enrolled(&mut self, enrolment: &Enrolment, enrolled: Enrolled) {
         let enrolled = self.orders.count(enrolment, enrolled);
         let why = enrolled.remarks.last().map_or("", String::as_str);
         let what = match enrolled.outcome {
-            EnrolledOutcome::Waiting => Some("could not be written, and will be tried again"),
-            EnrolledOutcome::Lost => Some("could not be written, and is lost"),
+            EnrolledOutcome::Waiting => Some("could not be written and will be tried again"),
+            EnrolledOutcome::Lost => Some("could not be written and is lost"),
             EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
         };
         let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
@@ -213,7 +211,7 @@ impl<'a> StationRun<'a> {
         self.report_order();
     }
 
-    /// Reports what the next scan is to become, if that has changed.
+    /// Reports the order for the next scan, if it has changed.
     fn report_order(&mut self) {
         let now = self.orders.in_force();
         if now != self.enrolling {
@@ -225,7 +223,7 @@ impl<'a> StationRun<'a> {
     /// Keeps the scans that begin from now on.
     fn enroll(&mut self, keep: Keep) {
         if self.recording.is_none() {
-            return self.warn("there is no library to keep scans in");
+            return self.warn("this scan cannot be kept: no library is set");
         }
         self.orders.give(keep, self.session.next_scan());
         self.report_order();
@@ -251,6 +249,208 @@ impl<'a> StationRun<'a> {
                     self.ordered = Some(now);
                     self.emit(StationEvent::Ending(now + PASSED_ON));
                 }
+            }
+        }
+    }
+}
+
+impl StationRun<'_> {
+    /// Whether there is a library to read.
+    pub fn can_load(&self) -> bool {
+        self.load.is_some()
+    }
+
+    /// Names scans with the new library from now on, if it could be read.
+    pub fn loaded(&mut self, loaded: LoadedRecogniser) {
+        match loaded {
+            Ok(recogniser) => {
+                self.emit(StationEvent::Library(recogniser.library()));
+                self.naming = Naming::Ready(recogniser);
+            }
+            Err(problem) => {
+                // The library that was read before stays in use.
+                let mut state = match &self.naming {
+                    Naming::Ready(recogniser) => recogniser.library(),
+                    _ => {
+                        self.naming = Naming::None(problem.clone());
+                        LibraryState::default()
+                    }
+                };
+                state.problem = Some(problem.clone());
+                self.emit(StationEvent::Library(state));
+                self.warn(problem);
+            }
+        }
+    }
+
+    /// Reads the library; meanwhile the one before stays in use, or scans wait.
+    pub fn reload(&mut self) {
+        let Some(load) = self.load.clone() else {
+            return self.warn("nothing was reloaded: no library is set");
+        };
+        // One at a time: each takes a thread and the memory of a library.
+        if self.loading.is_some() {
+            self.load_again = true;
+            return;
+        }
+        if !matches!(self.naming, Naming::Ready(_)) {
+            self.naming = Naming::Loading;
+        }
+        self.emit(StationEvent::Reading);
+        let (send, loaded) = crossbeam_channel::bounded(1);
+        let work = move || {
+            let _ = send.send(load());
+        };
+        match std::thread::Builder::new().name("load-library".into()).spawn(work) {
+            Ok(_) => self.loading = Some(loaded),
+            Err(error) => {
+                self.loaded(Err(format!("cannot start a thread to read the library: {error}")))
+            }
+        }
+    }
+}
+
+/// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
+const BACKLOG: usize = 64;
+
+/// A job that the worker has: the number of the scan, or the report to be completed.
+type InHand = JobOf<u32, (), Box<(Enrolment, Enrolled)>>;
+
+impl InHand {
+    fn of(job: &Job) -> Self {
+        match job {
+            Job::Scan(scan) => Self::Scan(scan.number),
+            Job::Progress(_) => Self::Progress(()),
+            Job::Kept(kept) => {
+                Self::Kept(Box::new((kept.enrolment.clone(), kept.enrolled.clone())))
+            }
+        }
+    }
+}
+
+impl StationRun<'_> {
+    fn scan(&mut self, scan: Box<Scan>) {
+        if let Some(recording) = &mut self.recording
+            && let Some(enrolment) = self.orders.claim(scan.number)
+        {
+            let by = match &self.naming {
+                Naming::Ready(by) => Some(by.clone()),
+                Naming::Loading | Naming::None(_) => None,
+            };
+            recording.store(scan, enrolment, by);
+            return self.report_order();
+        }
+        self.pending.push_back(Job::Scan(scan));
+        self.limit_backlog();
+    }
+
+    /// Drops the oldest scan and the progress before it, if too many wait.
+    fn limit_backlog(&mut self) {
+        let waiting = self.pending.iter().filter(|job| !matches!(job, Job::Progress(_))).count();
+        if waiting <= BACKLOG || self.waits {
+            return;
+        }
+        while let Some(job) = self.pending.pop_front() {
+            match job {
+                Job::Progress(_) => {}
+                Job::Kept(kept) => return self.enrolled(&kept.enrolment, kept.enrolled),
+                Job::Scan(scan) => return self.unnamed(scan, "too many scans were waiting"),
+            }
+        }
+    }
+
+    /// Adds progress of a scan. Progress that waits for the worker is joined to one piece.
+    fn progress(&mut self, progress: Progress) {
+        match self.pending.back_mut() {
+            Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
+            _ => self.pending.push_back(Job::Progress(progress)),
+        }
+    }
+
+    /// Hands jobs to the worker, as long as it takes them.
+    fn hand_on(&mut self) {
+        while let Some(job) = self.pending.pop_front() {
+            let by = match &self.naming {
+                Naming::Loading => return self.pending.push_front(job),
+                Naming::Ready(by) => Ok(by.clone()),
+                Naming::None(why) => Err(why.clone()),
+            };
+            let in_hand = InHand::of(&job);
+            let work = match (job, by) {
+                (Job::Scan(scan), Ok(by)) => Work::Scan((scan, by)),
+                (Job::Scan(scan), Err(why)) => {
+                    self.unnamed(scan, &why);
+                    continue;
+                }
+                (Job::Progress(progress), by) => {
+                    let purpose = self.purpose(progress.number);
+                    Work::Progress((progress, purpose, by.ok()))
+                }
+                (Job::Kept(kept), _) => Work::Kept(kept),
+            };
+            if let Err(back) = self.worker.work.try_send(work) {
+                return self.pending.push_front(back.into_inner().into_job());
+            }
+            self.in_hand.push_back(in_hand);
+        }
+    }
+
+    /// The purpose of a scan in progress.
+    fn purpose(&self, number: u32) -> Purpose {
+        match self.orders.covering(number) {
+            Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
+            Some(_) => Purpose::Keep(Vec::new()),
+            None => Purpose::Name,
+        }
+    }
+
+    /// Reports the result of a job.
+    fn done(&mut self, done: WorkerEvent) {
+        let job = self.in_hand.pop_front();
+        match done {
+            WorkerEvent::Scan(answered) => self.answered(answered),
+            WorkerEvent::Progress(guess) => self.emit(StationEvent::Guess(guess)),
+            WorkerEvent::Kept(nearest) => {
+                if let Some(InHand::Kept(kept)) = job {
+                    self.enrolled(&kept.0, Enrolled { nearest, ..kept.1 });
+                }
+            }
+        }
+    }
+
+    /// Reports a scan with its answer.
+    fn answered(&mut self, answered: ScanAnswer) {
+        let (event, scan) = match answered {
+            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
+            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
+        };
+        self.emit(event);
+        self.emit(StationEvent::Scan(scan));
+    }
+
+    /// Reports a scan that was not named, with the reason.
+    fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
+        let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
+        self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
+    }
+
+    /// Reports the scans that will not be named, since the end does not wait any longer.
+    fn give_up_naming(&mut self) {
+        // The results of jobs that the worker has come too late from now on.
+        self.worker.done = never();
+        let pending: Vec<InHand> = self.pending.drain(..).map(|job| InHand::of(&job)).collect();
+        let in_hand: Vec<InHand> = self.in_hand.drain(..).collect();
+        let busy = match &self.naming {
+            Naming::Loading => "the library was still being read",
+            _ => "time had run out",
+        };
+        for job in in_hand.into_iter().chain(pending) {
+            match job {
+                InHand::Scan(number) => self.warn(format!(
+                    "scan {number} was not named: {busy} when the station was ended"
+                )),
+                InHand::Kept(kept) => self.enrolled(&kept.0, kept.1),
+                InHand::Progress(()) => {}
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What a station is made of, and its start.
+//! Builds and starts a station.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::worker::Worker;
 use crate::device::Device;
 use crate::scan::{Options, Session, SessionError, Totals};
 
-/// What a station is made of.
+/// The parts of a station.
 pub struct Station<'a> {
     devices: Vec<Box<dyn Device>>,
     options: Options,
@@ -83,7 +83,7 @@ impl<'a> Station<'a> {
         self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
     }
 
-    /// Where commands go, before it runs and while it does.
+    /// The sender of commands, valid before the station runs and while it does.
     pub fn commands(&self) -> Sender<Command> {
         self.commands.0.clone()
     }
@@ -91,7 +91,7 @@ impl<'a> Station<'a> {
     /// Runs until all devices have ended, or [`Command::Quit`].
     ///
     /// # Errors
-    /// If two streams have one name, an option is impossible, or there is no thread to be had. A
+    /// If two streams have one name, an option is impossible, or a thread cannot be started. A
     /// device that fails is no error here: [`Totals`] names it.
     pub fn run(self) -> Result<Totals, SessionError> {
         let thread = |name: &str| {
@@ -115,7 +115,7 @@ impl<'a> Station<'a> {
             None if run.can_load() => run.reload(),
             None => {}
         }
-        // The sender beside it keeps the channel open.
+        // Its sender, which is kept here too, keeps the channel open.
         run.until_finished(&self.commands.1);
         run.finish()
     }

@@ -1,6 +1,6 @@
 //! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
 //!
-//! A scan that cannot be written, for a full disk or a lost permission, stays in memory and is
+//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and is
 //! tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -13,50 +13,50 @@ use crossbeam_channel::{
     Receiver, RecvTimeoutError, Sender, TryRecvError, at, bounded, never, select, unbounded,
 };
 
-use super::enroll::faults;
 use super::event::{Enrolled, EnrolledOutcome};
 use super::orders::Enrolment;
 use super::recogniser::Recogniser;
-use crate::library::{About, LibraryError, recording};
-use crate::record::{TrialOptions, append_trial, number_by_names, utc};
+use super::trial_need::faults;
+use crate::library::{About, LibraryError};
+use crate::record::{TrialOptions, append_trial, edit, number_by_names, utc};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Trial, TrialKey};
+use crate::trial::{Trial, TrialKey, normal};
 
 /// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
 /// Scans that wait to be written: of 10 s each, 200 MB.
 const MAX_WAITING: usize = 64;
 
-/// Where scans are stored, and what is noted with them.
+/// The library in which scans are stored, and the notes that go with them.
 #[derive(Clone, Debug)]
 pub struct ScanStore {
     /// The library; it need not exist.
     pub folder: PathBuf,
-    /// What its sources are.
+    /// The sources of the library.
     pub scene: Scene,
-    /// Which device each source comes from.
+    /// The device of each source.
     pub devices: BTreeMap<String, String>,
     /// Sources of which a good trial holds enough independent samples.
     pub by_t_star: Vec<SourceId>,
 }
 
 impl ScanStore {
-    /// Stores scans in a library, with nothing noted beside them.
+    /// Stores scans in a library, without further notes.
     pub fn new(folder: PathBuf, scene: Scene) -> Self {
         Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
     }
 }
 
-/// What became of a scan, and the enrolment that it belongs to.
+/// The outcome of a scan, and the enrolment that it belongs to.
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
-    /// Of one that was kept: the scan, and what may say what surface it is most like.
+    /// If it was kept: the scan, and the recogniser that finds its nearest surface.
     pub kept: Option<(Box<Scan>, Arc<Recogniser>)>,
 }
 
-/// A scan, the enrolment that it belongs to, and what it is compared with.
+/// A scan, the enrolment that it belongs to, and the recogniser for it.
 type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 
 /// The thread, and its two ends.
@@ -75,7 +75,7 @@ impl RecordingThread {
     /// # Errors
     /// If the system gives no thread.
     pub fn start(store: ScanStore) -> std::io::Result<Self> {
-        // Unbounded, but emptied at once: what cannot be written waits within limits of its own.
+        // Unbounded, but emptied at once: scans that cannot be written wait in a bounded queue.
         let (scans, to_store) = unbounded();
         let (send, stored) = unbounded();
         let (working, ending) = bounded(0);
@@ -93,13 +93,13 @@ impl RecordingThread {
         let _ = self.scans.send((scan, enrolment, by));
     }
 
-    /// Notes what became of a scan.
+    /// Notes the outcome of a scan.
     pub fn settle(&mut self, enrolled: &Enrolled) {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Gives what is still to come, after a last attempt to write what waits. What a disk does not
-    /// take `until` then is lost.
+    /// Gives the last outcomes, after a last attempt to write the waiting scans. Data not written
+    /// by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
@@ -116,7 +116,7 @@ impl RecordingThread {
         }
         last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
         let lost = under_way.into_iter().map(|(scan, enrolment)| {
-            let why = "the disk had not taken it when the station was ended";
+            let why = "it was not on disk when the station ended";
             let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, vec![why.into()]);
             StoredScan { enrolment, enrolled, kept: None }
         });
@@ -219,7 +219,7 @@ impl StoreWriter {
     /// Writes a scan; gives its number and its folder.
     fn write(&mut self, waiting: &WaitingScan) -> Result<(u32, PathBuf), LibraryError> {
         let WaitingScan { scan, enrolment, .. } = waiting;
-        let of = (enrolment.surface.clone(), enrolment.user.clone());
+        let of = (normal(&enrolment.surface), normal(&enrolment.user));
         let known = self.next.get(&of).copied().unwrap_or(1);
         let number = match self.current {
             true => known,
@@ -266,9 +266,9 @@ impl StoreWriter {
             return;
         }
         let (send, read) = bounded(1);
-        let store = self.store.clone();
-        // On a thread of its own, for the end waits for no library.
-        let work = move || drop(send.send(numbers(&store)));
+        let ScanStore { folder, scene, .. } = self.store.clone();
+        // On a separate thread, since the end of the station must not wait for a library.
+        let work = move || drop(send.send(edit::numbers_after(&folder, &scene)));
         if std::thread::Builder::new().name("numbers".into()).spawn(work).is_err() {
             return;
         }
@@ -281,7 +281,7 @@ impl StoreWriter {
     }
 }
 
-/// What became of a scan, but for its number and folder.
+/// The outcome of a scan, without the number and folder of its trial.
 fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<String>) -> Enrolled {
     Enrolled {
         scan,
@@ -294,22 +294,6 @@ fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<St
         nearest: None,
         wanted: 0,
     }
-}
-
-/// The numbers after those that a library holds.
-fn numbers(store: &ScanStore) -> Result<Numbers, LibraryError> {
-    let mut numbers = Numbers::new();
-    let library = match recording::open(&store.folder, &store.scene) {
-        Ok(library) => library,
-        Err(LibraryError::NothingFound { .. }) => return Ok(numbers),
-        Err(_) if !store.folder.exists() => return Ok(numbers),
-        Err(error) => return Err(error),
-    };
-    for entry in library.entries {
-        let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
-        *next = (*next).max(entry.key.number.saturating_add(1));
-    }
-    Ok(numbers)
 }
 
 #[cfg(test)]

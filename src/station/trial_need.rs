@@ -1,16 +1,18 @@
-//! Whether a scan in progress may end: for its name, or, by the T* of its own sources, as a trial.
+//! Decides whether a scan is good enough: in progress, whether it may end, for its name or as a trial; at its
+//! end, whether it may be kept as a trial.
 
 use std::collections::BTreeMap;
 
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
-use crate::scan::{Fresh, Progress};
-use crate::scene::SourceId;
+use crate::scan::{Fresh, Progress, Scan};
+use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
+use crate::trial::{Flaw, Series, Signal, flaws};
 
-/// A source that has rested this long, in seconds of drag, will: it asks for nothing.
+/// A source that has been at rest for this long, in seconds of drag, is not judged.
 const RESTS_S: f64 = 1.0;
 
-/// What a scan in progress is for.
+/// The purpose of a scan in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// To be named.
@@ -19,7 +21,7 @@ pub(super) enum Purpose {
     Keep(Vec<SourceId>),
 }
 
-/// What the sources by which trials are judged ask for, as far as their T* is known by now.
+/// The drag that the judged sources need, as far as their T* is known by now.
 #[derive(Default)]
 pub(super) struct TrialNeed {
     of_source: BTreeMap<SourceId, SourceNeed>,
@@ -69,14 +71,15 @@ impl TrialNeed {
         let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
         let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
         source.moves |= frames.into_iter().any(|frame| frame != source.first);
-        // Frames with samples that are not numbers make no good trial, and are no part of T*.
+        // Frames with samples that are not numbers are not part of T*; such a scan is refused as a trial.
         if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
             let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
             source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());
         }
     }
 
-    /// How long the drag must last, in seconds, at least `least_s`; none while that is not known.
+    /// The length that the drag needs, in seconds, at least `least_s`; `None` while it is not
+    /// known.
     fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {
@@ -88,6 +91,51 @@ impl TrialNeed {
         }
         needed_s
     }
+}
+
+/// Why a scan is no good trial, a line each. `by_t_star` are the sources of which it must hold
+/// enough independent samples.
+pub(super) fn faults(scan: &Scan, scene: &Scene, by_t_star: &[SourceId]) -> Vec<String> {
+    let mut faults = scan.spoiled.clone();
+    if scan.lost_samples > 0 && faults.is_empty() {
+        faults.push(format!("samples were lost in it: {}", scan.lost_samples));
+    }
+    for (id, signal) in &scan.trial.signals {
+        let Signal::Series(series) = signal else { continue };
+        // A source with a fixed length scale is a switch, which has two values and rests.
+        if scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()) {
+            let clipped = |flaw: &&Flaw| matches!(flaw, Flaw::Saturated { .. });
+            faults.extend(flaws(series).iter().filter(clipped).map(|flaw| format!("{id}: {flaw}")));
+        }
+        if by_t_star.contains(id) {
+            faults.extend(too_short(id, series));
+        }
+    }
+    faults
+}
+
+/// That a recording holds too few independent samples, by its own T*.
+fn too_short(id: &SourceId, series: &Series) -> Option<String> {
+    let held_s = series.duration_s();
+    let settings =
+        OnlineSettings { window_s: held_s, every_s: f64::INFINITY, ..OnlineSettings::default() };
+    let mut online = OnlineDuration::new(series.rate_hz(), series.channels(), settings);
+    online.push(series.samples()).ok()?;
+    let estimate = online.estimate();
+    let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
+        Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
+        // It never changes, which no longer drag would mend.
+        _ if series.is_constant() => return None,
+        _ => f64::INFINITY,
+    };
+    if held_s >= needed_s {
+        return None;
+    }
+    let take = match needed_s.is_finite() {
+        true => format!("{SAMPLES} independent samples take {needed_s:.1} s here"),
+        false => "no two samples in it are known to be independent".into(),
+    };
+    Some(format!("{id}: {held_s:.1} s is too short: {take}; drag longer, or move faster"))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Why a scan was named as it was: what each source says, the threshold, the nearest trial.
+//! Explains the name of a scan: the votes of the sources, the threshold, the nearest trial.
 
 use serde::Serialize;
 
@@ -6,17 +6,17 @@ use crate::recognise::{Evidence, RankedSurface, Ranking, Rejection};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
-/// Why a scan was named as it was.
+/// The explanation of the name of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// The first surface of the ranking.
     pub winner: String,
     /// The second.
     pub runner_up: Option<String>,
-    /// What each source says, the one that says most for the winner first; empty by a method that
+    /// The sources, with the one that favours the winner most first; empty by a method that
     /// cannot take sources apart.
     pub sources: Vec<SourceSays>,
-    /// For people: sources that were not compared, and why, a line each.
+    /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
     /// The p-value, as [`Ranking::p_value`].
     pub p_value: Option<f64>,
@@ -32,7 +32,7 @@ pub struct Why {
     pub ranked: Vec<RankedSurface>,
 }
 
-/// What one source says of the winner and the runner-up.
+/// How one source judges the winner and the runner-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceSays {
     /// The source.
@@ -42,9 +42,6 @@ pub struct SourceSays {
     pub for_winner: Option<f64>,
     /// The surface that it would name alone.
     pub alone: Option<String>,
-    /// Whether it counts: sources of which the library cannot say how far to trust them do not, where
-    /// others can.
-    pub counts: bool,
 }
 
 impl Why {
@@ -82,7 +79,6 @@ fn says(evidence: &Evidence, winner: &str, runner_up: Option<&str>) -> Vec<Sourc
     let Evidence { surfaces, sources } = evidence;
     let at = |surface: &str| surfaces.iter().position(|other| other == surface);
     let (first, second) = (at(winner), runner_up.and_then(at));
-    let any_trained = sources.iter().any(|source| source.trained);
     let of = |source: &crate::recognise::SourceEvidence| {
         let term = |index: Option<usize>| index.map(|i| source.terms[i]).filter(|t| t.is_finite());
         let finite = (0..surfaces.len()).filter(|&i| source.terms[i].is_finite());
@@ -91,7 +87,6 @@ fn says(evidence: &Evidence, winner: &str, runner_up: Option<&str>) -> Vec<Sourc
             source: source.source.clone(),
             for_winner: term(second).zip(term(first)).map(|(second, first)| second - first),
             alone: alone.map(|i| surfaces[i].clone()),
-            counts: source.trained || !any_trained,
         }
     };
     sources.iter().map(of).collect()
@@ -106,7 +101,6 @@ mod tests {
     fn sources_speak_for_the_winner_or_the_runner_up() {
         let source = |id: &str, terms: [f64; 3]| SourceEvidence {
             source: SourceId::new(id).unwrap(),
-            trained: true,
             terms: terms.into(),
         };
         let evidence = Evidence {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed};
-use super::certainty::{Case, judge};
+use super::certainty::{NamedScan, judge};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Ranked, Recogniser, Verdict};
@@ -15,48 +15,41 @@ use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
 
-/// What is to be recognised.
-pub(super) enum Job {
+/// Something about a job of the worker, by the kind of job.
+pub(super) enum JobOf<S, P, K> {
     /// A scan to be named.
-    Scan(Box<Scan>),
-    /// What is new in the scan in progress.
-    Progress(Progress),
-    /// A scan that was kept: what surface it is most like.
-    Kept(Box<StoredScan>),
+    Scan(S),
+    /// New data of the scan in progress.
+    Progress(P),
+    /// A scan that was kept, of which the nearest surface is sought.
+    Kept(K),
 }
 
-/// What is to be recognised, and by what.
-pub(super) enum Work {
-    /// A scan to be named.
-    Scan(Box<Scan>, Arc<Recogniser>),
-    /// What is new in the scan in progress, what it is for, and what names it, if anything can.
-    Progress(Progress, Purpose, Option<Arc<Recogniser>>),
-    /// As [`Job::Kept`].
-    Kept(Box<StoredScan>),
-}
+/// A job, before it is known what names it.
+pub(super) type Job = JobOf<Box<Scan>, Progress, Box<StoredScan>>;
+
+/// A job with all that the worker needs for it. Progress comes with its purpose, and with a
+/// recogniser if there is one.
+pub(super) type Work = JobOf<
+    (Box<Scan>, Arc<Recogniser>),
+    (Progress, Purpose, Option<Arc<Recogniser>>),
+    Box<StoredScan>,
+>;
+
+/// The result of a job: the answer, the guess, or the nearest surface if there is one.
+pub(super) type WorkerEvent = JobOf<ScanAnswer, Guess, Option<String>>;
 
 impl Work {
-    /// The job without the rest.
+    /// The job alone.
     pub fn into_job(self) -> Job {
         match self {
-            Self::Scan(scan, _) => Job::Scan(scan),
-            Self::Progress(progress, ..) => Job::Progress(progress),
+            Self::Scan((scan, _)) => Job::Scan(scan),
+            Self::Progress((progress, ..)) => Job::Progress(progress),
             Self::Kept(stored) => Job::Kept(stored),
         }
     }
 }
 
-/// What the thread has done.
-pub(super) enum WorkerEvent {
-    /// A scan with its answer.
-    Answered(ScanAnswer),
-    /// What the scan in progress looks like so far.
-    Guess(Guess),
-    /// What surface a scan that was kept is most like, if any.
-    Nearest(Option<String>),
-}
-
-/// A scan with its answer.
 pub(super) enum ScanAnswer {
     Named(Arc<AnsweredScan>),
     /// One that could not be named.
@@ -75,7 +68,7 @@ impl ScanAnswer {
 }
 
 /// The two ends of the thread, which gives an event for each piece of work, in their order. Once
-/// the first is dropped, it ends with what it has in hand, and nobody waits for it.
+/// the first is dropped, it ends after its current job, and nobody waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,
@@ -83,7 +76,7 @@ pub(super) struct Worker {
 
 impl Worker {
     /// Starts the thread. With `queues`, scans may wait for their turn behind others, as those of a
-    /// recording do that is played as fast as possible; that wait is not counted as latency.
+    /// recording do if it is played as fast as possible; that wait is not counted as latency.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -95,17 +88,17 @@ impl Worker {
             let mut followed = Followed::default();
             for work in to_do {
                 let event = match work {
-                    Work::Scan(scan, by) => {
+                    Work::Scan((scan, by)) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
                         let settled_s = followed.settled_s(scan.number);
                         let ranked = followed.finish(&scan, &by);
-                        WorkerEvent::Answered(name(scan, by, ranked, from, settled_s))
+                        WorkerEvent::Scan(name(scan, by, ranked, from, settled_s))
                     }
-                    Work::Progress(progress, purpose, by) => {
-                        WorkerEvent::Guess(followed.guess(&progress, &purpose, by.as_ref()))
+                    Work::Progress((progress, purpose, by)) => {
+                        WorkerEvent::Progress(followed.guess(&progress, &purpose, by.as_ref()))
                     }
-                    Work::Kept(stored) => WorkerEvent::Nearest(nearest(&stored)),
+                    Work::Kept(stored) => WorkerEvent::Kept(nearest(&stored)),
                 };
                 if send.send(event).is_err() {
                     return;
@@ -143,7 +136,7 @@ fn named(
     latency_ms: f64,
     settled_s: Option<f64>,
 ) -> ScanAnswer {
-    let (state, reasons) = judge(&Case { verdict: &verdict, scan: &scan, settled_s });
+    let (state, reasons) = judge(&NamedScan { verdict: &verdict, scan: &scan, settled_s });
     let Verdict { ranking, needed_s, remarks, .. } = verdict;
     let answer = Answer {
         surface: (state != AnswerState::Unknown).then(|| ranking.surface().to_string()),
@@ -279,17 +272,17 @@ mod tests {
                     fresh: Vec::new(),
                     images: Vec::new(),
                 };
-                let progress = Work::Progress(progress, Purpose::Name, Some(by.clone()));
-                for work in [progress, Work::Scan(Box::new(scan(number)), by.clone())] {
+                let progress = Work::Progress((progress, Purpose::Name, Some(by.clone())));
+                for work in [progress, Work::Scan((Box::new(scan(number)), by.clone()))] {
                     worker.work.send(work).unwrap();
                 }
-                let Ok(WorkerEvent::Guess(guess)) = worker.done.recv() else {
+                let Ok(WorkerEvent::Progress(guess)) = worker.done.recv() else {
                     panic!("{part}: no guess")
                 };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert_eq!((!guess.named.is_empty(), guess.settled), (guesses, guesses), "{part}");
                 assert!(!guess.enough, "a stop rule that rests on no trial");
-                let Ok(WorkerEvent::Answered(answered)) = worker.done.recv() else {
+                let Ok(WorkerEvent::Scan(answered)) = worker.done.recv() else {
                     panic!("{part}: no answer")
                 };
                 match answered {

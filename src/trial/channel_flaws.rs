@@ -3,7 +3,7 @@
 
 use super::{Image, Series};
 
-/// What is wrong with one channel of a series.
+/// A flaw of one channel of a series.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Flaw {
     /// Every sample has the same value.
@@ -63,9 +63,9 @@ impl std::fmt::Display for Flaw {
     }
 }
 
-/// Fewer values than this are a switch or a coarse converter, whose limits are no flaw.
+/// Fewer values than this are a switch or a coarse converter, whose limits are not flaws.
 const FEWEST_VALUES: usize = 16;
-/// This many samples in a row at a limit are no coincidence.
+/// This many samples in a row at a limit are a flaw.
 const RUN: usize = 3;
 /// A channel that rests for so large a share at the end of a scan is stuck.
 const STUCK: f64 = 0.5;
@@ -78,7 +78,7 @@ pub fn is_plain(image: &Image) -> bool {
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }
 
-/// What the flaws of one channel are found by, sample by sample.
+/// Finds the flaws of one channel, sample by sample.
 #[derive(Clone, Debug)]
 struct ChannelFlaws {
     samples: usize,

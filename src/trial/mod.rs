@@ -1,12 +1,10 @@
 //! One recorded interaction with one surface: all its sources, as they came from the sensors.
 
 mod channel_flaws;
-mod label;
 mod signal;
 
 pub(crate) use channel_flaws::is_plain;
 pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
-pub use label::{EXPERT, TrialKey, UNLABELLED};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;
@@ -16,9 +14,9 @@ use crate::scene::SourceId;
 /// One interaction with one surface, all its sources.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// Which surface, whose hand, which repetition.
+    /// Surface, person and number of the repetition.
     pub key: TrialKey,
-    /// What was recorded. Sources may be missing: a comparison uses those that both trials have.
+    /// The recorded signals. Sources may be missing: a comparison uses those that both trials have.
     pub signals: BTreeMap<SourceId, Signal>,
 }
 
@@ -43,5 +41,50 @@ impl Trial {
             _ => None,
         });
         lengths.max_by(f64::total_cmp)
+    }
+}
+
+/// The user of a trial that names none.
+pub const EXPERT: &str = "expert";
+
+/// The surface of a trial whose label nobody knows.
+pub const UNLABELLED: &str = "unlabelled";
+
+/// A label in Unicode's normal form C: an é is the same, however it was typed.
+pub(crate) fn normal(label: &str) -> String {
+    use unicode_normalization::UnicodeNormalization;
+    label.nfc().collect()
+}
+
+/// Names one trial: which surface, whose hand, which repetition.
+///
+/// Ordered by surface, then user, then number, which is also the order in which ties are broken.
+#[derive(
+    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
+)]
+pub struct TrialKey {
+    /// The label: what a recogniser answers with.
+    pub surface: String,
+    /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
+    pub user: String,
+    /// Number of the repetition, counted from 1.
+    pub number: u32,
+}
+
+impl TrialKey {
+    /// A key from its three parts.
+    pub fn new(surface: impl Into<String>, user: impl Into<String>, number: u32) -> Self {
+        Self { surface: surface.into(), user: user.into(), number }
+    }
+
+    /// The surface, if it is known.
+    pub fn label(&self) -> Option<&str> {
+        (self.surface != UNLABELLED).then_some(self.surface.as_str())
+    }
+}
+
+impl std::fmt::Display for TrialKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} · {} · trial {}", self.surface, self.user, self.number)
     }
 }

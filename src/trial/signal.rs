@@ -4,7 +4,7 @@ use ndarray::{ArrayView2, ArrayViewMut2};
 
 use crate::seed;
 
-/// Why data cannot be a signal.
+/// Errors of data that cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum SignalError {
     /// no samples

@@ -151,7 +151,7 @@ def check(browser, station, shots):
     browser.run("document.querySelector('#scans tr.unknown button').click()")
     browser.wait("the scan", lambda: browser.run("return document.getElementById('scan').dataset.shown"))
     about = browser.text("#scan-about")
-    assert browser.text("#scan-title") == "unknown" and "looks like none of 2 surfaces: p = " in about, about
+    assert browser.text("#scan-title") == "unknown" and "matches none of your 2 surfaces (p = " in about, about
     close(browser, "scan")
 
     open_newest(browser, station)

@@ -40,7 +40,7 @@ def check(browser, station, stylus, shots):
     print(f"grey after {took:.2f} s")
     assert took <= 1.0, f"grey after {took:.2f} s"
     assert "no data for" in browser.text(".plot span")
-    browser.wait("what to do", lambda: "wait for the stylus" in browser.text("#advice"))
+    browser.wait("what to do", lambda: "disconnected: plug it in" in browser.text("#advice"))
     browser.wait("the device lost", lambda: browser.run(
         "return ['lost', 'absent'].includes(document.querySelector('#devices li')?.dataset.state)"))
     shot(browser, shots, "unplugged")

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 use serde_json::Value;
-use surfaced::device::{Control, Device, DeviceError, DeviceState, StreamKind, StreamSpec};
+use surfaced::device::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use surfaced::recognise::RankedSurface;
 use surfaced::ring::Sink;
 use surfaced::scan::{Event, Options, Session};
@@ -156,7 +156,7 @@ impl Device for Stylus {
         true
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         let sink = sinks[0].series().unwrap();
         sink.push_waiting(&vec![0.5; 3 * 50_000], control.stop())?;
         Ok(())
@@ -175,7 +175,7 @@ pub fn session() -> Vec<StationEvent> {
         sources: vec![id("ac"), id("mi2")],
         synthetic: false,
         problem: None,
-        remarks: vec!["answers settle when scans end".into()],
+        remarks: vec!["answers come when scans end".into()],
     };
     let device = StationEvent::Device {
         device: "stylus".into(),
@@ -217,7 +217,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         scan,
         surface: surface.map(Into::into),
         state: if known { AnswerState::Named } else { AnswerState::Unknown },
-        reasons: if known { vec![] } else { vec!["looks like none of 2 surfaces".into()] },
+        reasons: if known { vec![] } else { vec!["matches none of your 2 surfaces".into()] },
         truth: None,
         user: None,
         trial: None,

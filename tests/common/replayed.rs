@@ -1,9 +1,12 @@
 //! Trials that are played, and what a session reported of them.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use surfaced::device::{Device, DeviceState, Replay};
 use surfaced::library::Entry;
-use surfaced::scan::{Event, Options, PartialScan, Scan, Session, Totals};
-use surfaced::scene::Scene;
+use surfaced::scan::{Event, Options, Progress, Scan, Session, Totals};
+use surfaced::scene::{Scene, SourceId};
 use surfaced::trial::{Image, Series, Signal, Trial, TrialKey};
 
 use super::id;
@@ -45,6 +48,43 @@ pub fn whole_trial(number: u32, frames: usize) -> Trial {
 pub fn replay(trials: &[Trial]) -> Replay {
     let entries = trials.iter().cloned().map(Entry::in_memory).collect();
     Replay::new(&Scene::lmt108(), entries)
+}
+
+/// Adds up the snapshots of a scan.
+#[derive(Default)]
+struct PartialScan {
+    number: u32,
+    series: BTreeMap<SourceId, (f64, usize, Vec<f32>)>,
+    images: BTreeMap<SourceId, Arc<Image>>,
+}
+
+impl PartialScan {
+    /// Adds a snapshot; one of another scan starts again.
+    fn add(&mut self, progress: &Progress) {
+        if self.number != progress.number {
+            *self = Self { number: progress.number, ..Self::default() };
+        }
+        for fresh in &progress.fresh {
+            let begin = || (fresh.rate_hz, fresh.channels, Vec::new());
+            let (_, _, samples) = self.series.entry(fresh.source.clone()).or_insert_with(begin);
+            samples.extend_from_slice(&fresh.samples);
+        }
+        self.images.extend(progress.images.iter().cloned());
+    }
+
+    /// The scan so far. Sources without usable data are left out.
+    fn trial(&self) -> Trial {
+        let series = self.series.iter().filter_map(|(id, (rate_hz, channels, samples))| {
+            let series = Series::new(*rate_hz, *channels, samples.clone()).ok()?;
+            Some((id.clone(), Signal::Series(series)))
+        });
+        let images = self.images.iter().map(|(id, image)| {
+            let image = Arc::unwrap_or_clone(image.clone());
+            (id.clone(), Signal::Image(image))
+        });
+        let key = TrialKey::new("", "", self.number);
+        Trial { key, signals: series.chain(images).collect() }
+    }
 }
 
 /// What a session reported.

@@ -1,12 +1,13 @@
 //! `surfaced library`, `check` and `history` as a person types them.
 
+use std::io::Read;
 use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::Duration;
 
 use assert_cmd::Command;
 use serde_json::Value;
-use surfaced::library::lock::LibraryLock;
+use surfaced::record::edit::LibraryLock;
 
 fn surfaced(arguments: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(arguments).output().unwrap()
@@ -92,7 +93,7 @@ fn a_check_names_what_to_mend_and_one_bad_file_does_not_stop_it() {
     assert_eq!(counted, 13);
     let text = surfaced(&["check", &library]);
     let text = String::from_utf8(text.stdout).unwrap();
-    assert!(text.contains("cross-validated accuracy") && text.contains("to mend:"), "{text}");
+    assert!(text.contains("cross-validated accuracy") && text.contains("needs fixing:"), "{text}");
 }
 
 #[test]
@@ -101,6 +102,77 @@ fn a_library_without_past_scans_says_how_to_keep_them() {
     let output = surfaced(&["history", dir.path().to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(1));
     assert!(said(&output).contains("surfaced run --library"), "{}", said(&output));
+}
+
+#[test]
+fn whoever_reads_a_library_waits_for_an_edit_under_way_and_says_for_whom() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let out = dir.path().join("out").to_str().unwrap().to_string();
+    let trial = format!("{library}/{}", trials(&library)[0].0);
+    let _editing = LibraryLock::for_editing(Path::new(&library)).unwrap();
+    let readers = [
+        &["duration", &library][..],
+        &["plan", &library],
+        &["stress", &library, "--out", &out],
+        &["chart", &library, "--out", &out],
+        &["compare", &trial, &trial],
+        &["export", &trial, &out],
+        &["export", &library, &out],
+        &["library", "list", &library, "--quick"],
+    ];
+    let mut children = readers.map(|reader| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_surfaced"));
+        let child = command.args(reader).stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
+        (reader, child.unwrap())
+    });
+    std::thread::sleep(Duration::from_secs(4));
+    for (reader, child) in &mut children {
+        assert!(child.try_wait().unwrap().is_none(), "{reader:?} reads what is being edited");
+        child.kill().unwrap();
+        let mut said = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        let who = format!("(process {}), which edits it", std::process::id());
+        assert!(said.contains("waiting for ") && said.contains(&who), "{reader:?}: {said}");
+    }
+}
+
+#[test]
+fn an_edit_that_cannot_be_done_changes_nothing_and_one_that_was_cut_short_is_finished() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let before = trials(&library);
+    let surface = &before[0].1;
+    std::fs::write(Path::new(&library).join("beech"), "").unwrap();
+    let output = surfaced(&["library", "rename", &library, surface, "beech"]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("a file stands where"), "{}", said(&output));
+    assert_eq!(trials(&library), before);
+    assert!(said(&surfaced(&["library", "undo", &library])).contains("no step to undo"));
+    // As if a rename had been killed after its first trial had moved.
+    done(&["library", "rename", &library, surface, "slate"]);
+    let steps = Path::new(&library).join(".removed/steps.jsonl");
+    let text = std::fs::read_to_string(&steps).unwrap();
+    std::fs::write(&steps, text.strip_suffix("\"done\"\n").unwrap()).unwrap();
+    let moved = trials(&library).iter().find(|(_, s)| s == "slate").unwrap().0.clone();
+    std::fs::write(&steps, text.strip_suffix("\"done\"\n").unwrap()).unwrap();
+    let back = Path::new(&library).join(&before[0].0);
+    std::fs::create_dir_all(back.parent().unwrap()).unwrap();
+    std::fs::rename(Path::new(&library).join(moved), &back).unwrap();
+    let opened = surfaced(&["library", "list", &library, "--quick"]);
+    assert!(said(&opened).contains("was cut short, and is finished now"), "{}", said(&opened));
+    assert_eq!(trials(&library).iter().filter(|(_, s)| s == "slate").count(), 4);
+    done(&["library", "undo", &library]);
+    assert_eq!(trials(&library), before);
+}
+
+#[test]
+fn nothing_is_enrolled_into_a_library_in_the_layout_of_lmt108() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(dir.path().join("SoundScans/Movement/Training")).unwrap();
+    let output = surfaced(&["enroll", "oak", "--library", dir.path().to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("never read"), "{}", said(&output));
 }
 
 #[test]

@@ -8,19 +8,21 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::common::id;
-use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, StreamKind, StreamSpec};
+use surfaced::device::{
+    Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
+};
 use surfaced::history::{History, Keeper};
-use surfaced::library::lock::LibraryLock;
 use surfaced::library::{Entry, recording};
 use surfaced::outputs::{HttpOutput, MqttOutput};
 use surfaced::recognise::features::FeatureVector;
 use surfaced::recognise::{
     Evidence, Follow, FollowOptions, Model, Prepared, RankedSurface, Ranking, RecogniseError,
 };
+use surfaced::record::edit::LibraryLock;
 use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};
-use surfaced::serve::{Server, Settings, Shelf};
+use surfaced::serve::{LibraryFolder, Server, Settings};
 use surfaced::station::{
     Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
     Station, StationEvent,
@@ -47,7 +49,7 @@ impl Device for Stylus {
         vec![StreamSpec { id: id("ir"), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         for _ in 0..SCANS {
             control.mark(Mark::Begin(Begin::default()));
             let (source, start) = (id("ir"), sinks[0].position());
@@ -256,7 +258,7 @@ impl Device for Stuck {
         Vec::new()
     }
 
-    fn run(&mut self, _: &mut [Sink], _: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, _: &mut [Sink], _: &DeviceLink) -> Result<(), DeviceError> {
         std::thread::sleep(FOR_EVER);
         Ok(())
     }
@@ -273,10 +275,10 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     let http = HttpOutput::start(address).unwrap();
     let mqtt = MqttOutput::start(format!("mqtt://{mqtt}/answers").parse().unwrap()).unwrap();
     let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
-    let shelf = Shelf { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
+    let library = LibraryFolder { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
     let settings = Settings {
         address: "127.0.0.1:0".parse().unwrap(),
-        library: Some(shelf),
+        library: Some(library),
         ..Settings::default()
     };
     let devices: Vec<Box<dyn Device>> = vec![Box::new(Stylus), Box::new(Stuck)];

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use ndarray::Array2;
 use surfaced::recognise::{
-    DomainSamples, QuerySet, SampleSet, Scratch, SumPrecision, amplitude_spectrum, hsv, image_grid,
-    score_samples,
+    DomainSamples, QuerySet, SampleSet, Scratch, SumPrecision, hsv, image_grid, score_samples,
 };
 use surfaced::scene::Colour;
+use surfaced::spectrum::amplitude_spectrum;
 use surfaced::trial::Image;
 
 const TOLERANCE: f64 = 1e-9;

@@ -146,3 +146,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn answers_of_every_method_depend_on_seed_and_data_alone() {
+    let said = |name: MethodName, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let method = MethodSpec::from(name).build(&Scene::lmt108());
+        pool.install(|| format!("{:?}", ranking(&*method, [0, 0, 0], 7, false).unwrap()))
+    };
+    for name in MethodName::ALL {
+        let one = said(name, 1);
+        for threads in [1, 2, 5] {
+            assert_eq!(said(name, threads), one, "{name:?} on {threads} threads");
+        }
+    }
+}

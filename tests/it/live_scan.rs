@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::common::id;
-use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
+use surfaced::device::{Device, DeviceError, DeviceLink, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
 use surfaced::scan::detect::{DetectorConfig, SensorKind};
 use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, ScanCommand, Session};
@@ -52,7 +52,7 @@ impl Device for Sensor {
         vec![StreamSpec { id: id(self.stream), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         let (begin, mut sent, mut seed) = (Instant::now(), 0u64, 7);
         while (sent as f64) < self.total_s * self.rate_hz {
             if !control.sleep_until(Instant::now() + Duration::from_secs_f64(self.burst_s)) {

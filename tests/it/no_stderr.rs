@@ -143,7 +143,7 @@ fn a_replay_whose_results_nobody_reads_ends_in_time_all_the_same() {
     let mut said = String::new();
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(status.code(), Some(3), "{said}");
-    assert!(said.contains("not all could be ended in time"), "{said}");
+    assert!(said.contains("did not end in time"), "{said}");
 }
 
 #[test]

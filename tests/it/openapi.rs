@@ -10,7 +10,7 @@ fn routes() -> BTreeSet<(String, String)> {
     let sources = [
         include_str!("../../src/serve/api.rs"),
         include_str!("../../src/serve/scans.rs"),
-        include_str!("../../src/serve/shelf.rs"),
+        include_str!("../../src/serve/library.rs"),
     ];
     let mut routes: BTreeSet<(String, String)> = BTreeSet::new();
     for source in sources {

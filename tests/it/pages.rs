@@ -319,9 +319,7 @@ fn the_embedded_scene_explains_itself() {
     for part in ["are almost alike", "is not in the library", "the accelerometer is dead"] {
         assert!(said.contains(part), "`{part}` is not in: {said}");
     }
-    for part in
-        ["accuracy ", "unknown  ", "of surfaces that the library lacks", "left out ac of 1 scan"]
-    {
+    for part in ["accuracy ", "unknown  ", "of new surfaces", "left out ac in 1 scan"] {
         assert!(shown.contains(part), "`{part}` is not in: {shown}");
     }
     assert!(said.contains("ac: channel"), "the dead sensor is said: {said}");

@@ -132,3 +132,32 @@ fn a_damaged_file_costs_time_and_nothing_else() {
     let ready = ready(&folder, None, 1);
     assert!(!ready.from_cache && ready.remarks[0].contains("not kept"), "{:?}", ready.remarks);
 }
+
+#[test]
+fn a_trial_that_changes_while_it_is_prepared_is_not_kept_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let (folder, scan) = on_disk(dir.path());
+    let library = dataset::open(&folder, &Scene::lmt108()).unwrap();
+    let wanted: BTreeSet<usize> = (0..library.entries.len()).collect();
+    let method = MethodSpec::Embedding(EmbeddingOptions { seed: 1 }).build(&library.scene);
+    let [first, last] = [0, library.entries.len() - 1]
+        .map(|at| library.entries[at].folder().unwrap().join("mi2.wav"));
+    // As soon as a trial is read, the files of all change places.
+    let swap = |_, _| {
+        if !folder.join("swapped").exists() {
+            fs::write(folder.join("swapped"), "").unwrap();
+            let (a, b) = (fs::read(&first).unwrap(), fs::read(&last).unwrap());
+            fs::write(&first, b).unwrap();
+            fs::write(&last, a).unwrap();
+        }
+    };
+    let torn = ready_model(&*method, &library.entries, &wanted, Some(&folder), &swap).unwrap();
+    assert!(!torn.from_cache);
+    let ready = |beside: Option<&Path>| {
+        let library = dataset::open(&folder, &Scene::lmt108()).unwrap();
+        ready_model(&*method, &library.entries, &wanted, beside, &|_, _| ()).unwrap()
+    };
+    let kept = ready(Some(&folder));
+    assert!(!kept.from_cache);
+    assert_eq!(said(kept, &scan), said(ready(None), &scan));
+}

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use crate::common::id;
-use surfaced::device::{Control, Device, DeviceError, StreamKind, StreamSpec};
+use surfaced::device::{Device, DeviceError, DeviceLink, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::station::{Command, Listener, Station, StationEvent};
@@ -23,7 +23,7 @@ impl Device for AtRest {
         vec![StreamSpec { id: id("ac"), kind }]
     }
 
-    fn run(&mut self, _: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, _: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         while !control.stopped() {
             std::thread::sleep(Duration::from_millis(5));
         }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::common::id;
 use crate::common::replayed::{listen, picture, replay, same_signals, series, trial, whole_trial};
 use proptest::prelude::*;
-use surfaced::device::{Begin, Control, Device, DeviceError, Mark, Open, Replay};
+use surfaced::device::{Begin, Device, DeviceError, DeviceLink, Mark, Open, Replay};
 use surfaced::device::{Speed, StreamKind, StreamSpec};
 use surfaced::library::{Entry, LibraryError, LoadTrial};
 use surfaced::ring::Sink;
@@ -194,7 +194,7 @@ impl Device for Gappy {
         vec![StreamSpec { id: id("line"), kind }]
     }
 
-    fn run(&mut self, sinks: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         let sink = sinks[0].series().unwrap();
         sink.push(&[-1.0; 10]);
         control.mark(Mark::Begin(Begin::default()));
@@ -257,7 +257,7 @@ fn a_source_that_was_lost_altogether_is_missing_and_said() {
     assert!(scan.spoiled[0].contains("none of its 100.0 ms arrived"), "{:?}", scan.spoiled);
 }
 
-struct Failing(fn(&Control) -> Result<(), DeviceError>);
+struct Failing(fn(&DeviceLink) -> Result<(), DeviceError>);
 
 impl Device for Failing {
     fn name(&self) -> &str {
@@ -268,7 +268,7 @@ impl Device for Failing {
         Vec::new()
     }
 
-    fn run(&mut self, _: &mut [Sink], control: &Control) -> Result<(), DeviceError> {
+    fn run(&mut self, _: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         control.mark(Mark::Begin(Begin::default()));
         (self.0)(control)
     }
@@ -284,13 +284,13 @@ fn a_device_that_panics_ends_in_an_event() {
 
 #[test]
 fn a_device_that_fails_ends_in_an_event() {
-    let fail = |_: &Control| Err(DeviceError::Failed("the cable is cut".into()));
+    let fail = |_: &DeviceLink| Err(DeviceError::Failed("the cable is cut".into()));
     assert_eq!(listen(Failing(fail), Options::default()).lost, ["the cable is cut"]);
 }
 
 #[test]
 fn a_device_that_does_not_stop_is_left_to_itself() {
-    let hang = |_: &Control| loop {
+    let hang = |_: &DeviceLink| loop {
         std::thread::park();
     };
     let options = Options { stop_limit: Duration::from_millis(50), ..Options::default() };

@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 use crate::common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{OpenPort, Selector, Stylus};
-use surfaced::device::{Control, Device, DeviceReport, DeviceReportKind, DeviceState, OpenError};
+use surfaced::device::{
+    Device, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, OpenError,
+};
 use surfaced::ring::{Piece, SeriesTap, Sink, Stop, Waker, series};
 use surfaced_wire::Command;
 
@@ -57,7 +59,7 @@ impl Bench {
             sinks.push(Sink::Series(sink));
             self.taps.push(tap);
         }
-        let control = Control::new(0, self.stop.clone(), sender);
+        let control = DeviceLink::new(0, self.stop.clone(), sender);
         self.thread = Some(std::thread::spawn(move || stylus.run(&mut sinks, &control).unwrap()));
         self
     }
@@ -240,7 +242,7 @@ fn garbage_costs_the_frames_it_hits_and_no_others() {
     let missing: u64 = b.runs().iter().map(|run| run.2).sum();
     assert_eq!(missing, 20 * 32, "{:?}", b.runs());
     assert!(b.runs().iter().all(|run| run.2 == 0 || run.2 == 32));
-    assert!(b.texts.iter().any(|text| text.contains("damaged frames")), "{:?}", b.texts);
+    assert!(b.texts.iter().any(|text| text.contains("frames were damaged")), "{:?}", b.texts);
 }
 
 #[test]
@@ -351,7 +353,7 @@ fn the_light_is_asked_for_until_it_is_on() {
     light.set(true);
     let (sender, _reports) = crossbeam_channel::bounded(1024);
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
+    let control = DeviceLink::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || stylus.run(&mut [], &control).unwrap());
     fake.wait_for_start();
     fake.deaf = 2;

@@ -148,7 +148,7 @@ fn a_library_that_is_being_read_is_said_to_be() {
     assert_eq!((&advice["do"], &advice["text"]), (&json!("wait"), &json!("reading the library")));
     assert_eq!(served.get("/api/v1/state").json()["reading"], true);
     served.report([StationEvent::Library(LibraryState::default())]);
-    assert_eq!(events.next("advice")["text"], "wait for the stylus");
+    assert_eq!(events.next("advice")["text"], "wait for the devices");
     assert_eq!(served.get("/api/v1/state").json()["reading"], false);
 }
 

@@ -1,12 +1,20 @@
 //! What the operator of a day gets from the server beside names: scans that have none, and the camera.
 
+use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
-use crate::common::http::{Events, answer, serve};
+use crate::common::http::{Events, Served, answer, serve};
 use crate::common::id;
 use serde_json::{Value, json};
 use surfaced::device::camera::{FlashState, Rgb, Turn, Viewfinder};
-use surfaced::station::{Answer, AnswerState, StationEvent, Unnamed};
+use surfaced::history::{History, Keeper};
+use surfaced::record::{TrialOptions, write_trial};
+use surfaced::scan::Scan;
+use surfaced::scene::Scene;
+use surfaced::serve::LibraryFolder;
+use surfaced::station::{Answer, AnswerState, AnsweredScan, Listener, StationEvent, Unnamed};
+use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
 #[test]
 fn a_scan_that_cannot_be_named_is_among_the_past_scans_with_its_reason() {
@@ -63,4 +71,88 @@ fn the_camera_is_shown_whole_with_its_region_and_its_light() {
     for other in ["whole-ca2.jpg", "ca1.jpg", "whole-.jpg", "whole-ca1.png"] {
         assert_eq!(served.get(&format!("/api/v1/pictures/{other}")).status, 404, "{other}");
     }
+}
+
+/// A station with a library of one trial of oak, and a scan of each number among the past ones.
+fn reviewed(dir: &Path, scans: u32) -> Served {
+    let (library, scene) = (dir.join("library"), Scene::lmt108());
+    let signals = || {
+        let samples = (0..2000).map(|i| (i % 7) as f32 / 8.0).collect();
+        BTreeMap::from([(id("ir"), Signal::Series(Series::new(10_000.0, 1, samples).unwrap()))])
+    };
+    let trial = Trial { key: TrialKey::new("oak", "anna", 1), signals: signals() };
+    write_trial(&library, &trial, &scene, &TrialOptions::default()).unwrap();
+    let history = Arc::new(History::open(&library.join(".history"), 1 << 24).unwrap());
+    let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new()).unwrap();
+    for number in 1..=scans {
+        let scan = Box::new(Scan { scan_s: 0.2, ..Scan::of_signals(number, signals()) });
+        let answer = Arc::new(Answer { spoiled: Vec::new(), ..answer(number, Some("oak")) });
+        let whole = AnsweredScan { scan, answer, by: None };
+        keeper.on_event(&StationEvent::Scan(Arc::new(whole)));
+    }
+    drop(keeper);
+    serve(|settings| {
+        settings.history = history;
+        settings.library = Some(LibraryFolder { folder: library, scene });
+    })
+}
+
+fn trials(served: &Served) -> Vec<String> {
+    let shelf = served.get("/api/v1/library/trials").json();
+    let name = |trial: &Value| trial["trial"].as_str().unwrap().to_string();
+    shelf["trials"].as_array().unwrap().iter().map(name).collect()
+}
+
+#[test]
+fn a_scan_that_many_keep_at_once_becomes_one_trial_and_undo_takes_that_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = reviewed(dir.path(), 1);
+    served.post("/api/v1/scans/1/correct", r#"{"surface": "oak"}"#);
+    let keep = || served.post("/api/v1/scans/1/keep", r#"{"user": "anna"}"#).status;
+    let mut statuses: Vec<u16> = std::thread::scope(|scope| {
+        let all: Vec<_> = (0..12).map(|_| scope.spawn(keep)).collect();
+        all.into_iter().map(|one| one.join().unwrap()).collect()
+    });
+    statuses.sort_unstable();
+    assert_eq!((statuses[0], &statuses[1..]), (200, &[400; 11][..]));
+    assert_eq!(trials(&served), ["oak/anna-01", "oak/anna-02"]);
+    let undone = served.post("/api/v1/library/undo", "").json();
+    assert!(undone["what"].as_str().unwrap().starts_with("keep scan "), "{undone}");
+    assert_eq!(trials(&served), ["oak/anna-01"]);
+    // Once it is removed, it may be kept again, under a number of its own.
+    assert_eq!((keep(), keep()), (200, 400));
+    assert_eq!(trials(&served), ["oak/anna-01", "oak/anna-03"]);
+}
+
+#[test]
+fn correcting_a_scan_that_was_kept_takes_its_trial_along() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = reviewed(dir.path(), 1);
+    let correct = |was: &str| served.post("/api/v1/scans/1/correct", was).json();
+    correct(r#"{"surface": "oak"}"#);
+    served.post("/api/v1/scans/1/keep", "");
+    assert_eq!(trials(&served), ["oak/anna-01", "oak/expert-01"]);
+    assert_eq!(correct(r#"{"surface": "ash"}"#)["became"], "ash/expert-01");
+    assert_eq!(trials(&served), ["ash/expert-01", "oak/anna-01"]);
+    // Also after somebody has given it another label.
+    served.post("/api/v1/library/rename", r#"{"surface": "ash", "to": "elm"}"#);
+    assert_eq!(served.get("/api/v1/scans/1").json()["became"], "elm/expert-01");
+    assert_eq!(correct(r#"{"surface": "yew"}"#)["became"], "yew/expert-01");
+    assert_eq!(correct(r#"{"unknown": true}"#)["became"], Value::Null);
+    assert_eq!(trials(&served), ["oak/anna-01"]);
+    correct(r#"{"surface": "oak"}"#);
+    assert_eq!(served.post("/api/v1/scans/1/keep", "").status, 200);
+}
+
+#[test]
+fn a_player_may_ask_for_a_part_of_a_sound() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = reviewed(dir.path(), 1);
+    let get = |range: &str| served.request("GET", "/api/v1/scans/1/ir.wav", &[range], "");
+    let head = get("Range: bytes=0-3");
+    assert_eq!((head.status, head.body.as_str()), (206, "RIFF"));
+    assert!(head.head.contains("content-range: bytes 0-3/"), "{}", head.head);
+    assert_eq!((get("Range: bytes=8-11").body.as_str(), get("Range: x=1").status), ("WAVE", 200));
+    assert_eq!(get("Range: bytes=999999999-").status, 416);
+    assert_eq!(get("Range: bytes=-4").status, 206);
 }

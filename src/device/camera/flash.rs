@@ -1,19 +1,19 @@
-//! The light beside the camera, and which frames were taken in its light.
+//! The light of the camera, and the frames that were taken with it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Switches the light beside the camera, by a command to the stylus for instance.
+/// Switches the light of the camera, for example by a command to the stylus.
 pub trait FlashLine: Send {
     /// Switches it on or off.
     ///
     /// # Errors
-    /// With a text for people, if it is not known whether this has worked.
+    /// With a message, if it is not known whether this has worked.
     fn switch(&mut self, on: bool) -> Result<(), String>;
 }
 
-/// What switches the light.
+/// The switch of the light.
 pub enum Flash {
     /// A line outside the camera.
     Line(Box<dyn FlashLine>),
@@ -52,18 +52,18 @@ impl Shutter {
     }
 }
 
-/// In which light a frame was taken.
+/// The light in which a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameLight {
     /// Without flash.
     Plain,
     /// With flash.
     Flash,
-    /// While the light changed; of no use.
+    /// While the light changed; useless.
     Between,
 }
 
-/// What to do about a frame.
+/// The judgement of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlashVerdict {
     pub light: FrameLight,

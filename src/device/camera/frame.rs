@@ -12,7 +12,7 @@ use crate::jpeg;
 const MAX_SIDE: u32 = 1 << 13;
 const MAX_BYTES: u64 = 1 << 28;
 
-/// How a frame is coded.
+/// The coding of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFormat {
     /// A JPEG file each, with or without its Huffman tables.
@@ -49,7 +49,7 @@ pub struct Rgb {
     pub bytes: Vec<u8>,
 }
 
-/// Why a frame is no picture.
+/// Errors of decoding a frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
     /// a transfer that was cut short

@@ -3,13 +3,13 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use super::Frames;
 use super::frame::FrameFormat;
-use super::reader::Frames;
 use super::*;
 use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::{ImageTap, Waker, images};
 
-/// What a camera does next.
+/// The next step of a simulated camera.
 enum CameraAct {
     Frame(Frame),
     Hang,
@@ -102,7 +102,7 @@ fn start(mut camera: Camera) -> RunningCamera {
     }
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
+    let control = DeviceLink::new(0, stop.clone(), sender);
     let thread = std::thread::spawn(move || camera.run(&mut sinks, &control));
     RunningCamera { taps, reports, stop, thread }
 }

@@ -8,9 +8,9 @@ use crate::trial::Image;
 /// A part of a picture, in shares of its width and its height, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Region {
-    /// Where it begins, from the left edge.
+    /// Distance from the left edge.
     pub left: f64,
-    /// Where it begins, from the upper edge.
+    /// Distance from the upper edge.
     pub top: f64,
     /// Its width.
     pub width: f64,
@@ -80,7 +80,7 @@ pub fn upright(picture: &Rgb, turn: Turn) -> Option<Image> {
     Image::new(Image::COLS, Image::ROWS, rgb).ok()
 }
 
-/// Where [`upright`] cuts, in the picture turned upright.
+/// The region that [`upright`] cuts out, in the picture turned upright.
 pub fn region(picture: &Rgb, turn: Turn) -> Region {
     let (width, height) = turn.upright_size(picture);
     let (width, height) = (width as f64, height as f64);
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn scaling_takes_the_mean_of_the_area() {
-        // Checkers of one pixel at twice the size: all the same grey.
+        // Checkers of one pixel at twice the size average to one grey.
         let checkers = picture(640, 960, |x, y| [if (x + y) % 2 == 0 { 200 } else { 100 }; 3]);
         let image = upright(&checkers, Turn::None).unwrap();
         assert!(image.rgb().iter().all(|&byte| byte == 150));

@@ -10,9 +10,10 @@ use nokhwa::utils::{
 use nokhwa::{Camera as Nokhwa, NokhwaError};
 
 use super::frame::FrameFormat;
-use super::reader::Frames;
-use super::{Frame, Turn, Video, name};
-use crate::device::list::{ListedDevice, node_problem, permission_hint};
+use super::{Frame, Frames, Turn, Video};
+use crate::device::list::{
+    ListedDevice, camera_alias, camera_number, node_problem, permission_hint,
+};
 use crate::device::open::OpenError;
 use crate::trial::Image;
 
@@ -43,7 +44,7 @@ impl Video for V4l {
     }
 
     fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
-        let number = name::resolve(Path::new(DEV), &self.id)?;
+        let number = camera_number(Path::new(DEV), &self.id)?;
         let mut camera = open(number, &self.id)?;
         let offers = camera
             .compatible_camera_formats()
@@ -135,7 +136,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
     }
 }
 
-/// The cameras of this machine, with names that stay, and what is wrong with each.
+/// The cameras of this machine, with permanent names and the problems of each.
 ///
 /// # Errors
 /// If V4L2 refuses the list.
@@ -152,7 +153,7 @@ pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
 /// None for a node that is no camera: most cameras have another one for their metadata.
 fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
-    let stable = name::stable(Path::new(DEV), &node);
+    let stable = camera_alias(Path::new(DEV), &node);
     let id = stable.as_ref().unwrap_or(&node).display().to_string();
     let problem = match node_problem(&node, "video") {
         Some(problem) => Some(problem),
@@ -162,7 +163,7 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
             Err(error) => Some(error.to_string()),
         },
     };
-    let unstable = "it has no name that stays; its number may change at the next plug";
+    let unstable = "it has no permanent name; its number may change when it is plugged in again";
     let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
 }

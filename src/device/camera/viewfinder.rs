@@ -1,4 +1,4 @@
-//! What a camera sees, whole, for all who look at it: the picture, the region of it that is
+//! Shows the whole picture of a camera to several readers: the picture, the region of it that is
 //! compared, and the light.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,21 +13,19 @@ use crate::scene::SourceId;
 /// Quality of pictures, of 100.
 const QUALITY: u8 = 80;
 
-/// How the light beside a camera is, as far as is known.
+/// The state of the light of a camera, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FlashState {
     /// There is none.
     None,
-    /// Off.
     Off,
-    /// On.
     On,
     /// It could not be switched.
     Failed,
 }
 
-/// How a camera stands.
+/// The view of a camera, without its picture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraView {
     /// The stream of its pictures without flash.
@@ -38,7 +36,7 @@ pub struct CameraView {
     pub flash: FlashState,
 }
 
-/// Shows what a camera sees; clones show the same camera.
+/// Shows the picture of a camera; clones show the same camera.
 #[derive(Clone, Debug)]
 pub struct Viewfinder {
     source: SourceId,
@@ -68,7 +66,7 @@ impl Viewfinder {
         self.lock().picture = Some((Arc::new(picture), turn));
     }
 
-    /// Says how the light is.
+    /// Notes the state of the light.
     pub fn light(&self, flash: FlashState) {
         self.lock().flash = flash;
     }
@@ -78,7 +76,7 @@ impl Viewfinder {
         &self.source
     }
 
-    /// How the camera stands now.
+    /// The view of the camera now.
     pub fn view(&self) -> CameraView {
         let sight = self.lock();
         let region = sight.picture.as_ref().map(|(rgb, turn)| region(rgb, *turn));

@@ -10,14 +10,14 @@ use cpal::{
 };
 use crossbeam_channel::Sender;
 
-use super::mono::Pcm;
+use super::callback_sink::Pcm;
 use super::{CallbackSink, RATE_HZ, Sound, StreamError};
 use crate::device::list::ListedDevice;
 use crate::device::open::OpenError;
 
 /// Frames a callback, if the device lets one choose: 12 ms.
 const PERIOD: u32 = 512;
-/// How often the thread of a stream looks whether its device is still there.
+/// The interval at which the thread of a stream checks that its device is still there.
 const POLL: Duration = Duration::from_millis(500);
 
 impl Pcm for I24 {
@@ -133,7 +133,7 @@ fn callback(
     }
 }
 
-/// How good a format is, the best being the highest; none if it cannot be understood.
+/// The rank of a format, the best one the highest; `None` if it is not supported.
 fn rank(format: SampleFormat) -> Option<u32> {
     use SampleFormat::{F32, F64, I8, I16, I24, I32, U8, U16, U24, U32};
     let order = [U8, I8, U16, I16, U24, I24, U32, F64, I32, F32];
@@ -167,7 +167,7 @@ fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
 /// Keeps ALSA from writing on stderr on this thread: each look for a device that is absent is many
 /// lines, and what matters comes as an error as well.
 fn hush() {
-    // What is written goes to a buffer, which the next call replaces.
+    // The text goes to a buffer, which the next call replaces.
     let _ = alsa::Output::local_error_handler();
 }
 
@@ -198,7 +198,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
     }
 }
 
-/// The microphones of this machine, with names that stay, and what is wrong with each.
+/// The microphones of this machine, with permanent names and the problems of each.
 ///
 /// # Errors
 /// If ALSA refuses the list.

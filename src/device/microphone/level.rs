@@ -1,9 +1,9 @@
 //! Notices a microphone that is silent or clipped, within a second.
 
-/// How a microphone sounds.
+/// The level of a microphone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SoundLevel {
-    /// As it should.
+    /// The level is good.
     Normal,
     /// Nothing at all: not even the noise that every microphone has.
     Silent,
@@ -13,11 +13,11 @@ pub enum SoundLevel {
 
 /// A window in seconds. What fills a whole one is reported at its end, so at most two of them later.
 const WINDOW_S: f64 = 0.4;
-/// The last bit of a 16-bit converter, full scale being ±1. No more than that is silence.
+/// The last bit of a 16-bit converter, with full scale ±1. Anything smaller is silence.
 const LAST_BIT: f32 = 1.0 / 32_768.0;
 /// From here on a sample is at the limit, even of an 8-bit converter (127 / 128).
 const LIMIT: f32 = 0.99;
-/// This many samples in a row at a limit are no chance.
+/// This many samples in a row at a limit are clipped.
 const RUN: usize = 3;
 
 /// Watches the level of one channel.
@@ -46,7 +46,7 @@ impl LevelWatch {
         }
     }
 
-    /// How it sounds, as of the last window.
+    /// The level in the last window.
     #[cfg(test)]
     fn level(&self) -> SoundLevel {
         self.level

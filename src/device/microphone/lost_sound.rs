@@ -7,31 +7,31 @@ use crate::ring::{Piece, SeriesSink, SeriesTap};
 /// After a pause of this length in seconds, sound may be missing although nobody has said so: a
 /// sound server that was held up passes over the time.
 const PAUSE_S: f64 = 0.2;
-/// How long after such a pause what was merely late has come, in seconds, as a rule.
+/// The usual time after such a pause until late sound has arrived, in seconds.
 const CATCH_UP_S: f64 = 0.25;
 
-/// What lasts from one opening of the microphone to the next.
+/// The state that lasts from one opening of the microphone to the next.
 pub(super) struct Listening<'a> {
     sink: &'a mut SeriesSink,
     pace: Pace,
     level: LevelWatch,
     before: Before,
-    /// When sound was carried last, or the stream opened.
+    /// The time of the last sound, or of the opening of the stream.
     last_s: f64,
     received: bool,
 }
 
-/// What came before the next frames.
+/// The event before the next frames.
 #[derive(Clone, Copy, PartialEq)]
 enum Before {
     Frames,
-    /// Nothing, for a while; since when there are frames again.
+    /// A pause, and the time at which frames came again.
     Pause(f64),
-    /// A loss, of which it is not known how large it was.
+    /// A loss of unknown size.
     Loss,
 }
 
-/// What a look at the callback's ring gave.
+/// The result of a look at the callback's ring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
     /// Whether sound was carried.
@@ -53,7 +53,7 @@ impl<'a> Listening<'a> {
         }
     }
 
-    /// A stream was opened, with a ring of its own.
+    /// Notes that a stream was opened, with its own ring.
     pub fn opened(&mut self, now_s: f64) {
         self.pace.reopened();
         self.last_s = now_s;
@@ -80,12 +80,12 @@ impl<'a> Listening<'a> {
         self.pace.unpaced(now_s, self.sink.position())
     }
 
-    /// Moves on all that waits in the ring. After a pause it waits for what is late, unless this is
+    /// Moves on all frames of the ring. After a pause it waits for late ones, unless this is
     /// the `last` look at this ring.
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
-        // What the ring itself has lost is there as much as what it holds.
+        // Frames that the ring itself lost count like those that it holds.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
-        // Only now the time: then whatever holds up this thread makes sound seem late, which can
+        // The time is read only now: a delay of this thread then makes sound seem late, which can
         // happen, and never early.
         let now_s = clock();
         if held == 0 {
@@ -107,10 +107,10 @@ impl<'a> Listening<'a> {
             Before::Pause(_) => self.pace.missing_for_sure(now_s, end),
             Before::Loss => self.pace.missing(now_s, end),
         };
-        // What is missing comes before the frames that followed it.
+        // Missing frames come before the frames that followed them.
         self.sink.skip(missing);
         self.pace.skipped(missing);
-        // What comes after it was counted as lost has its place no more.
+        // Sound that arrives after it was counted as lost has no place any more.
         let late = self.pace.late(now_s, end + missing).min(held);
         self.pace.came_late(late);
         self.pace.arrived(now_s, end + missing - late);
@@ -147,12 +147,13 @@ mod tests {
     const STEP: u64 = 882;
     /// Of one callback, as ALSA calls it.
     const PERIOD: u64 = 512;
-    /// The callback's ring of these tests: smaller than what is held up, which it then loses.
+    /// The callback's ring of these tests: too small for the sound that is held up, so that some is
+    /// lost.
     const RING: usize = 22_050;
-    /// How far the account may be off, in seconds: what is a delay and no loss, and a step of it.
+    /// The largest error of the account, in seconds: a delay that is not a loss, and one step.
     const BOUND_S: f64 = 0.05 + 1.5 * STEP_S;
 
-    /// A sound server on a clock of its own, and what a station makes of it.
+    /// A sound server with its own clock, and the station that listens to it.
     struct Hall {
         steps: u64,
         now_s: f64,
@@ -168,7 +169,7 @@ mod tests {
         /// once, some steps after new sound, either in callbacks with a look after each, or all
         /// before the next look.
         Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
-        /// The same, but the stream is opened anew.
+        /// The same, but the stream is opened again.
         Reopen(u64),
     }
 
@@ -195,7 +196,7 @@ mod tests {
             self.look(listening);
         }
 
-        /// What was held up comes.
+        /// Sound that was held up arrives.
         fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
             while frames > 0 {
                 let part = if piecewise { frames.min(PERIOD) } else { frames };

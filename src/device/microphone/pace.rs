@@ -1,13 +1,13 @@
 //! Compares a stream with the clock: how many frames an interruption cost, which of them were only
 //! late, and whether the stream runs at its rate at all.
 
-/// Two clocks drift apart by no more than this share, and a good deal less as a rule.
+/// The largest drift between two clocks; usually it is far less.
 const DRIFT: f64 = 500e-6;
-/// Less than this is a delay and no loss, in seconds; nor is it early.
+/// A smaller difference is a delay and not a loss, in seconds.
 const DELAY_S: f64 = 0.05;
-/// A buffer that was full when the stream began explains no more than this, in seconds.
+/// The longest buffer that may be full when a stream begins, in seconds.
 const BURST_S: f64 = 4.0;
-/// How long a new stream is watched for being unpaced, in seconds.
+/// The time for which the pace of a new stream is watched, in seconds.
 const TRIAL_S: f64 = 5.0;
 
 /// Follows when frames arrive.
@@ -29,12 +29,12 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Of a stream with `rate_hz` frames a second.
+    /// The pace of a stream with `rate_hz` frames a second.
     pub fn new(rate_hz: f64) -> Self {
         Self { rate_hz, begin: None, first: None, skipped: 0 }
     }
 
-    /// The stream was reopened: it may begin with what was waiting in a buffer.
+    /// Notes that the stream was reopened: it may begin with old frames from a buffer.
     pub fn reopened(&mut self) {
         self.first = None;
     }
@@ -69,7 +69,7 @@ impl Pace {
         if missing as f64 >= DELAY_S * self.rate_hz { missing } else { 0 }
     }
 
-    /// Frames were counted as missing because of what [`missing`](Self::missing) said.
+    /// Notes frames that were counted as missing by [`missing`](Self::missing).
     pub fn skipped(&mut self, frames: u64) {
         self.skipped += frames;
     }

@@ -7,7 +7,7 @@ use super::*;
 use crate::device::{DeviceReport, DeviceReportKind};
 use crate::ring::Stop;
 
-/// What a sound system does next.
+/// The next step of a simulated sound system.
 #[derive(Clone, Copy)]
 enum MicrophoneAct {
     /// 10 ms of this value (and its negative, in turn), in real time.
@@ -105,8 +105,8 @@ fn start(script: MicrophoneScript, first: Option<OpenError>) -> RunningMicrophon
     let mut sinks = [Sink::Series(sink)];
     let (sender, reports) = crossbeam_channel::unbounded();
     let stop = Stop::default();
-    let control = Control::new(0, stop.clone(), sender);
-    let thread = std::thread::spawn(move || microphone.run(&mut sinks, &control));
+    let link = DeviceLink::new(0, stop.clone(), sender);
+    let thread = std::thread::spawn(move || microphone.run(&mut sinks, &link));
     RunningMicrophone { tap, reports, stop, openings, thread, begin: Instant::now() }
 }
 

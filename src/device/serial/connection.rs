@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
 use super::{Intake, IntakeEvent, Light, Port};
-use crate::device::{Control, DeviceState};
+use crate::device::{DeviceLink, DeviceState};
 use crate::ring::Sink;
 
 /// No samples for this long is a stall, and the stylus is commanded to start.
@@ -14,14 +14,14 @@ const STALLED: Duration = Duration::from_millis(500);
 const GIVE_UP: Duration = Duration::from_secs(5);
 /// A command without an answer is sent again after this.
 const REPEAT: Duration = Duration::from_millis(100);
-/// How long the stylus may take to stop at the end.
+/// The time that the stylus has to stop at the end.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of errors.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Bytes taken at a time: 0.4 s of the line.
 const BUFFER: usize = 64 * 1024;
 
-/// How a connection ends.
+/// The end of a connection.
 pub(super) enum ConnectionEnd {
     Stop,
     Lost(String),
@@ -33,7 +33,7 @@ pub(super) struct Connection<'a> {
     pub path: String,
     pub intake: &'a mut Intake,
     pub sinks: &'a mut [Sink],
-    pub control: &'a Control,
+    pub link: &'a DeviceLink,
     pub light: &'a Light,
     pub begin: Instant,
     /// When samples last came.
@@ -51,7 +51,7 @@ impl Connection<'_> {
     pub fn run(&mut self) -> ConnectionEnd {
         let mut buffer = vec![0; BUFFER];
         loop {
-            if self.control.stopped() {
+            if self.link.stopped() {
                 self.stop_stylus(&mut buffer);
                 return ConnectionEnd::Stop;
             }
@@ -71,14 +71,14 @@ impl Connection<'_> {
                 self.send(Command::Start);
             }
             if silent >= STALLED {
-                self.control.state(DeviceState::Stalled, self.why_silent());
+                self.link.state(DeviceState::Stalled, self.why_silent());
             }
             if silent >= GIVE_UP {
                 return ConnectionEnd::Lost(format!("{}; reopening the line", self.why_silent()));
             }
             self.update_light(now);
             if now - self.errors.since >= REPORT_EVERY {
-                self.errors.report(self.control);
+                self.errors.report(self.link);
             }
         }
     }
@@ -96,7 +96,7 @@ impl Connection<'_> {
         };
         let now = Instant::now();
         let now_s = (now - self.begin).as_secs_f64();
-        let Self { intake, sinks, control, light, status, refused, errors, .. } = self;
+        let Self { intake, sinks, link, light, status, refused, errors, .. } = self;
         let any = intake.feed(&buffer[..n], now_s, |event| match event {
             IntakeEvent::Frames { stream, samples } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
@@ -124,7 +124,7 @@ impl Connection<'_> {
             IntakeEvent::Status(new) => {
                 light.confirm(new.light);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
-                    control.warn("its crystal has failed: its rate is good to 1 % only");
+                    link.warn("its crystal has failed: its rate is accurate to 1 % only");
                 }
                 errors.stylus(status.as_ref(), &new);
                 *status = Some(new);
@@ -140,7 +140,7 @@ impl Connection<'_> {
         });
         if any {
             self.samples_at = now;
-            self.control.state(DeviceState::Streaming, "");
+            self.link.state(DeviceState::Streaming, "");
         }
         Ok(())
     }
@@ -192,7 +192,7 @@ impl Connection<'_> {
     }
 }
 
-/// Errors of the line that are yet to be reported.
+/// Errors of the line that were not reported yet.
 pub(super) struct LinkErrors {
     since: Instant,
     damaged: u64,
@@ -224,7 +224,7 @@ impl LinkErrors {
         }
     }
 
-    /// What the stylus says it lost itself since its last status; its counts begin at its start.
+    /// Adds the losses that the stylus reports since its last status; its counts begin at its start.
     fn stylus(&mut self, old: Option<&Status>, new: &Status) {
         let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
         self.overruns += u64::from(new.overruns.checked_sub(overruns).unwrap_or(new.overruns));
@@ -237,26 +237,24 @@ impl LinkErrors {
     }
 
     /// Reports what there is, summed up.
-    pub fn report(&mut self, control: &Control) {
+    pub fn report(&mut self, link: &DeviceLink) {
         match (self.hellos, self.last_hello.take()) {
-            (2.., Some(last)) => control.warn(format!("{last} (and {} more)", self.hellos - 1)),
-            (_, last) => last.into_iter().for_each(|last| control.warn(last)),
+            (2.., Some(last)) => link.warn(format!("{last} (and {} more)", self.hellos - 1)),
+            (_, last) => last.into_iter().for_each(|last| link.warn(last)),
         }
-        let mut parts = Vec::new();
-        let mut add = |count: u64, what: &str| {
-            if count > 0 {
-                parts.push(format!("{what}: {count}"));
-            }
-        };
-        add(self.damaged, "damaged frames on the line");
-        add(self.gaps, "gaps in the samples");
-        add(self.missing, "samples missing in the longest gap");
-        add(self.restarts, "restarts of its sample counter");
-        add(self.overflowed, "frames that found no room in a ring");
-        add(self.overruns, "samples that it took too late");
-        add(self.dropped, "samples that found no room in its memory");
+        let counts = [
+            (self.damaged, "frames were damaged on the line"),
+            (self.gaps, "gaps in the samples"),
+            (self.missing, "samples are missing in the longest gap"),
+            (self.restarts, "restarts of its sample counter"),
+            (self.overflowed, "frames did not fit into a ring"),
+            (self.overruns, "samples were taken late"),
+            (self.dropped, "samples did not fit into its memory"),
+        ];
+        let some = counts.into_iter().filter(|(count, _)| *count > 0);
+        let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
         if !parts.is_empty() {
-            control.warn(parts.join(", "));
+            link.warn(parts.join(", "));
         }
         *self = Self::new(Instant::now());
     }
@@ -271,14 +269,14 @@ mod tests {
     #[test]
     fn errors_of_the_line_are_summed_up_whatever_their_number() {
         let (send, reports) = crossbeam_channel::unbounded();
-        let control = Control::new(0, Stop::default(), send);
+        let link = DeviceLink::new(0, Stop::default(), send);
         let mut errors = LinkErrors::new(Instant::now());
         (0..200_000).for_each(|n| errors.hello(format!("hello {n}")));
         let status = |overruns| Status { overruns, ..Status::default() };
         for _ in 0..3 {
             errors.stylus(None, &status(u32::MAX));
         }
-        errors.report(&control);
+        errors.report(&link);
         let texts: Vec<String> = reports
             .try_iter()
             .map(|report| match report.kind {
@@ -287,7 +285,7 @@ mod tests {
             })
             .collect();
         assert_eq!(texts[0], "hello 199999 (and 199999 more)");
-        assert_eq!(texts[1], format!("samples that it took too late: {}", 3 * u64::from(u32::MAX)));
+        assert_eq!(texts[1], format!("{} samples were taken late", 3 * u64::from(u32::MAX)));
         assert_eq!(texts.len(), 2);
     }
 }

@@ -1,8 +1,8 @@
 //! From bytes on the line to frames of the streams: no I/O, no clock.
 //!
 //! Indexes count the stylus's sampling clock, so a jump in them is the length of a gap. Where they
-//! start reopened (a reset, a replug) the length is taken from the arrival times instead, and is never
-//! less than [`LEAST_RESTART_S`], so that no such gap is bridged in silence.
+//! start again (a reset, a replug) the length is taken from the arrival times instead, and is never
+//! less than [`LEAST_RESTART_S`], so that such a gap is always reported.
 
 use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
 
@@ -10,13 +10,13 @@ use crate::scene::SourceId;
 
 /// A restart costs at least this much, in seconds: more than a scan bridges.
 pub const LEAST_RESTART_S: f64 = 2e-3;
-/// A jump of the index may be so much longer than the silence before it, in seconds, since
+/// A jump of the index may be longer than the silence before it by this much, in seconds, since
 /// what the system had buffered arrives late. Beyond, the index is not believed.
 const LATEST_S: f64 = 10.0;
-/// After the line was opened reopened, index and arrival times may differ by this much, in seconds.
+/// After the line was reopened, index and arrival times may differ by this much, in seconds.
 const ANEW_S: f64 = 1.0;
 
-/// What a value becomes.
+/// The unit of a stream's values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Value {
@@ -35,18 +35,17 @@ pub struct Wanted {
     pub id: SourceId,
     /// Names of its channels in the stylus's table, in the stream's order; at least one.
     pub channels: Vec<String>,
-    /// What its values become.
+    /// The unit of its values.
     pub value: Value,
 }
 
-/// What came over the line.
+/// Events from the line.
 #[derive(Debug)]
 pub enum IntakeEvent<'a> {
     /// Frames of a stream, interleaved.
     Frames {
         /// number of the stream among those wanted
         stream: usize,
-        /// the samples
         samples: &'a [f32],
     },
     /// Frames of a stream that never arrived.
@@ -65,11 +64,10 @@ pub enum IntakeEvent<'a> {
         /// whether its channels differ from those of its last hello
         changed: bool,
     },
-    /// What introduced itself cannot be used: why, for people.
+    /// The device that introduced itself cannot be used: the reason.
     Refused(String),
     /// The index restarted: the stylus was reset, or the line lost it for long.
     Restarted,
-    /// Its status.
     Status(Status),
     /// A frame was damaged, or of a format that is not known.
     Damaged(DecodeError),
@@ -82,7 +80,7 @@ struct StreamPlace {
     picks: Vec<(usize, f32)>,
 }
 
-/// What was accepted of a hello.
+/// The accepted part of a hello.
 #[derive(Clone, Debug, PartialEq)]
 struct Table {
     channels: usize,
@@ -90,7 +88,7 @@ struct Table {
     places: Vec<Option<StreamPlace>>,
 }
 
-/// Counts of what was not used.
+/// Counts of unused input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unused {
     /// Frames of the wire that were damaged or not understood.
@@ -122,7 +120,7 @@ pub struct Intake {
 }
 
 impl Intake {
-    /// Makes `wanted` of what comes, which is to be sampled at `rate_hz`.
+    /// Makes the streams `wanted` from input sampled at `rate_hz`.
     pub fn new(wanted: Vec<Wanted>, rate_hz: u32) -> Self {
         Self {
             lag: vec![0; wanted.len()],
@@ -139,7 +137,7 @@ impl Intake {
         }
     }
 
-    /// What was not used so far.
+    /// Counts of unused input so far.
     pub fn unused(&self) -> Unused {
         self.unused
     }
@@ -280,7 +278,7 @@ impl Intake {
     }
 }
 
-/// How many samples are missing before these, and whether their index restarted.
+/// The number of samples missing before these, and whether their index restarted.
 fn gap(
     next: Option<u64>,
     samples: &Samples<'_>,

@@ -1,4 +1,4 @@
-//! Serial ports: finding the stylus's, opening it, and what is wrong when that fails.
+//! Serial ports: finds and opens that of the stylus, and explains failures.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -25,17 +25,17 @@ impl<T: Read + Write + Send> Port for T {}
 
 /// Opens the stylus's line; again after it was lost.
 pub trait OpenPort: Send {
-    /// For people: which stylus.
+    /// The name of the stylus, for messages.
     fn name(&self) -> String;
 
     /// Opens the line and gives it with its path or name.
     ///
     /// # Errors
-    /// If it is not there, or not to be had.
+    /// If it is absent or cannot be opened.
     fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError>;
 }
 
-/// Which port is the stylus's.
+/// Selects the port of the stylus.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Selector {
     /// The only FTDI chip that is plugged in.
@@ -43,9 +43,7 @@ pub enum Selector {
     Auto,
     /// A USB device.
     Usb {
-        /// its vendor
         vendor: u16,
-        /// its product
         product: u16,
         /// its serial number, where there are several
         serial: Option<String>,
@@ -76,7 +74,7 @@ impl FromStr for Selector {
                 let serial = parts.next().map(str::to_string);
                 Ok(Self::Usb { vendor, product, serial })
             }
-            _ => Err(format!("`{text}` is no USB device; expected for example `usb:0403:6014`")),
+            _ => Err(format!("`{text}` is not a USB device; expected for example `usb:0403:6014`")),
         }
     }
 }

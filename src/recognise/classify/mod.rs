@@ -60,9 +60,6 @@ pub trait Classifier: Clone + Send + Sync + 'static {
     /// What is learnt from a library.
     type Model: Send + Sync;
 
-    /// Its name, as on the command line.
-    fn name(&self) -> &'static str;
-
     /// Learns from a library.
     fn train(&self, training: &TrainingSet) -> Self::Model;
 
@@ -111,14 +108,15 @@ impl TrainingSet {
 /// A comparison classifier as a method.
 #[derive(Clone, Debug)]
 pub struct OnFeatures<C> {
+    name: &'static str,
     scene: Scene,
     classifier: C,
 }
 
 impl<C: Classifier> OnFeatures<C> {
-    /// The method for the sources of a scene.
-    pub fn new(scene: Scene, classifier: C) -> Self {
-        Self { scene, classifier }
+    /// The method called `name`, for the sources of a scene.
+    pub fn new(name: &'static str, scene: Scene, classifier: C) -> Self {
+        Self { name, scene, classifier }
     }
 }
 
@@ -220,7 +218,7 @@ impl<C: Classifier> OnFeatures<C> {
 
 impl<C: Classifier> Method for OnFeatures<C> {
     fn name(&self) -> &'static str {
-        self.classifier.name()
+        self.name
     }
 
     fn settings_key(&self, _: &LibraryShape) -> u64 {
@@ -269,8 +267,8 @@ impl<C: Classifier> Model for FeatureModel<C> {
     }
 
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
-        let Self { method: OnFeatures { classifier, .. }, columns, training, learnt } = self;
-        let query = query.features(classifier.name())?;
+        let Self { method: OnFeatures { name, classifier, .. }, columns, training, learnt } = self;
+        let query = query.features(name)?;
         let sources: Vec<SourceId> =
             query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
         if sources.is_empty() {

@@ -33,10 +33,6 @@ pub(super) fn matrix(training: &TrainingSet) -> (DenseMatrix<f64>, Vec<u32>) {
 impl Classifier for NaiveBayes {
     type Model = ClassMoments;
 
-    fn name(&self) -> &'static str {
-        "naive-bayes"
-    }
-
     fn train(&self, training: &TrainingSet) -> ClassMoments {
         let (x, y) = matrix(training);
         // Its errors are an empty library and rows without a class; a library has two surfaces.

@@ -40,13 +40,6 @@ pub struct NeighboursModel {
 impl Classifier for Neighbours {
     type Model = NeighboursModel;
 
-    fn name(&self) -> &'static str {
-        match self.distance {
-            Distance::Euclidean => "knn",
-            Distance::Mahalanobis => "mahalanobis",
-        }
-    }
-
     fn train(&self, training: &TrainingSet) -> NeighboursModel {
         let factor = match self.distance {
             Distance::Euclidean => None,

@@ -48,10 +48,6 @@ impl Pair {
 impl Classifier for Svm {
     type Model = SvmModel;
 
-    fn name(&self) -> &'static str {
-        "svm"
-    }
-
     fn train(&self, training: &TrainingSet) -> SvmModel {
         let distances = distances(training);
         let (cost, gamma) = choose(training, &distances);

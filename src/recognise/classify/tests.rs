@@ -25,7 +25,7 @@ fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> Prepared {
 }
 
 fn check<C: Classifier>(classifier: C) {
-    let method = OnFeatures::new(Scene::lmt108(), classifier);
+    let method = OnFeatures::new("classifier", Scene::lmt108(), classifier);
     let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key().number == 3);
     let shape = Arc::default();
     let model = method.fit(rest.clone(), &shape).unwrap();
@@ -85,7 +85,7 @@ fn trees_keep_the_promises() {
 #[test]
 fn another_seed_is_another_forest() {
     let forest = |seed| {
-        let method = OnFeatures::new(Scene::lmt108(), RandomForest { seed });
+        let method = OnFeatures::new("random-forest", Scene::lmt108(), RandomForest { seed });
         let model = method.fit(library(), &Arc::default()).unwrap();
         // Between surfaces, where the trees disagree.
         let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);
@@ -97,7 +97,7 @@ fn another_seed_is_another_forest() {
 
 #[test]
 fn a_source_that_a_query_lacks_counts_as_the_mean() {
-    let method = OnFeatures::new(Scene::lmt108(), NaiveBayes);
+    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), NaiveBayes);
     let mut both = Vec::new();
     for vector in library() {
         let mut vector = FeatureVector::clone(vector.features(method.name()).unwrap());

@@ -63,17 +63,13 @@ fn shares(votes: &[f64]) -> Scores {
 impl Classifier for RandomForest {
     type Model = Vec<RandomTree>;
 
-    fn name(&self) -> &'static str {
-        "random-forest"
-    }
-
     fn train(&self, training: &TrainingSet) -> Vec<RandomTree> {
         let (x, y) = matrix(training);
         let tree = |number: u64| {
             let parameters = RandomForestClassifierParameters::default().with_n_trees(1).with_seed(
                 seed::stable_hash(&[b"tree", &self.seed.to_le_bytes(), &number.to_le_bytes()]),
             );
-            // A bootstrap that holds but one surface makes no tree.
+            // A bootstrap that holds only one surface makes no tree.
             RandomForestClassifier::fit(&x, &y, parameters).ok()
         };
         (0..TREES).into_par_iter().filter_map(tree).collect()
@@ -100,10 +96,6 @@ impl Classifier for RandomForest {
 
 impl Classifier for AdaBoost {
     type Model = Vec<(f64, Tree)>;
-
-    fn name(&self) -> &'static str {
-        "adaboost"
-    }
 
     fn train(&self, training: &TrainingSet) -> Vec<(f64, Tree)> {
         let (x, _) = matrix(training);

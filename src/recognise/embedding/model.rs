@@ -225,7 +225,6 @@ impl EmbeddingModel {
         }
         let of_source = |(stretch, terms): (&Stretch, Vec<f64>)| SourceEvidence {
             source: stretch.spec.id.clone(),
-            trained: true,
             terms,
         };
         let sources = self.stretches(present).zip(terms).map(of_source).collect();

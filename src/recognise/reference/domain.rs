@@ -2,13 +2,13 @@
 
 use ndarray::Array2;
 
-use super::amplitude_spectrum::amplitude_spectrum;
 use super::sampling::{DomainExtent, Positions};
 use crate::recognise::features::hsv;
 use crate::scene::{Colour, Domain, SourceSpec};
+use crate::spectrum::amplitude_spectrum;
 use crate::trial::{Image, Series, Signal};
 
-/// What can be sampled of one source.
+/// The samples of one source in its domain, to draw from.
 #[derive(Clone, Debug)]
 pub enum DomainSamples {
     /// Rows are frames or bins, columns are channels.
@@ -40,7 +40,7 @@ impl DomainSamples {
         }
     }
 
-    /// What positions are drawn from.
+    /// The extent from which positions are drawn.
     pub(crate) fn extent(&self) -> DomainExtent {
         match self {
             Self::Rows { extent, .. } => *extent,

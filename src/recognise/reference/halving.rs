@@ -2,7 +2,7 @@
 //!
 //! Positions are shared, so a repetition is the same draw for every trial, and trials far from the
 //! query are seen to be so at once. Repetitions resample one recording: dropping a trial after one
-//! of them saves work and changes a label now and then, it is no statement of confidence. With the
+//! of them saves work and changes a label now and then; it does not state a confidence. With the
 //! default stages 12 % of the work is left. Measured: on LMT108's dragging sounds of 20 surfaces
 //! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200 queries,
 //! and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench reference --

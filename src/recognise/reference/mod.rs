@@ -6,26 +6,19 @@
 //! within 1e-4 of a score ([`SumPrecision`]), and, where asked for, successive halving. Results depend
 //! neither on the number of threads nor on the library's order.
 
-mod amplitude_spectrum;
 mod domain;
 mod halving;
 mod model;
-mod options;
 pub(super) mod prepared_trial;
-mod rounding;
 mod sample_set;
-mod sampler;
 mod sampling;
 mod score;
-pub(super) mod storage;
 
-pub use amplitude_spectrum::amplitude_spectrum;
 pub use domain::DomainSamples;
 pub use halving::{STAGES, Stage};
 pub use model::ReferenceModel;
-pub use options::{PositionMode, ReferenceOptions};
 pub use prepared_trial::PreparedTrial;
-pub(super) use prepared_trial::{Cut, shared_sources};
+pub(super) use prepared_trial::{SampledSource, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
 pub use sampling::image_grid;
 pub(super) use sampling::keyed_positions;
@@ -33,8 +26,9 @@ pub use score::{QuerySet, SumPrecision, log_score, score_samples};
 
 use std::sync::Arc;
 
-use self::options::NAME;
-use self::sampler::Sampler;
+use serde::{Deserialize, Serialize};
+
+use self::model::Sampler;
 use super::checks::check_surfaces;
 use super::error::RecogniseError;
 use super::method::{Method, Model};
@@ -100,5 +94,93 @@ impl Method for Reference {
     ) -> Result<Arc<dyn Model>, RecogniseError> {
         check_surfaces(library.iter().map(Prepared::key))?;
         Ok(Arc::new(self.model(&library)?))
+    }
+}
+
+/// The method's name.
+pub const NAME: &str = "reference";
+
+/// The way to draw sample positions: once for the whole library, or for each pair of trials.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PositionMode {
+    /// Once a repetition, for every trial: far cheaper.
+    #[default]
+    Shared,
+    /// Again for every pair, as the authors' program does.
+    PerPair,
+}
+
+/// Settings of the method; the defaults are the paper's, and are left out where settings are
+/// written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ReferenceOptions {
+    /// Samples drawn from a source, n.
+    #[serde(rename = "n")]
+    pub samples: usize,
+    /// Repetitions whose scores are averaged, R.
+    pub repetitions: usize,
+    /// Nearest neighbours, k.
+    #[serde(skip_serializing_if = "is_one")]
+    pub neighbours: usize,
+    /// The way to draw positions.
+    #[serde(skip_serializing_if = "is_default")]
+    pub positions: PositionMode,
+    /// Seed of all positions.
+    #[serde(skip_serializing_if = "is_one")]
+    pub seed: u64,
+    /// The precision of kernel sums.
+    #[serde(skip_serializing_if = "is_default")]
+    pub precision: SumPrecision,
+    /// Tabulate K(y, y) of library trials over σ: dearer to prepare, cheaper to compare with.
+    #[serde(skip_serializing_if = "is_true")]
+    pub tabulate: bool,
+    /// Stages of successive halving, in order; none compares every trial by all repetitions.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub halving: Vec<Stage>,
+}
+
+fn is_one<T: PartialEq + From<u8>>(value: &T) -> bool {
+    *value == T::from(1)
+}
+
+fn is_default<T: PartialEq + Default>(value: &T) -> bool {
+    *value == T::default()
+}
+
+fn is_true(value: &bool) -> bool {
+    *value
+}
+
+impl ReferenceOptions {
+    /// The stages to go through; the last one keeps what it has.
+    pub(super) fn stages(&self, trials: usize) -> Vec<Stage> {
+        let Self { repetitions, neighbours, halving, .. } = self;
+        let mut stages: Vec<Stage> = Vec::new();
+        for stage in halving {
+            let so_far = stages.last().map_or((0, trials), |s| (s.repetitions, s.keep));
+            let keep = stage.keep.max(*neighbours).max(2);
+            if so_far.0 < stage.repetitions && stage.repetitions < *repetitions && keep < so_far.1 {
+                stages.push(Stage { repetitions: stage.repetitions, keep });
+            }
+        }
+        stages.push(Stage { repetitions: *repetitions, keep: trials });
+        stages
+    }
+}
+
+impl Default for ReferenceOptions {
+    fn default() -> Self {
+        Self {
+            samples: 400,
+            repetitions: 10,
+            neighbours: 1,
+            positions: PositionMode::Shared,
+            seed: 1,
+            precision: SumPrecision::Fast,
+            tabulate: true,
+            halving: Vec::new(),
+        }
     }
 }

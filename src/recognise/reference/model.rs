@@ -7,20 +7,19 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::halving;
-use super::options::NAME;
-use super::prepared_trial::{Cut, PreparedTrial, shared_sources};
+use super::domain::DomainSamples;
+use super::prepared_trial::{PreparedTrial, SampledSource, shared_sources};
 use super::sample_set::{SampleSet, Scratch};
-use super::sampler::Sampler;
+use super::sampling::{DomainExtent, Positions, keyed_positions};
 use super::score::{QuerySet, log_score};
+use super::{NAME, PositionMode, ReferenceOptions, halving};
 use crate::library::Entry;
-use crate::recognise::combine::{TrialScores, candidates, log_discrepancy, medians};
 use crate::recognise::error::RecogniseError;
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
-use crate::recognise::rank::{Ranking, rank};
-use crate::scene::SourceSpec;
-use crate::trial::Trial;
+use crate::recognise::rank::{Ranking, TrialScores, candidates, log_discrepancy, medians, rank};
+use crate::scene::{Scene, SourceSpec};
+use crate::trial::{Signal, Trial};
 
 /// A library, ready to be compared with.
 pub struct ReferenceModel {
@@ -88,7 +87,6 @@ impl Model for ReferenceModel {
         }
         let evidence = |(spec, terms): (&&SourceSpec, Vec<f64>)| SourceEvidence {
             source: spec.id.clone(),
-            trained: true,
             terms,
         };
         let sources = query.sources.iter().zip(terms).map(evidence).collect();
@@ -119,7 +117,7 @@ impl ReferenceModel {
         let query = query.samples(NAME)?;
         let sources = shared_sources(&self.sampler.scene, query, &self.library)?;
         // Nearly always one length a source.
-        let mut cuts: Vec<BTreeMap<usize, Arc<Cut>>> = Vec::new();
+        let mut cuts: Vec<BTreeMap<usize, Arc<SampledSource>>> = Vec::new();
         for spec in &sources {
             let mut of_source = BTreeMap::new();
             for frames in self.library.iter().filter_map(|y| query.common_frames(y, &spec.id)) {
@@ -137,12 +135,12 @@ impl ReferenceModel {
 struct ReferenceQuery<'a> {
     trial: &'a PreparedTrial,
     sources: Vec<&'a SourceSpec>,
-    cuts: Vec<BTreeMap<usize, Arc<Cut>>>,
+    cuts: Vec<BTreeMap<usize, Arc<SampledSource>>>,
 }
 
 /// A query's source at one length, set up for comparison.
 struct QuerySource<'a> {
-    cut: &'a Cut,
+    cut: &'a SampledSource,
     sets: Vec<QuerySet<'a>>,
 }
 
@@ -156,7 +154,7 @@ struct QueryComparison<'a> {
 impl<'a> QueryComparison<'a> {
     fn new(sampler: &'a Sampler, query: &'a ReferenceQuery<'a>) -> Self {
         let precision = sampler.options.precision;
-        let of_cut = |spec: &SourceSpec, cut: &'a Arc<Cut>| {
+        let of_cut = |spec: &SourceSpec, cut: &'a Arc<SampledSource>| {
             let set_up = |set| QuerySet::new(set, spec.align_mean, precision);
             QuerySource { cut, sets: cut.sets.par_iter().map(set_up).collect() }
         };
@@ -171,7 +169,7 @@ impl<'a> QueryComparison<'a> {
         &self,
         spec: &SourceSpec,
         query: &QuerySource<'_>,
-        y: &Cut,
+        y: &SampledSource,
         contents: (u64, u64),
         repetitions: Range<usize>,
     ) -> f64 {
@@ -252,4 +250,71 @@ struct Scored {
     trial: Arc<PreparedTrial>,
     sums: Vec<Option<f64>>,
     repetitions: usize,
+}
+
+/// A scene, and how its sources are sampled.
+#[derive(Clone, Debug)]
+pub struct Sampler {
+    pub scene: Scene,
+    pub options: ReferenceOptions,
+}
+
+impl Sampler {
+    /// A trial, sampled; `tabulate` prepares it for many comparisons.
+    pub fn sampled(
+        &self,
+        entry: &Entry,
+        trial: &Trial,
+        tabulate: bool,
+    ) -> Result<PreparedTrial, RecogniseError> {
+        let per_pair = self.options.positions == PositionMode::PerPair;
+        PreparedTrial::new(entry, trial, &self.scene, per_pair, |spec, signal, frames| {
+            self.cut(spec, signal, frames, tabulate)
+        })
+    }
+
+    fn cut(
+        &self,
+        spec: &SourceSpec,
+        signal: &Signal,
+        frames: usize,
+        tabulate: bool,
+    ) -> SampledSource {
+        let domain = DomainSamples::new(spec, signal, frames);
+        if self.options.positions == PositionMode::PerPair {
+            return SampledSource { sets: Vec::new(), domain: Some(domain) };
+        }
+        let draw = |repetition| {
+            let at = self.positions(spec, domain.extent(), repetition, None);
+            let mut set = SampleSet::new(&domain.at(&at), spec.sigma);
+            if tabulate {
+                set.tabulate();
+            }
+            set
+        };
+        let sets = (0..self.options.repetitions).into_par_iter().map(draw).collect();
+        SampledSource { sets, domain: None }
+    }
+
+    /// A source of a trial, cut to `frames`.
+    pub fn cut_of(
+        &self,
+        trial: &PreparedTrial,
+        spec: &SourceSpec,
+        frames: usize,
+    ) -> Result<Arc<SampledSource>, RecogniseError> {
+        trial.at_length(&spec.id, frames, |signal| self.cut(spec, signal, frames, false))
+    }
+
+    /// The positions of one repetition; `pair` as in [`keyed_positions`].
+    pub fn positions(
+        &self,
+        spec: &SourceSpec,
+        extent: DomainExtent,
+        repetition: usize,
+        pair: Option<(u64, u64)>,
+    ) -> Positions {
+        let ReferenceOptions { samples, seed, .. } = self.options;
+        keyed_positions(&spec.id, extent, samples, seed, repetition, pair)
+    }
 }

@@ -15,7 +15,7 @@ use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
 /// One source of a trial, cut to some length and ready to be compared.
-pub struct Cut {
+pub struct SampledSource {
     /// One set a repetition; empty where positions are drawn for each pair.
     pub sets: Vec<SampleSet>,
     /// Kept only where positions are drawn for each pair.
@@ -23,13 +23,14 @@ pub struct Cut {
 }
 
 /// A source, its rate and frames if it is a series, and its sets.
-pub(super) type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
+type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of one source stay in memory beside the trial's own; `chart` asks for as many.
+/// Number of lengths of one source that stay in memory besides the trial's own: as many as `chart`
+/// needs.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths that were asked for, in frames.
-type Cuts = BTreeMap<SourceId, Vec<(usize, Arc<Cut>)>>;
+type SampledSources = BTreeMap<SourceId, Vec<(usize, Arc<SampledSource>)>>;
 
 /// A trial, ready to be compared.
 pub struct PreparedTrial {
@@ -38,7 +39,7 @@ pub struct PreparedTrial {
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
     /// By length in frames; the trial's own length first.
-    cuts: Mutex<Cuts>,
+    cuts: Mutex<SampledSources>,
 }
 
 impl PreparedTrial {
@@ -49,7 +50,7 @@ impl PreparedTrial {
         trial: &Trial,
         scene: &Scene,
         hashed: bool,
-        cut: impl Fn(&SourceSpec, &Signal, usize) -> Cut + Sync,
+        cut: impl Fn(&SourceSpec, &Signal, usize) -> SampledSource + Sync,
     ) -> Result<Self, RecogniseError> {
         let known: Vec<(&SourceId, &Signal, &SourceSpec)> = (trial.signals.iter())
             .filter_map(|(id, signal)| Some((id, signal, scene.get(id.as_str())?)))
@@ -76,42 +77,46 @@ impl PreparedTrial {
         Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
     }
 
-    /// A trial from what was stored of one: for each source its shape and its sets at that length.
-    pub(super) fn from_parts(entry: &Entry, parts: Vec<StoredSource>) -> Self {
+    /// The trial as bytes, for a cache; `None` where positions are drawn for each pair, since then it
+    /// is as large as the recording.
+    pub(in crate::recognise) fn encode(&self) -> Option<Vec<u8>> {
+        let cuts = self.lock();
+        let mut sources = Vec::new();
+        for (id, shape) in &self.shapes {
+            let (_, cut) = cuts.get(id)?.first()?;
+            sources.push((id, shape, &cut.sets));
+        }
+        let sampled = sources.iter().all(|(_, _, sets)| !sets.is_empty());
+        sampled.then(|| postcard::to_allocvec(&sources).ok())?
+    }
+
+    /// The trial of an entry from bytes, if they are those of one.
+    pub(in crate::recognise) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
+        let sources: Vec<StoredSource> = postcard::from_bytes(bytes).ok()?;
         let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
-        for (id, shape, sets) in parts {
+        for (id, shape, mut sets) in sources {
+            if !sets.iter_mut().all(SampleSet::complete) {
+                return None;
+            }
             let frames = shape.map_or(0, |(_, frames)| frames);
             shapes.insert(id.clone(), shape);
-            cuts.insert(id, vec![(frames, Arc::new(Cut { sets, domain: None }))]);
+            cuts.insert(id, vec![(frames, Arc::new(SampledSource { sets, domain: None }))]);
         }
-        Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) }
+        Some(Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) })
     }
 
-    /// Calls `each` with each source, its shape, and what it holds at the trial's own length.
-    pub(super) fn each_source(
-        &self,
-        mut each: impl FnMut(&SourceId, Option<(f64, usize)>, &[SampleSet]),
-    ) {
-        let cuts = self.lock();
-        for (id, shape) in &self.shapes {
-            if let Some((_, cut)) = cuts.get(id).and_then(|of_source| of_source.first()) {
-                each(id, *shape, &cut.sets);
-            }
-        }
-    }
-
-    /// Which trial this is.
+    /// The key of the trial.
     pub fn key(&self) -> &TrialKey {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless it was wanted), so that what is drawn for a pair depends neither on names nor on
-    /// order.
+    /// Hash of all raw samples (0 unless it was wanted), so that the draws for a pair depend neither on
+    /// names nor on order.
     pub(super) fn content(&self) -> u64 {
         self.content
     }
 
-    /// Sample rate of a source, if the trial has it and it is no image.
+    /// Sample rate of a source, if the trial has it and it is not an image.
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
         self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
     }
@@ -130,8 +135,8 @@ impl PreparedTrial {
         &self,
         id: &SourceId,
         frames: usize,
-        cut: impl Fn(&Signal) -> Cut,
-    ) -> Result<Arc<Cut>, RecogniseError> {
+        cut: impl Fn(&Signal) -> SampledSource,
+    ) -> Result<Arc<SampledSource>, RecogniseError> {
         if let Some(cuts) = self.lock().get(id)
             && let Some((_, cut)) = cuts.iter().find(|(at, _)| *at == frames)
         {
@@ -152,7 +157,7 @@ impl PreparedTrial {
         Ok(made)
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Cuts> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, SampledSources> {
         // A thread that panicked while it held the lock left at most a cut unsaved.
         self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,8 +1,8 @@
-//! Samples drawn from one source of one trial, with all that need be computed but once.
+//! Samples drawn from one source of one trial, with all that is computed once.
 
 use ndarray::Array2;
+use serde::{Deserialize, Serialize};
 
-use super::rounding::{coarseness, is_clustered};
 use crate::kernel::{
     F64Points, LineSum, PaddedPoints, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
     length_scale,
@@ -17,12 +17,12 @@ const ROUNDING_ALLOWED: f64 = 3e-5;
 /// Error of n·MMD² that a table of K(y, y) may cause; more, and there is no table.
 const TABLE_ALLOWED: f64 = 3e-5;
 
-/// Length scales this many times a set's own see no more than a point.
+/// At length scales this many times a set's own, the set looks like one point.
 const AFAR: f64 = 8.0;
 
 /// Samples drawn from one source. What is compared does not depend on the order of samples, once σ
 /// is known; those of a single channel are kept in ascending order.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleSet {
     /// Channel after channel, as drawn.
     pub(super) values: Values,
@@ -34,16 +34,17 @@ pub struct SampleSet {
     pub(super) sigma: f64,
     /// Error of n·MMD² times σ that coordinates in f32 may cause.
     pub(super) coarseness: f64,
-    /// Whether distances within the set are but a few: see [`is_clustered`].
+    /// Whether the set has only a few different distances: see [`is_clustered`].
     pub(super) clustered: bool,
     /// Mean of K(y, y) by σ, if tabulated.
     pub(super) table: Option<SelfMean>,
-    /// Distinct samples and how often each occurs, where they are few.
+    /// Distinct samples and how often each occurs, where they are few; not stored.
+    #[serde(skip)]
     distinct: Option<DistinctPoints>,
 }
 
 /// Numbers in the shortest form that holds them exactly.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Values {
     Single(Box<[f32]>),
     Double(Box<[f64]>),
@@ -107,24 +108,18 @@ impl SampleSet {
         Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
     }
 
-    /// A set from what was stored of one.
-    pub(super) fn from_parts(
-        values: Values,
-        mean: Vec<f64>,
-        centre: Vec<f64>,
-        sigma: f64,
-        coarseness: f64,
-        clustered: bool,
-        table: Option<SelfMean>,
-    ) -> Self {
-        let mut set =
-            Self { values, mean, centre, sigma, coarseness, clustered, table, distinct: None };
-        let (n, dims) = (set.n(), set.dims());
-        set.distinct = match &set.values {
+    /// Finds again the part of a stored set that is not stored. False if the rest does not fit together.
+    pub(super) fn complete(&mut self) -> bool {
+        let (dims, count) = (self.dims(), self.values.len());
+        if count == 0 || dims == 0 || count % dims != 0 || self.centre.len() != dims {
+            return false;
+        }
+        let n = count / dims;
+        self.distinct = match &self.values {
             Values::Single(values) => DistinctPoints::find(values, n, dims),
             Values::Double(values) => DistinctPoints::find(values, n, dims),
         };
-        set
+        true
     }
 
     /// Number of samples.
@@ -175,7 +170,8 @@ impl SampleSet {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
-    /// Whether distances within the set are but a few at this length scale: seen from afar, every
+    /// Whether the set has only a few different distances at this length scale: seen from afar,
+    /// every
     /// set is a tight cluster.
     pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
         self.clustered || sigma > AFAR * self.sigma
@@ -260,4 +256,64 @@ impl DistinctPoints {
         }
         Some(found)
     }
+}
+
+/// Whether a set has only a few different distances.
+///
+/// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
+/// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight
+/// clusters have only a few distances and so a few fractions, and their errors add up. A subset of
+/// pairs shows which it is. Between a set in clusters and one that is spread out there are as many
+/// distances as the latter has samples.
+fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
+    const SUBSET: usize = 32;
+    const BINS: usize = 8;
+    let step = n.div_ceil(SUBSET).max(1);
+    let scale = (8.0 * std::f64::consts::LOG2_E).sqrt() / sigma;
+    let mut weights = [0.0; BINS];
+    for i in (0..n).step_by(step) {
+        for j in (0..i).step_by(step) {
+            let q: f64 =
+                values.chunks(n).map(|channel| ((channel[i] - channel[j]) * scale).powi(2)).sum();
+            let bin = (q.fract() * BINS as f64) as usize;
+            weights[bin.min(BINS - 1)] += (-q / 16.0).exp2();
+        }
+    }
+    let (sum, most) = weights.iter().fold((0.0, 0.0), |(s, m), &w| (s + w, f64::max(m, w)));
+    most * BINS as f64 > 2.0 * sum
+}
+
+/// Error of n·MMD² times σ that rounding centred coordinates to f32 may cause.
+///
+/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ, which changes each of its kernel values by at most
+/// 0.61 δᵢ, but only those of points in reach. A point far from the centre meets no more than those
+/// at least half as far out, mᵢ of them; errors of different points have different signs. So the
+/// error of 2/n Σᵢⱼ k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
+fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
+    let distances = distances(values, n, centre);
+    let mut nearer = 0;
+    let mut sum = 0.0;
+    for &d in &distances {
+        while distances[nearer] < 0.5 * d {
+            nearer += 1;
+        }
+        sum += (d * (n - nearer) as f64).powi(2);
+    }
+    // Squares that overflow or vanish in f64 do so in f32 as well.
+    let error = ROUNDING / n as f64 * sum.sqrt();
+    if error.is_normal() || distances[n - 1] == 0.0 { error } else { f64::INFINITY }
+}
+
+/// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
+const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
+
+/// Distances of samples from the centre, ascending.
+fn distances(values: &[f64], n: usize, centre: &[f64]) -> Vec<f64> {
+    let distance = |i: usize| {
+        let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i] - m).powi(2));
+        d2.sum::<f64>().sqrt()
+    };
+    let mut distances: Vec<f64> = (0..n).map(distance).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    distances
 }

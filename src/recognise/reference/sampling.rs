@@ -1,4 +1,4 @@
-//! Where samples are drawn from a source (method §2, step 1; the paper's Fig. 4).
+//! Draws the samples of a source (method §2, step 1; the paper's Fig. 4).
 
 use rand::seq::index;
 use rand::{Rng, RngExt};
@@ -22,7 +22,7 @@ const START_SHARE: f64 = 0.0115;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Positions(pub Vec<usize>);
 
-/// What positions are drawn from.
+/// The extent from which positions are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DomainExtent {
     /// A time series of a number of frames.

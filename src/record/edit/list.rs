@@ -1,13 +1,15 @@
 //! The trials of a library, as edits know them.
 
+use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 
 use serde::Serialize;
 
-use super::folders::{REMOVED, name_of, trials};
-use crate::library::{About, Entry, LibraryError};
+use super::{REMOVED, is_plain};
+use crate::library::{About, Entry, LibraryError, recording};
 use crate::scene::{Scene, SourceId};
-use crate::trial::TrialKey;
+use crate::trial::{EXPERT, TrialKey};
 
 /// A trial as it is listed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -26,37 +28,135 @@ pub struct ListedTrial {
     pub seconds: f64,
 }
 
+/// What a trial is called in edits: its folder within the library, `SURFACE/TRIAL`.
+pub fn trial_name(library: &Path, folder: &Path) -> String {
+    let within = folder.strip_prefix(library).unwrap_or(folder);
+    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    parts.collect::<Vec<_>>().join("/")
+}
+
+/// The same of any trial; its surface and number, where it has no folder of its own.
+pub(super) fn name_of(library: &Path, entry: &Entry) -> String {
+    let loose = || format!("{}/{}", entry.key.surface, entry.key.number);
+    entry.folder().map_or_else(loose, |folder| trial_name(library, folder))
+}
+
+/// The trials of a library that can be read; none, where it holds none.
+pub(super) fn trials(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
+    Ok(recording::open_part(library, library, scene)?.library.entries)
+}
+
+/// The removed trials that can be read.
+pub(super) fn removed(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
+    let bin = library.join(REMOVED);
+    if !bin.exists() {
+        return Ok(Vec::new());
+    }
+    // Their sources are those of the library.
+    Ok(recording::open_part(&bin, library, scene)?.library.entries)
+}
+
 /// The trials of a library that can be read, sorted.
 ///
 /// # Errors
 /// If they cannot be read.
 pub fn list(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
-    Ok(listed(library, &trials(library, scene)?))
+    Ok(trials(library, scene)?.iter().map(|entry| listed(library, entry)).collect())
 }
 
-/// The trials that were removed from a library and can come back, likewise.
+/// The trials that were removed from a library and can come back, sorted; one that cannot be read is
+/// listed without its sources.
 ///
 /// # Errors
-/// If they cannot be read.
+/// If their folder cannot be read.
 pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
     let bin = library.join(REMOVED);
-    Ok(listed(&bin, &trials(&bin, scene)?))
+    let entries = removed(library, scene)?;
+    let mut all: BTreeMap<String, ListedTrial> = BTreeMap::new();
+    for (surface, trial) in folders(&bin) {
+        let name = format!("{surface}/{trial}");
+        let number = recording::number_in(&trial).unwrap_or_default();
+        let (key, sources) = (TrialKey::new(&surface, EXPERT, number), Vec::new());
+        let one = ListedTrial { trial: name.clone(), key, started_at: None, sources, seconds: 0.0 };
+        all.insert(name, one);
+    }
+    all.extend(entries.iter().map(|entry| (name_of(&bin, entry), listed(&bin, entry))));
+    Ok(all.into_values().collect())
 }
 
-fn listed(root: &Path, entries: &[Entry]) -> Vec<ListedTrial> {
-    let one = |entry: &Entry| {
-        let folder = entry.folder();
-        // What cannot be read of it is left out here, and found by `surfaced check`.
-        let seconds = entry.outlines().unwrap_or_default();
-        let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
-        let started_at = |folder| About::read(folder).ok()?.started_at;
-        ListedTrial {
-            trial: name_of(root, entry),
-            key: entry.key.clone(),
-            started_at: folder.and_then(started_at),
-            sources: entry.sources.clone(),
-            seconds: seconds.fold(0.0, f64::max),
-        }
+/// The folders of trials, `(SURFACE, TRIAL)` each.
+fn folders(root: &Path) -> Vec<(String, String)> {
+    let within = |folder: &Path| {
+        let items = fs::read_dir(folder).into_iter().flatten().flatten();
+        let folders = items.filter(|item| item.path().is_dir());
+        let names = folders.filter_map(|item| item.file_name().into_string().ok());
+        names.filter(|name| is_plain(name)).collect::<Vec<_>>()
     };
-    entries.iter().map(one).collect()
+    let of_surface = |surface: String| {
+        let trials = within(&root.join(&surface));
+        trials.into_iter().map(move |trial| (surface.clone(), trial))
+    };
+    within(root).into_iter().flat_map(of_surface).collect()
+}
+
+fn listed(root: &Path, entry: &Entry) -> ListedTrial {
+    let folder = entry.folder();
+    // What cannot be read of it is left out here, and found by `surfaced check`.
+    let seconds = entry.outlines().unwrap_or_default();
+    let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
+    let started_at = |folder| About::read(folder).ok()?.started_at;
+    ListedTrial {
+        trial: name_of(root, entry),
+        key: entry.key.clone(),
+        started_at: folder.and_then(started_at),
+        sources: entry.sources.clone(),
+        seconds: seconds.fold(0.0, f64::max),
+    }
+}
+
+/// The next number of each surface and user: after those of trials, and of removed ones, which may
+/// come back.
+///
+/// # Errors
+/// If the library is there and cannot be read.
+pub(crate) fn numbers_after(
+    library: &Path,
+    scene: &Scene,
+) -> Result<BTreeMap<(String, String), u32>, LibraryError> {
+    let mut numbers = BTreeMap::new();
+    if !library.exists() {
+        return Ok(numbers);
+    }
+    for entry in trials(library, scene)?.into_iter().chain(removed(library, scene)?) {
+        let next = numbers.entry((entry.key.surface, entry.key.user)).or_insert(1);
+        *next = entry.key.number.saturating_add(1).max(*next);
+    }
+    Ok(numbers)
+}
+
+/// The next number of one surface and user.
+///
+/// # Errors
+/// As [`numbers_after`].
+pub(crate) fn number_after(
+    library: &Path,
+    scene: &Scene,
+    surface: &str,
+    user: &str,
+) -> Result<u32, LibraryError> {
+    let of = (surface.to_string(), user.to_string());
+    Ok(numbers_after(library, scene)?.remove(&of).unwrap_or(1))
+}
+
+/// The trial whose `trial.toml` has these notes, `SURFACE/TRIAL`; `likely` is looked at first.
+pub(crate) fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -> Option<String> {
+    let likely = likely.and_then(|name| name.split_once('/'));
+    let likely = likely.map(|(surface, trial)| (surface.to_string(), trial.to_string()));
+    let is = |(surface, trial): &(String, String)| {
+        let about = About::read(&library.join(surface).join(trial)).ok();
+        about.and_then(|about| about.notes).is_some_and(|found| found == notes)
+    };
+    let likely = likely.filter(|(surface, trial)| is_plain(surface) && is_plain(trial));
+    let found = likely.filter(is).or_else(|| folders(library).into_iter().find(is));
+    found.map(|(surface, trial)| format!("{surface}/{trial}"))
 }

@@ -2,69 +2,136 @@
 //! and come back.
 //!
 //! A removed trial lies in `LIBRARY/.removed/SURFACE/TRIAL`, whole, where no reader looks.
-//! `LIBRARY/.removed/steps.jsonl` lists the steps, so that the last can be taken back. Nothing is
-//! moved while somebody reads the library ([`LibraryLock`]), and a step that a crash cut short can
-//! be undone like any other.
+//! `LIBRARY/.removed/steps.jsonl` lists the edits, so that the last can be taken back, and one that a
+//! crash cut short is finished when the library is opened next. Nothing is moved while somebody reads
+//! the library ([`LibraryLock`]).
 
-mod folders;
+mod disk;
 mod list;
-mod relocate;
+mod lock;
+mod moves;
+mod plan;
 mod steps;
 
-pub(crate) use folders::trial_name;
 pub use list::{ListedTrial, list, list_removed};
+pub(crate) use list::{number_after, numbers_after, trial_name, trial_of_note};
+pub use lock::LibraryLock;
 pub use steps::{Move, Step, last_step};
 
-use std::fs;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use self::folders::{REMOVED, name_of, trials};
-use self::relocate::{relocate, replace};
-use self::steps::{MOST_STEPS, STEPS, steps};
-use super::{failed, trial_folder, utc};
-use crate::library::lock::LibraryLock;
+use serde::Serialize;
+
+use self::list::{name_of, removed, trials};
+use self::moves::{carry_out, check, inode, tidy};
+use self::plan::Plan;
+use self::steps::{KnownStep, Steps};
+use super::{TrialOptions, append_trial, trial_folder, utc};
 use crate::library::{Entry, LibraryError};
 use crate::scene::Scene;
-use crate::trial::TrialKey;
+use crate::trial::{Trial, TrialKey, normal};
+
+/// The folder of what was removed.
+pub(super) const REMOVED: &str = ".removed";
+
+/// Whether the name of a folder is one that readers take, and leads nowhere else.
+pub(crate) fn is_plain(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
+}
 
 /// A library that is being edited; nobody reads it meanwhile.
 pub struct Editor {
     root: PathBuf,
     scene: Scene,
+    steps: Steps,
     _lock: LibraryLock,
 }
 
-/// The number after those that the trials of a surface by a user have.
+/// A step that was taken back.
+#[derive(Clone, Debug, Serialize)]
+pub struct Undone {
+    /// The step, with the moves by which it was taken back.
+    #[serde(flatten)]
+    pub step: Step,
+    /// Trials of it that are no longer where it had put them, `SURFACE/TRIAL`.
+    pub gone: Vec<String>,
+}
+
+impl AsRef<Step> for Undone {
+    fn as_ref(&self) -> &Step {
+        &self.step
+    }
+}
+
+impl AsRef<Self> for Step {
+    fn as_ref(&self) -> &Self {
+        self
+    }
+}
+
+/// Writes a trial into a library, under the next number that neither a trial nor a removed one has,
+/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`.
 ///
 /// # Errors
-/// If the library is there and cannot be read.
-pub(crate) fn next_number(
+/// If the library cannot be read or written.
+pub(crate) fn keep(
     library: &Path,
     scene: &Scene,
-    surface: &str,
-    user: &str,
-) -> Result<u32, LibraryError> {
-    Ok(number_after(&keys(&trials(library, scene)?), surface, user))
-}
-
-fn number_after(taken: &[TrialKey], surface: &str, user: &str) -> u32 {
-    let of = taken.iter().filter(|key| key.surface == surface && key.user == user);
-    of.map(|key| key.number.saturating_add(1)).max().unwrap_or(1)
-}
-
-fn keys(entries: &[Entry]) -> Vec<TrialKey> {
-    entries.iter().map(|entry| entry.key.clone()).collect()
+    mut trial: Trial,
+    options: &TrialOptions,
+    what: String,
+) -> Result<String, LibraryError> {
+    let mut steps = Steps::open(library)?;
+    if steps.last().and_then(KnownStep::left).is_some() {
+        drop(steps);
+        Editor::finish(library)?;
+        steps = Steps::open(library)?;
+    }
+    trial.key.number = number_after(library, scene, &trial.key.surface, &trial.key.user)?;
+    let (number, folder) = append_trial(library, &trial, scene, options)?;
+    let to = trial_name(library, &folder);
+    let key = Some(TrialKey { number, ..trial.key });
+    // To undo it is to remove it.
+    let from = format!("{REMOVED}/{to}");
+    let moves = vec![Move { from, to: to.clone(), was: key.clone(), is: key, inode: None }];
+    steps.note(Step { what, at: utc(SystemTime::now()), moves })?;
+    Ok(to)
 }
 
 impl Editor {
-    /// Waits until nobody reads a library, and takes it for editing.
+    /// Waits until nobody reads a library, takes it for editing, and finishes what was cut short.
     ///
     /// # Errors
-    /// If there is no such library, or somebody reads it all the time.
+    /// If there is no such library, somebody reads it all the time, or an edit that was cut short
+    /// can be neither finished nor taken back.
     pub fn open(library: &Path, scene: &Scene) -> Result<Self, LibraryError> {
         let lock = LibraryLock::for_editing(library)?;
-        Ok(Self { root: library.to_path_buf(), scene: scene.clone(), _lock: lock })
+        let (root, steps) = (library.to_path_buf(), Steps::open(library)?);
+        let mut editor = Self { root, scene: scene.clone(), steps, _lock: lock };
+        editor.finish_left()?;
+        Ok(editor)
+    }
+
+    /// Finishes what was cut short, and nothing else.
+    fn finish(library: &Path) -> Result<(), LibraryError> {
+        Self::open(library, &Scene::lmt108()).map(drop)
+    }
+
+    fn finish_left(&mut self) -> Result<(), LibraryError> {
+        let Some(last) = self.steps.last() else { return Ok(()) };
+        let Some((moves, undoing)) = last.left() else { return Ok(()) };
+        let what = format!("{}{}", if undoing { "undo " } else { "" }, last.step.what);
+        let (moves, root) = (moves.to_vec(), self.root.display().to_string());
+        match self.settle(&moves, undoing)? {
+            None => tracing::warn!("{root}: `{what}` was cut short, and is finished now"),
+            Some(error) => tracing::warn!(
+                "{root}: `{what}` was cut short and cannot be finished, so it is taken back; to go \
+                 on, give it again: {error}"
+            ),
+        }
+        Ok(())
     }
 
     /// Gives all trials of a surface another label.
@@ -72,7 +139,7 @@ impl Editor {
     /// # Errors
     /// If there is no such surface, or the file system refuses; then nothing has changed, as for all
     /// that follow.
-    pub fn rename(&self, surface: &str, label: &str) -> Result<Step, LibraryError> {
+    pub fn rename(&mut self, surface: &str, label: &str) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let of_surface: Vec<&Entry> =
             entries.iter().filter(|entry| entry.key.surface == surface).collect();
@@ -87,7 +154,7 @@ impl Editor {
     ///
     /// # Errors
     /// As [`Editor::rename`].
-    pub fn move_to(&self, names: &[String], label: &str) -> Result<Step, LibraryError> {
+    pub fn move_to(&mut self, names: &[String], label: &str) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let chosen = self.choose(&self.root, &entries, names)?;
         let what = format!("move {} to {label}", names.join(", "));
@@ -95,94 +162,104 @@ impl Editor {
     }
 
     fn relabel(
-        &self,
+        &mut self,
         entries: &[Entry],
         chosen: &[&Entry],
         label: &str,
         what: String,
     ) -> Result<Step, LibraryError> {
-        let mut taken = keys(entries);
-        let mut moves = Vec::new();
+        let label = &*normal(label);
+        let gone = removed(&self.root, &self.scene)?;
+        let mut plan = Plan::new(&self.root, [entries, &gone], &HashSet::new());
         for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
-            let from = self.folder_of(entry)?;
-            let is = free_key(&mut taken, label, &entry.key);
-            let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
-            moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
+            plan.relabel(self.folder_of(entry)?, label, &entry.key);
         }
-        self.take(what, moves)
+        self.take(what, plan.moves)
     }
 
     /// Removes trials: those of these names, or all of these surfaces.
     ///
     /// # Errors
     /// As [`Editor::rename`].
-    pub fn remove(&self, names: &[String]) -> Result<Step, LibraryError> {
+    pub fn remove(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
-        let mut moves = Vec::new();
+        let mut plan = Plan::new(&self.root, [&[], &[]], &HashSet::new());
         for name in names {
-            let one = std::slice::from_ref(name);
-            match self.choose(&self.root, &entries, one) {
+            match self.choose(&self.root, &entries, std::slice::from_ref(name)) {
                 Ok(chosen) => {
                     for entry in chosen {
-                        let from = self.folder_of(entry)?;
-                        let key = Some((entry.key.clone(), entry.key.clone()));
-                        self.remove_folder(from, key, &mut moves);
+                        plan.remove(self.folder_of(entry)?, Some(&entry.key));
                     }
                 }
                 // One that cannot be read is the more worth removing.
-                Err(error) => match self.unreadable(name) {
-                    Some(folder) => self.remove_folder(&folder, None, &mut moves),
+                Err(error) => match self.unreadable(&self.root, name) {
+                    Some(folder) => plan.remove(&folder, None),
                     None => return Err(error),
                 },
             }
         }
-        self.take(format!("remove {}", names.join(", ")), moves)
-    }
-
-    fn remove_folder(&self, from: &Path, key: Option<(TrialKey, TrialKey)>, moves: &mut Vec<Move>) {
-        let name = trial_name(&self.root, from);
-        if moves.iter().all(|other| other.from != name) {
-            let to = self.free_folder(&self.root.join(REMOVED).join(&name), moves);
-            moves.push(self.step_of(from, &to, key));
-        }
+        self.take(format!("remove {}", names.join(", ")), plan.moves)
     }
 
     /// Brings removed trials back: those of these names, or all of these surfaces.
     ///
     /// # Errors
     /// As [`Editor::rename`].
-    pub fn restore(&self, names: &[String]) -> Result<Step, LibraryError> {
-        let mut taken = keys(&trials(&self.root, &self.scene)?);
+    pub fn restore(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let bin = self.root.join(REMOVED);
-        let entries = trials(&bin, &self.scene)?;
-        let mut moves = Vec::new();
-        for entry in self.choose(&bin, &entries, names)? {
-            let from = self.folder_of(entry)?;
-            let is = free_key(&mut taken, &entry.key.surface, &entry.key);
-            let to = self.free_folder(&trial_folder(&self.root, &is), &moves);
-            moves.push(self.step_of(from, &to, Some((entry.key.clone(), is))));
+        let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
+        let (mut chosen, mut damaged) = (BTreeMap::new(), Vec::new());
+        for name in names {
+            match self.choose(&bin, &gone, std::slice::from_ref(name)) {
+                Ok(found) => {
+                    for entry in found {
+                        chosen.insert(self.folder_of(entry)?.to_path_buf(), &entry.key);
+                    }
+                }
+                Err(error) => match self.unreadable(&bin, name) {
+                    Some(folder) => damaged.push((folder, self.root.join(name))),
+                    None => return Err(error),
+                },
+            }
         }
-        self.take(format!("restore {}", names.join(", ")), moves)
+        let leaving = chosen.keys().cloned().collect();
+        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
+        for (folder, key) in chosen {
+            plan.relabel(&folder, &key.surface, key);
+        }
+        for (from, to) in damaged {
+            plan.add(&from, to, None, None);
+        }
+        self.take(format!("restore {}", names.join(", ")), plan.moves)
     }
 
-    /// Takes the last step back; gives it.
+    /// Takes the last step back. A trial whose place is taken by another comes to a free one beside
+    /// it.
     ///
     /// # Errors
     /// If there is none, or the file system refuses.
-    pub fn undo(&self) -> Result<Step, LibraryError> {
-        let mut steps = steps(&self.root)?;
-        let Some(step) = steps.pop() else {
+    pub fn undo(&mut self) -> Result<Undone, LibraryError> {
+        let Some(last) = self.steps.last() else {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
         };
-        for one in step.moves.iter().rev() {
-            let (from, to) = (self.root.join(&one.to), self.root.join(&one.from));
-            // A step that was cut short has not moved all.
-            if from.exists() && !to.exists() {
-                relocate(&from, &to, one.was.as_ref())?;
-            }
+        let mut step = last.step.clone();
+        let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
+        let is_there = |one: &&Move| inode(&self.root.join(&one.to)).is_some();
+        let (there, missing): (Vec<&Move>, Vec<&Move>) =
+            step.moves.iter().rev().partition(is_there);
+        let leaving = there.iter().map(|one| self.root.join(&one.to)).collect();
+        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
+        there.iter().for_each(|one| plan.reverse(one));
+        let gone = missing.iter().map(|one| one.to.clone()).collect();
+        let moves = plan.moves;
+        let checked = moves.iter().try_for_each(|one| check(&self.root, one));
+        if let Err(error) = checked.and_then(|()| self.steps.undo(moves.clone())) {
+            tidy(&self.root, &moves);
+            return Err(error);
         }
-        self.write_steps(&steps)?;
-        Ok(step)
+        let taken_back = self.settle(&moves, true)?;
+        step.moves = moves;
+        taken_back.map_or(Ok(Undone { step, gone }), Err)
     }
 
     /// The trials of some names: `SURFACE/TRIAL`, or `SURFACE` for all of one.
@@ -192,19 +269,16 @@ impl Editor {
         entries: &'e [Entry],
         names: &[String],
     ) -> Result<Vec<&'e Entry>, LibraryError> {
-        let mut chosen: Vec<&Entry> = Vec::new();
-        for name in names {
-            let is = |entry: &&Entry| name_of(folder, entry) == *name || entry.key.surface == *name;
-            let before = chosen.len();
-            let new = entries.iter().filter(is);
-            chosen.extend(
-                new.filter(|new| chosen.iter().all(|old| old.key != new.key)).collect::<Vec<_>>(),
-            );
-            if chosen.len() == before && !entries.iter().any(|entry| is(&entry)) {
-                return Err(self.nothing_called(name, entries));
+        let (mut chosen, mut missing) = (Vec::new(), names.iter().collect::<BTreeSet<_>>());
+        let wanted = missing.clone();
+        for entry in entries {
+            let both = [name_of(folder, entry), entry.key.surface.clone()];
+            missing.retain(|name| !both.contains(name));
+            if both.iter().any(|name| wanted.contains(name)) {
+                chosen.push(entry);
             }
         }
-        Ok(chosen)
+        missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(name, entries)))
     }
 
     /// The folder of a trial, which is what edits move.
@@ -228,74 +302,59 @@ impl Editor {
     }
 
     /// The folder of a trial that no reader takes.
-    fn unreadable(&self, name: &str) -> Option<PathBuf> {
+    fn unreadable(&self, root: &Path, name: &str) -> Option<PathBuf> {
         let (surface, trial) = name.split_once('/')?;
-        let plain = |part: &str| {
-            !part.is_empty() && !part.starts_with('.') && !part.contains(['/', '\\', '\0'])
-        };
-        let folder = self.root.join(surface).join(trial);
-        (plain(surface) && plain(trial) && folder.is_dir()).then_some(folder)
-    }
-
-    /// A folder like this one that nothing has yet.
-    fn free_folder(&self, folder: &Path, moves: &[Move]) -> PathBuf {
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let names = (1..).map(|n| if n == 1 { name.clone() } else { format!("{name}-{n}") });
-        let mut folders = names.map(|name| folder.with_file_name(name));
-        let free = |path: &PathBuf| {
-            !path.exists() && moves.iter().all(|other| self.root.join(&other.to) != *path)
-        };
-        // There is always another number.
-        folders.find(free).unwrap_or_else(|| folder.to_path_buf())
-    }
-
-    fn step_of(&self, from: &Path, to: &Path, key: Option<(TrialKey, TrialKey)>) -> Move {
-        let (was, is) = key.unzip();
-        Move { from: trial_name(&self.root, from), to: trial_name(&self.root, to), was, is }
+        let folder = root.join(surface).join(trial);
+        (is_plain(surface) && is_plain(trial) && folder.is_dir()).then_some(folder)
     }
 
     /// Writes a step down, and does it; a step that fails is taken back.
-    fn take(&self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
+    fn take(&mut self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
         let step = Step { what, at: utc(SystemTime::now()), moves };
-        let before = steps(&self.root)?;
-        let mut all = before.clone();
-        all.push(step.clone());
-        self.write_steps(&all)?;
-        for (at, one) in step.moves.iter().enumerate() {
-            let (from, to) = (self.root.join(&one.from), self.root.join(&one.to));
-            if let Err(error) = relocate(&from, &to, one.is.as_ref()) {
-                for done in step.moves[..at].iter().rev() {
-                    let (from, to) = (self.root.join(&done.to), self.root.join(&done.from));
-                    // What cannot be taken back stays in the list of steps.
-                    relocate(&from, &to, done.was.as_ref())?;
-                }
-                self.write_steps(&before)?;
-                return Err(error);
-            }
+        if step.moves.is_empty() {
+            return Ok(step);
         }
-        Ok(step)
+        let checked = step.moves.iter().try_for_each(|one| check(&self.root, one));
+        if let Err(error) = checked.and_then(|()| self.steps.begin(&step)) {
+            tidy(&self.root, &step.moves);
+            return Err(error);
+        }
+        self.settle(&step.moves, false)?.map_or(Ok(step), Err)
     }
 
-    fn write_steps(&self, steps: &[Step]) -> Result<(), LibraryError> {
-        let bin = self.root.join(REMOVED);
-        fs::create_dir_all(&bin).map_err(|error| failed(&bin, error))?;
-        let newest = &steps[steps.len().saturating_sub(MOST_STEPS)..];
-        // Plain structs, numbers and text: nothing here that JSON cannot express.
-        let line = |step| serde_json::to_string(step).unwrap_or_default() + "\n";
-        let text: String = newest.iter().map(line).collect();
-        replace(&bin.join(STEPS), &text)
+    /// Does the moves of the last step, or those that take it back. Where that fails, they are taken
+    /// back themselves, and the reason is given.
+    ///
+    /// # Errors
+    /// If they can be neither done nor taken back; the next opening tries again.
+    fn settle(
+        &mut self,
+        moves: &[Move],
+        undoing: bool,
+    ) -> Result<Option<LibraryError>, LibraryError> {
+        let finished = carry_out(&self.root, moves).and_then(|()| match undoing {
+            true => self.steps.take_back(false),
+            false => self.steps.done(),
+        });
+        let error = finished.err();
+        if let Some(error) = &error {
+            let back: Vec<Move> = moves.iter().rev().map(Move::reversed).collect();
+            carry_out(&self.root, &back).and_then(|()| self.steps.take_back(undoing)).map_err(
+                |again| {
+                    let problem = format!(
+                        "{error}; it could not be taken back either: {again}. The next `surfaced \
+                         library list` finishes it or takes it back"
+                    );
+                    LibraryError::file(&self.root, problem)
+                },
+            )?;
+        }
+        tidy(&self.root, moves);
+        Ok(error)
     }
 }
 
-/// A name under a label that no trial has, with the same number if that is free; it is taken now.
-fn free_key(taken: &mut Vec<TrialKey>, label: &str, key: &TrialKey) -> TrialKey {
-    let mut is = TrialKey::new(label, &key.user, key.number);
-    if taken.contains(&is) {
-        is.number = number_after(taken, label, &key.user);
-    }
-    taken.push(is.clone());
-    is
-}
-
+#[cfg(test)]
+mod crashes;
 #[cfg(test)]
 mod tests;

@@ -1,18 +1,29 @@
-//! The steps by which a library was edited, so that they can be undone.
+//! The steps by which a library was edited, `LIBRARY/.removed/steps.jsonl`.
+//!
+//! ```text
+//! {"began": {"what": "…", "at": "…", "moves": […]}}    before anything moves
+//! "done"                                              the disk holds all of it
+//! {"undoing": […]}                                    it is being taken back, by these moves
+//! ```
+//! A step that is taken back is cut off. So the last line tells what a crash left undone.
 
-use std::fs;
-use std::path::Path;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
+use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
-use super::folders::REMOVED;
-use crate::library::LibraryError;
+use super::{REMOVED, disk, is_plain};
+use crate::library::{LibraryError, files};
+use crate::record::failed;
 use crate::trial::TrialKey;
 
-/// The list of steps in it.
+/// The list of steps in the folder of what was removed.
 pub(super) const STEPS: &str = "steps.jsonl";
-/// Steps that are remembered.
-pub(super) const MOST_STEPS: usize = 1000;
+/// Steps and bytes of the list from which on the older half of it is forgotten.
+const MOST_STEPS: usize = 1000;
+const MOST_BYTES: u64 = 1 << 25;
 
 /// One edit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,6 +47,43 @@ pub struct Move {
     pub was: Option<TrialKey>,
     /// What it is called now.
     pub is: Option<TrialKey>,
+    /// Its inode, which tells it from another that has come to its place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) inode: Option<u64>,
+}
+
+impl Move {
+    /// The way back.
+    pub(super) fn reversed(&self) -> Self {
+        let Self { from, to, was, is, inode } = self.clone();
+        Self { from: to, to: from, was: is, is: was, inode }
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum StepLine {
+    Began(Step),
+    Done,
+    Undoing(Vec<Move>),
+}
+
+/// A step, and where its lines begin.
+pub(super) struct KnownStep {
+    pub step: Step,
+    at: u64,
+    is_done: bool,
+    undoing: Option<(u64, Vec<Move>)>,
+}
+
+impl KnownStep {
+    /// The moves that a crash cut short, and whether they were to take the step back.
+    pub fn left(&self) -> Option<(&[Move], bool)> {
+        match &self.undoing {
+            Some((_, moves)) => Some((moves, true)),
+            None => (!self.is_done).then_some((&self.step.moves, false)),
+        }
+    }
 }
 
 /// The last step that can be undone.
@@ -43,20 +91,172 @@ pub struct Move {
 /// # Errors
 /// If the list of steps cannot be read.
 pub fn last_step(library: &Path) -> Result<Option<Step>, LibraryError> {
-    Ok(steps(library)?.pop())
+    Ok(read(library)?.0.pop().map(|known| known.step))
 }
 
-/// All steps, the last one last.
-///
-/// # Errors
-/// If the list cannot be read.
-pub(super) fn steps(library: &Path) -> Result<Vec<Step>, LibraryError> {
+/// All steps, the last one last, and where the last whole line ends. A line that a crash cut short
+/// is none, since it is written before anything moves; nor is one that leads out of the library.
+pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError> {
     let path = library.join(REMOVED).join(STEPS);
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+    let text = match files::open(&path) {
+        Ok(_) => fs::read(&path).map_err(|error| LibraryError::io(&path, error))?,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((Vec::new(), 0)),
         Err(error) => return Err(LibraryError::io(&path, error)),
     };
-    // A line that a crash cut short is no step: it is written before anything moves.
-    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    let (mut steps, mut at) = (Vec::<KnownStep>::new(), 0);
+    for line in text.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n")) {
+        // Steps of version 0.2 stand bare, once they are done.
+        let bare = || serde_json::from_slice(line).ok().map(|step| (step, true));
+        let known = |step, is_done| KnownStep { step, at, is_done, undoing: None };
+        match (serde_json::from_slice(line), steps.last_mut()) {
+            (Ok(StepLine::Began(step)), _) if is_within(&step.moves) => {
+                steps.push(known(step, false));
+            }
+            (Ok(StepLine::Done), Some(last)) => last.is_done = true,
+            (Ok(StepLine::Undoing(moves)), Some(last)) if is_within(&moves) => {
+                last.undoing = Some((at, moves));
+            }
+            (Err(_), _) => {
+                let bare = bare().filter(|(step, _): &(Step, bool)| is_within(&step.moves));
+                steps.extend(bare.map(|(step, is_done)| known(step, is_done)));
+            }
+            _ => {}
+        }
+        at += line.len() as u64;
+    }
+    Ok((steps, at))
+}
+
+/// Whether moves stay within a library: `SURFACE/TRIAL`, there or among what was removed.
+fn is_within(moves: &[Move]) -> bool {
+    let trial = |name: &str| {
+        let name = name.strip_prefix(".removed/").unwrap_or(name);
+        name.split_once('/').is_some_and(|(surface, trial)| is_plain(surface) && is_plain(trial))
+    };
+    moves.iter().all(|one| trial(&one.from) && trial(&one.to))
+}
+
+/// The list, open for one program alone.
+pub(super) struct Steps {
+    path: PathBuf,
+    file: File,
+    end: u64,
+    known: Vec<KnownStep>,
+    _lock: File,
+}
+
+impl Steps {
+    /// Opens the list, once nobody else has it open.
+    pub fn open(library: &Path) -> Result<Self, LibraryError> {
+        let folder = library.join(REMOVED);
+        let path = folder.join(STEPS);
+        let fail = |error| failed(&path, error);
+        disk::create_folder(&folder).map_err(fail)?;
+        let lock = File::open(&folder).map_err(fail)?;
+        // Where there are no locks, nobody is kept off.
+        let _ = flock(&lock, FlockOperation::LockExclusive);
+        let (known, end) = read(library)?;
+        let file = OpenOptions::new().append(true).create(true).open(&path).map_err(fail)?;
+        Ok(Self { path: path.clone(), file, end, known, _lock: lock })
+    }
+
+    pub fn last(&self) -> Option<&KnownStep> {
+        self.known.last()
+    }
+
+    fn add(&mut self, lines: &[&StepLine]) -> Result<u64, LibraryError> {
+        let at = self.end;
+        let text = lines.iter().map(|line| {
+            // Plain structs, numbers and text: nothing here that JSON cannot express.
+            serde_json::to_string(line).unwrap_or_default() + "\n"
+        });
+        let text: String = text.collect();
+        // A crash, or a full disk, may have left half a line.
+        let mut append = || {
+            if self.file.metadata()?.len() > at {
+                disk::cut(&self.file, at)?;
+            }
+            disk::append(&mut self.file, text.as_bytes())
+        };
+        if let Err(error) = append() {
+            // It never was; best effort, since the next line cuts it off, too.
+            let _ = disk::cut(&self.file, at);
+            return Err(failed(&self.path, error));
+        }
+        self.end += text.len() as u64;
+        Ok(at)
+    }
+
+    fn cut(&mut self, at: u64) -> Result<(), LibraryError> {
+        disk::cut(&self.file, at).map_err(|error| failed(&self.path, error))?;
+        self.end = at;
+        Ok(())
+    }
+
+    /// A step begins.
+    pub fn begin(&mut self, step: &Step) -> Result<(), LibraryError> {
+        if self.known.len() >= MOST_STEPS || self.end > MOST_BYTES {
+            self.forget()?;
+        }
+        let at = self.add(&[&StepLine::Began(step.clone())])?;
+        self.known.push(KnownStep { step: step.clone(), at, is_done: false, undoing: None });
+        Ok(())
+    }
+
+    /// The step that was begun last is done.
+    pub fn done(&mut self) -> Result<(), LibraryError> {
+        self.add(&[&StepLine::Done])?;
+        self.known.iter_mut().last().into_iter().for_each(|last| last.is_done = true);
+        Ok(())
+    }
+
+    /// Notes a step that is done already.
+    pub fn note(&mut self, step: Step) -> Result<(), LibraryError> {
+        self.add(&[&StepLine::Began(step), &StepLine::Done]).map(drop)
+    }
+
+    /// The last step is being taken back, by these moves.
+    pub fn undo(&mut self, moves: Vec<Move>) -> Result<(), LibraryError> {
+        let at = self.add(&[&StepLine::Undoing(moves.clone())])?;
+        self.known.iter_mut().last().into_iter().for_each(|last| {
+            last.undoing = Some((at, moves.clone()));
+        });
+        Ok(())
+    }
+
+    /// The last step, or its taking back, never was.
+    pub fn take_back(&mut self, undoing: bool) -> Result<(), LibraryError> {
+        let Some(last) = self.known.last() else { return Ok(()) };
+        let of_undoing = last.undoing.as_ref().map(|(at, _)| *at);
+        self.cut(of_undoing.filter(|_| undoing).unwrap_or(last.at))?;
+        match self.known.last_mut() {
+            Some(last) if undoing => last.undoing = None,
+            _ => drop(self.known.pop()),
+        }
+        Ok(())
+    }
+
+    /// Writes the list anew with the newer half of its steps.
+    fn forget(&mut self) -> Result<(), LibraryError> {
+        self.known.drain(..self.known.len().div_ceil(2));
+        let (before, mut text) = (std::mem::take(&mut self.known), String::new());
+        for mut known in before {
+            known.at = text.len() as u64;
+            for line in [StepLine::Began(known.step.clone()), StepLine::Done] {
+                text += &(serde_json::to_string(&line).unwrap_or_default() + "\n");
+            }
+            self.known.push(known);
+        }
+        let folder = self.path.parent().unwrap_or(&self.path);
+        let replace = || {
+            let mut file = super::super::unfinished(".steps.").tempfile_in(folder)?;
+            file.write_all(text.as_bytes())?;
+            file.as_file().sync_all()?;
+            file.persist(&self.path).map_err(|error| error.error)?;
+            OpenOptions::new().append(true).open(&self.path)
+        };
+        self.file = replace().map_err(|error| failed(&self.path, error))?;
+        self.end = text.len() as u64;
+        Ok(())
+    }
 }

@@ -1,12 +1,15 @@
+use std::fs;
+
 use super::*;
 use crate::record::{TrialOptions, write_trial};
 use crate::scene::SourceId;
 use crate::trial::{Series, Signal, Trial};
 
-fn library() -> (tempfile::TempDir, Scene) {
+pub(super) fn library() -> (tempfile::TempDir, Scene) {
     let (dir, scene) = (tempfile::tempdir().unwrap(), Scene::lmt108());
     for (surface, number) in [("oak", 1), ("oak", 2), ("ash", 1)] {
-        let samples = (0..200).map(|i| (i * number) as f32 / 128.0).collect();
+        let first = u32::from(surface.as_bytes()[0]);
+        let samples = (0..200).map(|i| (i * number + first) as f32 / 128.0).collect();
         let series = Signal::Series(Series::new(10_000.0, 1, samples).unwrap());
         let signals = [(SourceId::new("ir").unwrap(), series)].into();
         let trial = Trial { key: TrialKey::new(surface, "anna", number), signals };
@@ -15,7 +18,7 @@ fn library() -> (tempfile::TempDir, Scene) {
     (dir, scene)
 }
 
-fn held(root: &Path, scene: &Scene) -> Vec<String> {
+pub(super) fn held(root: &Path, scene: &Scene) -> Vec<String> {
     let name = |e: &Entry| format!("{}/{}", e.key.surface, e.key.number);
     trials(root, scene).unwrap().iter().map(name).collect()
 }
@@ -96,10 +99,192 @@ fn files_without_trial_folders_are_listed_and_not_edited() {
     let listed = list(root, &scene).unwrap();
     let names: Vec<_> = listed.iter().map(|one| one.trial.as_str()).collect();
     assert_eq!(names, ["ash/7", "oak/anna-01", "oak/anna-02"]);
-    let edit = Editor::open(root, &scene).unwrap();
-    let names = |name: &str| [name.to_string()];
-    for refused in [edit.rename("ash", "elm"), edit.move_to(&names("ash/7"), "elm")] {
+    let mut edit = Editor::open(root, &scene).unwrap();
+    let moved = edit.move_to(&one("ash/7"), "elm");
+    for refused in [edit.rename("ash", "elm"), moved] {
         assert!(refused.unwrap_err().to_string().contains("no folder of their own"));
     }
-    assert!(edit.remove(&names("ash")).is_err() && edit.undo().is_err(), "nothing has changed");
+    assert!(edit.remove(&one("ash")).is_err() && edit.undo().is_err(), "nothing has changed");
+}
+
+/// The name of one trial or surface, as edits want it.
+fn one(name: &str) -> [String; 1] {
+    [name.to_string()]
+}
+
+#[test]
+fn a_place_that_is_taken_is_left_alone_and_undo_takes_a_free_one() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let edit = || Editor::open(root, &scene).unwrap();
+    edit().remove(&one("oak/anna-02")).unwrap();
+    // Another program puts a trial there meanwhile.
+    let copied = root.join("oak/anna-02");
+    fs::create_dir(&copied).unwrap();
+    for file in ["ir.wav", "trial.toml"] {
+        fs::copy(root.join(".removed/oak/anna-02").join(file), copied.join(file)).unwrap();
+    }
+    let undone = edit().undo().unwrap();
+    assert_eq!(undone.step.moves[0].to, "oak/anna-03");
+    assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2", "oak/3"]);
+    assert!(edit().undo().is_err(), "the step is done with");
+}
+
+#[test]
+fn a_number_of_a_removed_trial_is_not_given_out_again() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    edit.remove(&one("oak/anna-02")).unwrap();
+    assert_eq!(number_after(root, &scene, "oak", "anna").unwrap(), 3);
+    assert_eq!(crate::record::number_by_names(root, "oak"), 3);
+    // Nor to one that is renamed.
+    edit.move_to(&one("ash"), "oak").unwrap();
+    assert_eq!(held(root, &scene), ["oak/1", "oak/3"]);
+    (0..2).for_each(|_| drop(edit.undo().unwrap()));
+    assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2"]);
+}
+
+#[test]
+fn what_cannot_be_moved_is_refused_before_anything_is_labelled() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    fs::write(root.join("beech"), "").unwrap();
+    let error = Editor::open(root, &scene).unwrap().rename("oak", "beech").unwrap_err().to_string();
+    assert!(error.contains("a file stands where"), "{error}");
+    assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2"]);
+    assert_eq!(last_step(root).unwrap(), None);
+    // A surface on another disk, where there is one.
+    let Ok(other) = tempfile::tempdir_in("/dev/shm") else { return };
+    copy_trial(&root.join("oak/anna-01"), &other.path().join("anna-07"));
+    std::os::unix::fs::symlink(other.path(), root.join("far")).unwrap();
+    let about = fs::read_to_string(other.path().join("anna-07/trial.toml")).unwrap();
+    let about = about.replace("oak", "far").replace("trial = 1", "trial = 7");
+    fs::write(other.path().join("anna-07/trial.toml"), about).unwrap();
+    let all = ["ash/1", "far/7", "oak/1", "oak/2"];
+    assert_eq!(held(root, &scene), all);
+    let moved = Editor::open(root, &scene).unwrap().move_to(&["oak".into(), "far".into()], "elm");
+    if let Err(error) = moved {
+        assert!(error.to_string().contains("another disk"), "{error}");
+        assert_eq!(
+            (held(root, &scene), last_step(root).unwrap()),
+            (all.map(String::from).into(), None)
+        );
+    }
+}
+
+fn copy_trial(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for file in ["ir.wav", "trial.toml"] {
+        fs::copy(from.join(file), to.join(file)).unwrap();
+    }
+}
+
+#[test]
+fn removed_trials_have_the_sources_of_their_library_and_a_damaged_one_hides_no_other() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    fs::write(
+        root.join("library.toml"),
+        "format = 1\n[sources.pac]\ndomain = \"time\"\nchannels = 1\nrate_hz = 10000\n",
+    )
+    .unwrap();
+    fs::rename(root.join("ash/anna-01/ir.wav"), root.join("ash/anna-01/pac.wav")).unwrap();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    edit.remove(&["ash".into(), "oak/anna-01".into()]).unwrap();
+    fs::write(root.join(".removed/oak/anna-01/trial.toml"), "what is this").unwrap();
+    let gone = list_removed(root, &scene).unwrap();
+    let names_of: Vec<_> =
+        gone.iter().map(|gone| (gone.trial.as_str(), gone.sources.len())).collect();
+    assert_eq!(names_of, [("ash/anna-01", 1), ("oak/anna-01", 0)]);
+    edit.restore(&["ash".into(), "oak/anna-01".into()]).unwrap();
+    assert!(root.join("ash/anna-01/pac.wav").exists() && root.join("oak/anna-01/ir.wav").exists());
+}
+
+#[test]
+fn a_trial_that_is_a_relative_link_still_leads_where_it_did() {
+    let (dir, scene) = library();
+    let (root, elsewhere) = (dir.path().join("library"), dir.path().join("elsewhere"));
+    fs::create_dir_all(root.join("oak")).unwrap();
+    copy_trial(&dir.path().join("oak/anna-01"), &elsewhere);
+    std::os::unix::fs::symlink("../../elsewhere", root.join("oak/anna-01")).unwrap();
+    let mut edit = Editor::open(&root, &scene).unwrap();
+    edit.remove(&one("oak/anna-01")).unwrap();
+    assert!(root.join(".removed/oak/anna-01/ir.wav").exists());
+    let error = edit.restore(&one("oak")).and_then(|_| edit.rename("oak", "ash")).unwrap_err();
+    assert!(error.to_string().contains("it is a link"), "{error}");
+    assert_eq!(fs::read_link(root.join("oak/anna-01")).unwrap(), Path::new("../../elsewhere"));
+}
+
+#[test]
+fn a_list_of_steps_leads_nowhere_else() {
+    let (dir, scene) = library();
+    let root = dir.path().join("library");
+    fs::create_dir_all(root.join(".removed")).unwrap();
+    let victim = dir.path().join("oak/anna-01").to_str().unwrap().to_string();
+    for from in ["../oak/anna-01", &victim, "oak/../../oak", ".removed/../../oak/anna-01"] {
+        let steps = format!(
+            "{{\"what\":\"x\",\"at\":\"\",\"moves\":[{{\"from\":\"ash/x-1\",\"to\":\"{from}\",\"was\":null,\"is\":null}}]}}\n"
+        );
+        fs::write(root.join(".removed").join(steps::STEPS), steps).unwrap();
+        let error = Editor::open(&root, &scene).unwrap().undo().unwrap_err().to_string();
+        assert!(error.contains("no step to undo"), "{from}: {error}");
+    }
+    assert!(dir.path().join("oak/anna-01/ir.wav").exists());
+}
+
+#[test]
+fn steps_of_version_0_2_are_known_and_many_are_halved() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    edit.rename("oak", "elm").unwrap();
+    drop(edit);
+    let path = root.join(".removed").join(steps::STEPS);
+    let step = serde_json::to_string(&last_step(root).unwrap().unwrap()).unwrap();
+    fs::write(&path, (step + "\n").repeat(1000) + "{\"began\":{\"wh").unwrap();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    edit.rename("ash", "yew").unwrap();
+    drop(edit);
+    assert_eq!(steps::read(root).unwrap().0.len(), 501);
+    let mut edit = Editor::open(root, &scene).unwrap();
+    (0..2).for_each(|_| drop(edit.undo().unwrap()));
+    assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2"]);
+}
+
+#[test]
+fn a_label_that_means_something_else_leaves_the_library_readable() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    for label in [
+        "library.toml",
+        "SoundScans",
+        "DataLMT108",
+        "Library",
+        "TestingSet",
+        "AccelScansComponents",
+    ] {
+        Editor::open(root, &scene).unwrap().move_to(&one("ash"), label).unwrap();
+        let opened = crate::dataset::open(root, &scene).unwrap();
+        assert!(opened.surfaces().contains(&label), "{label}: {:?}", opened.surfaces());
+        Editor::open(root, &scene).unwrap().undo().unwrap();
+        // One that is there already, as an earlier version made it.
+        if label != "library.toml" {
+            fs::rename(root.join("ash"), root.join(label)).unwrap();
+            assert_eq!(crate::dataset::open(root, &scene).unwrap().entries.len(), 3, "{label}");
+            fs::rename(root.join(label), root.join("ash")).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_letter_is_the_same_in_both_of_its_forms() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    edit.rename("ash", "e\u{301}rable").unwrap();
+    edit.rename("oak", "\u{e9}rable").unwrap();
+    let surfaces: BTreeSet<_> =
+        trials(root, &scene).unwrap().into_iter().map(|entry| entry.key.surface).collect();
+    assert_eq!(surfaces, BTreeSet::from(["\u{e9}rable".to_string()]));
 }

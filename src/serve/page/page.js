@@ -43,7 +43,8 @@ function lastAnswer() {
 }
 
 function showNow() {
-  const { advice, phase, guess } = state;
+  const { advice, phase } = state;
+  const guess = state.guess?.scan === state.scan ? state.guess : null;
   const answer = lastAnswer();
   say("advice", advice.text);
   $("advice").dataset.do = advice.do;
@@ -90,7 +91,12 @@ function showDevices() {
     item.dataset.state = how;
     item.title = printable(detail);
     return item;
-  }));
+  }).concat(state.outputs.filter(({ problem }) => problem).map(({ output, problem, waiting }) => {
+    const item = make("li", `${printable(output)} · ${many(waiting, "answer")} waiting`);
+    item.dataset.state = "lost";
+    item.title = printable(problem);
+    return item;
+  })));
   const lost = state.streams.reduce((sum, stream) => sum + stream.lost, 0);
   say("lost", state.streams.length === 0 ? "" : lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} samples lost`);
   losses(state.streams);
@@ -183,7 +189,6 @@ function render() {
 // A scan was named, or could not be.
 function answered(answer) {
   if (answer.state !== "unnamed") state.answer = answer;
-  state.guess = null;
   if (answer.state !== "named") state.counts[answer.state] += 1;
   history.add(answer);
   announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
@@ -199,16 +204,14 @@ const changes = {
     precision.load();
   },
   camera: camera.view,
+  outputs: (outputs) => (state.outputs = outputs),
   advice: (advice) => (state.advice = advice),
   device: (device) => {
     state.devices = state.devices.filter((other) => other.device !== device.device).concat(device);
     state.devices.sort((a, b) => (a.device < b.device ? -1 : 1));
     devices(state.devices);
   },
-  phase: ({ scan, phase }) => {
-    if (state.scan !== scan || phase === null) state.guess = null;
-    [state.scan, state.phase] = [phase === null ? null : scan, phase];
-  },
+  phase: ({ scan, phase }) => ([state.scan, state.phase] = [phase === null ? null : scan, phase]),
   guess: (guess) => (state.guess = guess),
   answer: (answer) => {
     state.counts.scans += 1;
@@ -231,7 +234,7 @@ const changes = {
   streams: ({ streams }) => (state.streams = streams),
   finished: (counts) => {
     state.counts = counts;
-    [state.finished, state.phase, state.scan, state.guess] = [true, null, null, null];
+    [state.finished, state.phase, state.scan] = [true, null, null];
   },
 };
 

@@ -26,7 +26,7 @@ function says(source, most) {
   const value = source.for_winner === null ? "" : Math.abs(source.for_winner).toFixed(1);
   item.append(make("span", source.source), bar, make("b", value));
   const alone = `alone it would say ${source.alone ?? "nothing"}`;
-  item.append(make("small", source.counts ? alone : `${alone}; it does not count`));
+  item.append(make("small", alone));
   return item;
 }
 
@@ -36,7 +36,7 @@ function reasons(why) {
   const parts = [];
   if (why.threshold !== null) {
     parts.push(`p = ${digits(why.p_value)}; ${digits(why.threshold)} or less is unknown (from ${why.threshold_trials} left-out trials)`);
-  } else parts.push("There is no threshold that tells unknown surfaces from known ones.");
+  } else parts.push("Unknown surfaces are not detected.");
   box.append(make("p", parts.join(" ")));
   if (why.sources.length && why.runner_up) {
     const legend = make("p", undefined, "versus");
@@ -123,9 +123,8 @@ function showCorrection(scan) {
   else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
   say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
-  hide("was-clear", !scan.correction || Boolean(scan.became));
+  hide("was-clear", !scan.correction);
   hide("keep-form", scan.correction?.was !== "surface" || Boolean(scan.became) || !scan.kept || spoiled);
-  for (const id of ["was-right", "was-unknown", "was-bad", "was-other"]) $(id).disabled = Boolean(scan.became);
 }
 
 function showHead(scan) {

@@ -1,21 +1,24 @@
-//! The configuration of a station, in two steps: a file laid over the defaults, and what the
+//! The configuration of a station, in two steps: a file laid over the defaults, and the objects
+//! that the
 //! program works with.
 
-mod error;
 mod file;
-mod merge;
 mod only;
 mod output_address;
 mod resolve;
-mod resolved;
 
-use std::path::Path;
+use file::DEFAULTS;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-pub use error::ConfigError;
+use crate::device::camera::{FlashControl, Turn};
+use crate::device::microphone::Pick;
+use crate::device::serial::{Selector, Wanted};
+use crate::scan::Detection;
+use crate::scene::{Scene, SceneError, SourceId};
+
 pub use output_address::{HttpAddress, MqttAddress};
-pub use resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
-
-use merge::DEFAULTS;
 
 impl StationConfig {
     /// The defaults.
@@ -24,7 +27,7 @@ impl StationConfig {
         Self::parse(DEFAULTS, Path::new("configs/stylus.toml")).expect("the defaults parse")
     }
 
-    /// What a file says, and the defaults where it says nothing.
+    /// Reads a file, and takes the defaults where it says nothing.
     ///
     /// # Errors
     /// With the line, if the file cannot be read, is not TOML, has an unknown key, or a value that
@@ -46,3 +49,119 @@ impl StationConfig {
 
 #[cfg(test)]
 mod tests;
+
+/// Errors of a configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// the file cannot be read
+    #[error("{}: {error}", path.display())]
+    Io {
+        /// which file
+        path: PathBuf,
+        /// what the system said
+        error: std::io::Error,
+    },
+    /// not TOML, an unknown key, a wrong type
+    #[error("{}: {error}", path.display())]
+    Toml {
+        /// which file
+        path: PathBuf,
+        /// what, and where
+        error: Box<toml::de::Error>,
+    },
+    /// a description of a source that cannot be
+    #[error("{}: {error}", path.display())]
+    Scene {
+        /// which file
+        path: PathBuf,
+        /// what, and where
+        error: Box<SceneError>,
+    },
+    /// a value that cannot be
+    #[error("{}, line {line}: {problem}", path.display())]
+    Value {
+        /// which file
+        path: PathBuf,
+        /// line, counted from 1
+        line: usize,
+        /// the mistake, and the expected value
+        problem: String,
+    },
+}
+
+/// A station, as its configuration describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StationConfig {
+    /// The library, if one is named.
+    pub library: Option<PathBuf>,
+    /// The address of the page, unless the command line names another one.
+    pub serve: SocketAddr,
+    /// The sources.
+    pub scene: Scene,
+    /// The stylus, if there is to be one.
+    pub stylus: Option<StylusConfig>,
+    /// The microphone, if there is to be one.
+    pub microphone: Option<MicrophoneConfig>,
+    /// The camera, if there is to be one.
+    pub camera: Option<CameraConfig>,
+    /// The detection of scans, and the sources that are cut.
+    pub detection: Detection,
+    /// Sources of which a good trial holds enough independent samples.
+    pub by_t_star: Vec<SourceId>,
+    /// Trials that `enroll` takes of a surface.
+    pub trials: u32,
+    /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
+    pub keep_mb: u32,
+    /// The address to which answers are posted, if any.
+    pub http: Option<HttpAddress>,
+    /// The broker and topic under which answers are published by MQTT, if any.
+    pub mqtt: Option<MqttAddress>,
+}
+
+/// The stylus.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StylusConfig {
+    /// Its port.
+    pub port: Selector,
+    /// Its rate in Hz.
+    pub rate_hz: u32,
+    /// Its streams, which are sources.
+    pub streams: Vec<Wanted>,
+}
+
+/// The microphone, one stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MicrophoneConfig {
+    /// Its name.
+    pub device: String,
+    /// The channel to use.
+    pub pick: Pick,
+    /// The stream.
+    pub stream: SourceId,
+}
+
+/// The camera, one stream or two.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraConfig {
+    /// Its name.
+    pub device: String,
+    /// How it is turned.
+    pub turn: Turn,
+    /// Time between two pictures.
+    pub every: Duration,
+    /// The source of its pictures.
+    pub source: SourceId,
+    /// Pictures with flash, if there are any.
+    pub flash: Option<FlashConfig>,
+}
+
+/// Pictures with flash.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlashConfig {
+    /// Their source.
+    pub source: SourceId,
+    /// The camera's control that switches the light; without it, the stylus does.
+    pub control: Option<FlashControl>,
+    /// Time until pictures show a change.
+    pub settle: Duration,
+}

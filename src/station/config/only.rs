@@ -15,7 +15,8 @@ enum DevicePart {
 }
 
 impl StationConfig {
-    /// This station with what a scan of `sources` needs: their devices and cuts and, so that scans
+    /// This station with only those parts that a scan of `sources` needs: their devices and cuts
+    /// and, so that scans
     /// are detected, one device that shows contact: of those needed, if one does, else the stylus,
     /// else the microphone.
     pub fn only(mut self, sources: &[SourceId]) -> Self {

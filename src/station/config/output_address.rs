@@ -1,8 +1,8 @@
-//! Where answers go, as the configuration says it.
+//! Addresses of outputs in the configuration.
 
 use std::str::FromStr;
 
-use axum::http::Uri;
+use http::Uri;
 
 /// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -8,13 +8,13 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::error::ConfigError;
 use super::file::{
-    CameraBlock, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
-    StylusBlock,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
+    StylusBlock, is_default, merged,
 };
-use super::merge::{DEFAULTS, is_default, merged};
-use super::resolved::{CameraConfig, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig};
+use super::{
+    CameraConfig, ConfigError, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig,
+};
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
@@ -26,7 +26,7 @@ use crate::scene::{Phase, Scene, SourceId};
 /// Name of the microphone's stream, from which several sources are cut.
 const SOUND: &str = "sound";
 
-/// What is wrong with a value, and where in the file it stands.
+/// A mistake in a value, and its place in the file.
 struct Mistake {
     at: Range<usize>,
     problem: String,
@@ -205,7 +205,7 @@ fn camera(block: CameraBlock, scene: &Scene) -> Result<Option<CameraConfig>, Mis
     Ok(block.present.then_some(camera))
 }
 
-/// What is cut from which stream.
+/// Collects the sources that are cut from each stream.
 struct StreamCuts<'a> {
     scene: &'a Scene,
     cuts: Vec<CutFrom>,

@@ -1,6 +1,7 @@
 use std::time::Instant;
 
 use super::*;
+use crate::library::recording;
 use crate::trial::{Series, Signal};
 
 fn scan(number: u32) -> Box<Scan> {
@@ -25,7 +26,7 @@ fn enrolment() -> Enrolment {
 #[test]
 fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     let dir = tempfile::tempdir().unwrap();
-    // Where the library's folder should be lies a file.
+    // A file lies where the library's folder should be.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
     let mut thread =
@@ -114,7 +115,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
     drop(working);
     writer.accept((scan(1), enrolment(), None));
-    // Without an end, the library would say 1, for it holds no trial.
+    // Before the end, the library would give number 1, since it holds no trial.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
 }

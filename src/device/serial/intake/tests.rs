@@ -40,7 +40,7 @@ fn samples(first: u64, count: u64, channels: usize) -> Vec<u8> {
     bytes(&Message::Samples(Samples::new(first, channels, &values).unwrap()))
 }
 
-/// What came of each stream: values, missing ones as NaN; and the other events, in words.
+/// The result of each stream: values, missing ones as NaN; and the other events as text.
 #[derive(Default)]
 struct Got(Vec<Vec<f32>>, Vec<String>);
 
@@ -195,7 +195,7 @@ proptest! {
         }
         prop_assert_eq!(got.0[0].len(), 2 * got.0[1].len());
         prop_assert!(got.0[1].len() <= 600);
-        // What came is at its place, whatever was lost before it (the first may be lost unseen).
+        // Samples keep their place, whatever was lost before them (the first may be lost unseen).
         let metal: Vec<_> = got.0[1].iter().map(|x| (*x * 2.0 - 2.0) / 10.0).collect();
         if let Some(first) = metal.first() {
             let first = *first;

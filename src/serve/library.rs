@@ -1,4 +1,4 @@
-//! The library for programs and the page: its trials, edits of them, and its audit.
+//! The library over HTTP: its trials, edits of them, and its audit.
 
 use std::sync::Arc;
 
@@ -11,20 +11,18 @@ use axum::response::Json;
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::checks::CheckView;
-use super::hub::Hub;
+use super::hub::{CheckView, Hub};
 use super::label;
-use super::problem::Problem;
-use super::request::{Shared, aside, body};
+use super::request::{Problem, Shared, aside, body};
 use super::state::unix_ms;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, ListedTrial, Step};
+use crate::record::edit::{self, Editor, ListedTrial, Step, Undone};
 use crate::station::Command;
 
 /// Most trials of one edit.
 const MOST: usize = 1000;
 
-/// What is below `/api/v1`.
+/// The routes below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/library/trials", get(trials))
@@ -37,20 +35,20 @@ pub fn router() -> Router<Arc<Hub>> {
 }
 
 #[derive(Serialize)]
-struct ShelfTrials {
+struct LibraryTrials {
     trials: Vec<ListedTrial>,
     removed: Vec<ListedTrial>,
     /// The step that can be undone.
     undo: Option<Step>,
 }
 
-async fn trials(State(hub): Shared) -> Result<Json<ShelfTrials>, Problem> {
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
+async fn trials(State(hub): Shared) -> Result<Json<LibraryTrials>, Problem> {
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
-        Ok(ShelfTrials {
-            trials: edit::list(&shelf.folder, &shelf.scene)?,
-            removed: edit::list_removed(&shelf.folder, &shelf.scene)?,
-            undo: edit::last_step(&shelf.folder)?,
+        Ok(LibraryTrials {
+            trials: edit::list(&library.folder, &library.scene)?,
+            removed: edit::list_removed(&library.folder, &library.scene)?,
+            undo: edit::last_step(&library.folder)?,
         })
     });
     Ok(Json(listed.await?))
@@ -105,7 +103,7 @@ async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> 
     edited(&hub, move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
+async fn undo(State(hub): Shared) -> Result<Json<Undone>, Problem> {
     edited(&hub, Editor::undo).await
 }
 
@@ -116,14 +114,21 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
     }
 }
 
-/// Does an edit, and has the library read anew.
-async fn edited(
+/// Makes an edit, then has the station read the library again.
+async fn edited<T: AsRef<Step> + Send + 'static>(
     hub: &Hub,
-    edit: impl FnOnce(&Editor) -> Result<Step, LibraryError> + Send + 'static,
-) -> Result<Json<Step>, Problem> {
-    let shelf = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let step = aside(move || Ok(edit(&Editor::open(&shelf.folder, &shelf.scene)?)?)).await?;
-    // A station that is too busy for it leaves it to the operator.
+    edit: impl FnOnce(&mut Editor) -> Result<T, LibraryError> + Send + 'static,
+) -> Result<Json<T>, Problem> {
+    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let history = hub.history.clone();
+    let step = aside(move || {
+        let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
+        // A move that cannot be noted now is found out when it matters.
+        let _ = history.relocated(&step.as_ref().moves);
+        Ok(step)
+    });
+    let step = step.await?;
+    // If the station is too busy, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
 }

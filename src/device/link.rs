@@ -1,4 +1,5 @@
-//! A device's line to its session: the request to stop, and reports of states, marks and warnings.
+//! The link of a device to its session: the request to stop, and reports of states, marks and
+//! warnings.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -6,14 +7,15 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{SendTimeoutError, Sender};
 
-use super::{DeviceError, Mark};
-use crate::ring::Stop;
+use crate::ring::{Stop, Stopped};
+use crate::scene::{Phase, SourceId};
+use crate::trial::TrialKey;
 
-/// How a device is.
+/// The state of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceState {
-    /// Not there, so far.
+    /// Not found so far.
     Absent,
     /// Found, and being set up.
     Opening,
@@ -40,9 +42,9 @@ impl fmt::Display for DeviceState {
 /// A report of a device to its session.
 #[derive(Debug)]
 pub struct DeviceReport {
-    /// Which device, counted from 0 in the order in which the session got them.
+    /// Number of the device, counted from 0 in the order in which the session got them.
     pub device: usize,
-    /// What it reports.
+    /// The report.
     pub kind: DeviceReportKind,
 }
 
@@ -51,40 +53,40 @@ pub struct DeviceReport {
 pub enum DeviceReportKind {
     /// It has changed its state.
     State {
-        /// how it is now
+        /// its new state
         state: DeviceState,
-        /// for people: why, and what to do
+        /// the reason, and what to do
         detail: String,
     },
     /// A mark of a scan.
     Mark(Mark),
-    /// For people: something was wrong, and it continues.
+    /// A warning: something was wrong, and the device continues.
     Warning(String),
     /// Its thread has ended; sent by the session.
     Ended(Result<(), DeviceError>),
 }
 
-/// A device's line to its session.
+/// The link of a device to its session.
 #[derive(Debug)]
-pub struct Control {
+pub struct DeviceLink {
     device: usize,
     stop: Stop,
     reports: Sender<DeviceReport>,
     last: RefCell<Option<DeviceState>>,
 }
 
-impl Control {
-    /// A line for device number `device`.
+impl DeviceLink {
+    /// A link for device number `device`.
     pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
     }
 
-    /// Whether to come to an end.
+    /// Whether a stop was requested.
     pub fn stopped(&self) -> bool {
         self.stop.requested()
     }
 
-    /// The request to stop, for what waits on it.
+    /// The request to stop, for functions that wait.
     pub fn stop(&self) -> &Stop {
         &self.stop
     }
@@ -134,6 +136,75 @@ impl Control {
     }
 }
 
+/// One mark.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Mark {
+    /// A scan begins.
+    Begin(Begin),
+    /// A source of the scan begins.
+    Open(Open),
+    /// A source of the scan has ended.
+    Close {
+        /// the source
+        source: SourceId,
+        /// index of the first frame after it
+        end: u64,
+    },
+    /// The scan continues, but should not be trusted.
+    Spoil {
+        /// for people
+        why: String,
+    },
+    /// This is no scan; forget it.
+    GiveUp {
+        /// for people
+        why: String,
+    },
+    /// The scan has ended; sources that are still open end with the frames pushed so far.
+    End {
+        /// when its last sample was taken
+        at: Instant,
+    },
+}
+
+/// The begin of a scan.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Begin {
+    /// The true label of the scan, where it is known. It is reported beside the answer and never
+    /// used for it.
+    pub truth: Option<TrialKey>,
+    /// Made by a generator, not measured.
+    pub synthetic: bool,
+}
+
+/// The begin of a source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Open {
+    /// The source: one stream may serve several, such as the sound of a tap and of a drag.
+    pub source: SourceId,
+    /// The stream that it is cut from.
+    pub stream: SourceId,
+    /// Index of its first frame, or of its picture.
+    pub start: u64,
+    /// The part of the scan that it belongs to.
+    pub phase: Phase,
+    /// Frames a second; of no meaning for pictures.
+    pub rate_hz: f64,
+    /// The number of the stream's channels, from the first one, that belong to the source.
+    pub channels: usize,
+}
+
+/// Errors that end a device.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// a stop was requested while it waited; no failure
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
+    /// what is wrong, and what to do
+    #[error("{0}")]
+    Failed(String),
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -141,10 +212,10 @@ mod tests {
     #[test]
     fn a_state_is_reported_once_a_change() {
         let (sender, reports) = crossbeam_channel::bounded(8);
-        let control = Control::new(0, Stop::default(), sender);
-        control.state(DeviceState::Opening, "");
-        control.state(DeviceState::Streaming, "");
-        control.state(DeviceState::Streaming, "");
+        let link = DeviceLink::new(0, Stop::default(), sender);
+        link.state(DeviceState::Opening, "");
+        link.state(DeviceState::Streaming, "");
+        link.state(DeviceState::Streaming, "");
         assert_eq!(reports.len(), 2);
     }
 
@@ -152,8 +223,8 @@ mod tests {
     fn a_session_that_is_gone_stops_the_device() {
         let (sender, reports) = crossbeam_channel::bounded(8);
         drop(reports);
-        let control = Control::new(0, Stop::default(), sender);
-        control.mark(Mark::End { at: Instant::now() });
-        assert!(control.stopped());
+        let link = DeviceLink::new(0, Stop::default(), sender);
+        link.mark(Mark::End { at: Instant::now() });
+        assert!(link.stopped());
     }
 }

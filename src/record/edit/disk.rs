@@ -1,0 +1,114 @@
+//! Each change that an edit makes on disk passes through here, so that a test can stop at each.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::Path;
+
+pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    point()?;
+    fs::rename(from, to)
+}
+
+/// Writes at the end of a file, and waits until the disk holds it.
+pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+    let (first, second) = bytes.split_at(bytes.len() / 2);
+    file.write_all(first)?;
+    point()?;
+    file.write_all(second)?;
+    point()?;
+    if cfg!(test) { Ok(()) } else { file.sync_all() }
+}
+
+/// Cuts a file to a length. Where that does not last, what was cut off is made good once more.
+pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
+    point()?;
+    file.set_len(length)?;
+    let _ = point().and_then(|()| if cfg!(test) { Ok(()) } else { file.sync_all() });
+    Ok(())
+}
+
+/// Writes a file, without waiting for the disk.
+pub(super) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    point()?;
+    file.write_all(&bytes[..bytes.len() / 2])?;
+    point()?;
+    file.write_all(&bytes[bytes.len() / 2..])
+}
+
+pub(super) fn create_folder(path: &Path) -> io::Result<()> {
+    point()?;
+    fs::create_dir_all(path)
+}
+
+pub(super) fn link(target: &Path, path: &Path) -> io::Result<()> {
+    point()?;
+    std::os::unix::fs::symlink(target, path)
+}
+
+/// Waits until the disk holds all that was done below a folder: once, however many files that were.
+pub(super) fn sync_all(folder: &Path) -> io::Result<()> {
+    point()?;
+    #[cfg(all(target_os = "linux", not(test)))]
+    rustix::fs::syncfs(File::open(folder)?)?;
+    #[cfg(not(all(target_os = "linux", not(test))))]
+    let _ = folder;
+    Ok(())
+}
+
+#[cfg(not(test))]
+fn point() -> io::Result<()> {
+    Ok(())
+}
+
+#[cfg(test)]
+use stops::point;
+
+#[cfg(test)]
+pub(super) mod stops {
+    use std::cell::Cell;
+    use std::io;
+    use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+
+    /// What happens at a change.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum Stop {
+        /// The process ends there: nothing of it runs any more.
+        Kill,
+        /// The file system refuses this one.
+        Fail,
+        /// It refuses this one and all that follow.
+        FailOn,
+    }
+
+    thread_local! {
+        static AT: Cell<Option<(u32, Stop)>> = const { Cell::new(None) };
+    }
+
+    pub fn point() -> io::Result<()> {
+        let Some((left, stop)) = AT.get() else { return Ok(()) };
+        if left > 0 {
+            AT.set(Some((left - 1, stop)));
+            return Ok(());
+        }
+        if stop == Stop::Kill {
+            resume_unwind(Box::new(stop));
+        }
+        AT.set(Some((0, stop)).filter(|_| stop == Stop::FailOn));
+        Err(io::Error::other("stopped by the test"))
+    }
+
+    /// Works until the change of a number, counted from 0; `None` if it was killed there. Tells also
+    /// whether it came that far.
+    pub fn until<T>(change: u32, stop: Stop, work: impl FnOnce() -> T) -> (Option<T>, bool) {
+        AT.set(Some((change, stop)));
+        let done = catch_unwind(AssertUnwindSafe(work));
+        let reached = !matches!(AT.replace(None), Some((left, _)) if left > 0 || stop == Stop::Kill)
+            || done.is_err();
+        match done {
+            Ok(done) => (Some(done), reached),
+            Err(panic) if panic.is::<Stop>() => (None, true),
+            Err(panic) => resume_unwind(panic),
+        }
+    }
+}
