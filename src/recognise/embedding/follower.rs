@@ -1,7 +1,8 @@
 //! Follows a scan with a trained model, look by look.
 //!
 //! A scan that grows is kept as sums that new samples add to, so that a look costs the same at its
-//! hundredth second as at its first; its vector is that of the trial that its samples make.
+//! hundredth second as at its first. Its vector is that of the trial that its samples make, apart from
+//! the moments that are about the mean; once the trial is there, these come from its samples.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use super::band_sums::BandSums;
 use super::frames::{PackedFrames, SourceViews};
 use super::joint::{JointEmbedder, Present, SourceEmbedder};
 use super::model::{EmbeddingModel, Posterior};
-use super::moments::GrowingMoments;
+use super::moments::{GrowingMoments, Moments};
 use super::series::{SeriesEmbedder, counted};
 use super::tiles::{Part, PictureTiles};
 use crate::recognise::decide::conformal::Rejection;
@@ -105,7 +106,7 @@ impl Follower {
     fn guess(&mut self, scan_s: f64) -> Option<GuessSoFar> {
         let sound = self.scan.sound(&self.model);
         let keep = |id: &SourceId| sound.contains(id);
-        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
+        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep, None);
         if !present.contains(&true) {
             return None;
         }
@@ -265,7 +266,7 @@ impl Follow for Follower {
         if !self.scan.sums.says_something(&self.model.joint, keep) {
             return None;
         }
-        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep);
+        let (vector, present) = self.scan.sums.vector(&self.model.joint, keep, Some(trial));
         Some(self.model.ranking(&vector, &present, drag_s.unwrap_or(f64::INFINITY)))
     }
 
@@ -362,7 +363,7 @@ impl ScanSums {
         sources.any(|(stretch, source)| match source {
             Some(SourceSums::Series(scan)) if keep(&stretch.spec.id) => {
                 scan.samples >= scan.views.0[1].points
-                    && (stretch.has_resting() || !scan.moments.so_far().is_constant())
+                    && (stretch.has_switch() || !scan.moments.so_far().is_constant())
             }
             Some(SourceSums::Picture(_)) => keep(&stretch.spec.id),
             _ => false,
@@ -370,11 +371,12 @@ impl ScanSums {
     }
 
     /// The vector so far, in the library's deviations, of those sources that came and that `keep`
-    /// wants.
+    /// wants; exact where these are all samples of a `trial`.
     pub fn vector(
         &self,
         joint: &JointEmbedder,
         keep: impl Fn(&SourceId) -> bool,
+        trial: Option<&Trial>,
     ) -> (Vec<f32>, Present) {
         let mut vector = vec![0.0; joint.dims()];
         let mut present = vec![false; self.sources.len()];
@@ -382,7 +384,8 @@ impl ScanSums {
             let Some(source) = source.as_ref().filter(|_| keep(&stretch.spec.id)) else { continue };
             let of_source = match (source, &stretch.embedder) {
                 (SourceSums::Series(scan), SourceEmbedder::Series(embedder)) => {
-                    scan.vector(embedder)
+                    let signal = trial.and_then(|trial| trial.signals.get(&stretch.spec.id));
+                    scan.vector(embedder, signal)
                 }
                 (SourceSums::Picture(of_picture), _) => of_picture.clone(),
                 _ => continue,
@@ -419,7 +422,7 @@ impl SeriesScan {
         }
     }
 
-    fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
+    fn vector(&self, embedder: &SeriesEmbedder, whole: Option<&Signal>) -> Vec<f32> {
         let mut frames = self.frames.clone();
         for (v, view) in self.views.0.iter().enumerate() {
             if frames[v].frames() == 0 {
@@ -427,6 +430,12 @@ impl SeriesScan {
                 frames[v].add(&PackedFrames::new(&padded.values).values());
             }
         }
-        embedder.vector(&frames, &self.moments.so_far(), self.views.0[0].rate_hz, 0.0)
+        let moments = match whole {
+            Some(Signal::Series(series)) => {
+                Moments::new(series.channels(), self.views.block(), series.samples())
+            }
+            _ => self.moments.so_far(),
+        };
+        embedder.vector(&frames, &moments, self.views.0[0].rate_hz, 0.0)
     }
 }

@@ -80,14 +80,9 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    /// Whether a channel of the source rests in the library: its level is compared.
-    pub fn has_resting(&self) -> bool {
-        match &self.embedder {
-            SourceEmbedder::Series(embedder) => {
-                (0..self.spec.channels).any(|channel| !embedder.moves(channel))
-            }
-            SourceEmbedder::Picture(_) => false,
-        }
+    /// Whether a channel of the source rests in the library, and has its level compared.
+    pub fn has_switch(&self) -> bool {
+        matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
     }
 
     /// Checks that a series can be compared with those of the library, by frequency in Hz. Rates
@@ -305,7 +300,7 @@ impl JointEmbedder {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
                 series.is_a_frame_long()
-                    && (stretch.has_resting() || !series.whole.moments.is_constant())
+                    && (stretch.has_switch() || !series.whole.moments.is_constant())
             }
             Some(SourceFrames::Picture(_)) => true,
             None => false,

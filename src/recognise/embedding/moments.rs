@@ -1,8 +1,9 @@
 //! Running sums of a series, from which its moments and its lag covariance follow.
 //!
 //! A series is summed block by block; a block is half a long frame. Sums add up, so a scan that grows
-//! costs additions alone, and the sums of a scan so far are those of a trial of its samples. All powers
-//! are of x minus a reference near the first block's mean, so that an offset costs no digits.
+//! costs additions alone. All powers are of x minus a reference near the first block's mean, so that
+//! an offset costs no digits. While a scan grows, its mean is not known yet: mean magnitude, crossings
+//! and drift are taken about the mean of each block. Of a whole piece they are exact.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +23,7 @@ pub const MOMENTS: [&str; 9] = [
     "ln of peak over squared mean root (clearance)",
     "ln of the rate of mean crossings in Hz",
     "ln of the deviation of differences over that of values",
-    "ln of the deviation of the level over blocks",
+    "ln of the deviation of the level over 16 parts",
 ];
 
 /// Places among [`MOMENTS`] of ln deviation and ln drift, which a gain moves.
@@ -37,19 +38,22 @@ enum Of {
     Cubes,
     /// Σ x⁴
     Fourths,
-    /// (Σ x)²/n
+    /// (Σ x)²/n over each of 16 parts; of a scan that grows, over each block
     SquaredLevel,
-    /// Σ |x − m|, m the block's mean
+    /// Σ |x − m|, m the mean; of a scan that grows, the block's
     Magnitude,
     /// Σ √|x − m|
     Root,
-    /// crossings of the block's mean
+    /// crossings of m
     Crossings,
     /// least x
     Least,
     /// greatest x
     Greatest,
 }
+
+/// Parts over which the slow change of the level is taken.
+const PARTS: usize = 16;
 
 /// Sums of a channel.
 const OF_CHANNEL: usize = 9;
@@ -121,7 +125,36 @@ impl Moments {
     pub fn new(channels: usize, block: usize, samples: &[f32]) -> Self {
         let mut growing = GrowingMoments::new(channels, block);
         growing.extend(samples);
-        growing.so_far()
+        let mut moments = growing.so_far();
+        let mut x = Vec::with_capacity(samples.len() / channels);
+        for channel in 0..channels {
+            x.clear();
+            let reference = moments.reference[channel];
+            x.extend(samples.iter().skip(channel).step_by(channels).map(|x| x - reference));
+            moments.set_exact(channel, &x);
+        }
+        moments
+    }
+
+    /// Takes the exact sums of a channel's samples, less the reference, where blocks have other ones;
+    /// they count as many samples as those do.
+    fn set_exact(&mut self, channel: usize, x: &[f32]) {
+        let [_, _, _, magnitude, root, crossings] = powers(x);
+        let part = |k: usize| {
+            let part = &x[k * x.len() / PARTS..(k + 1) * x.len() / PARTS];
+            let sum: f64 = part.iter().map(|&x| f64::from(x)).sum();
+            sum * sum / part.len().max(1) as f64
+        };
+        let squared_level = (0..PARTS).map(part).sum();
+        let scale = f64::from(self.sums[0]) / x.len().max(1) as f64;
+        for (of, value) in [
+            (Of::SquaredLevel, squared_level),
+            (Of::Magnitude, magnitude),
+            (Of::Root, root),
+            (Of::Crossings, crossings),
+        ] {
+            self.sums[place(of, channel)] = (scale * value) as f32;
+        }
     }
 
     fn channels(&self) -> usize {
@@ -388,6 +421,13 @@ mod tests {
             assert!((moments[1].powi(3) - of(&|x| x.powi(3)) / deviation.powi(3)).abs() < 1e-3);
             assert!((moments[2].exp() - of(&|x| x.powi(4)) / deviation.powi(4)).abs() < 1e-3);
             assert!((moments[3].exp() - peak / deviation).abs() < 1e-3);
+            let crossings = x.windows(2).filter(|w| (w[0] < m) != (w[1] < m)).count() as f64;
+            assert!((deviation / of(&|x| x.abs()) - moments[4].exp()).abs() < 1e-3);
+            assert!((peak / of(&|x| x.abs().sqrt()).powi(2) - moments[5].exp()).abs() < 1e-3);
+            assert!(((crossings + 1.0) / 10.0 - moments[6].exp()).abs() < 1e-3);
+            let level = |k: usize| mean(&x[k * n / PARTS..(k + 1) * n / PARTS]) - m;
+            let drift = (0..PARTS).map(|k| level(k).powi(2)).sum::<f64>() / PARTS as f64;
+            assert!((drift.sqrt().ln() - moments[8]).abs() < 0.05, "{drift}");
         }
         let (a, b) = (channel(0), channel(1));
         let (ma, mb) = (mean(&a), mean(&b));
@@ -415,13 +455,20 @@ mod tests {
     }
 
     #[test]
-    fn a_series_in_pieces_has_the_moments_of_the_series_at_once() {
+    fn a_series_in_pieces_has_the_moments_of_the_series_at_once_but_for_those_about_its_mean() {
         let samples = series(1000, 3);
-        let mut growing = GrowingMoments::new(3, 48);
-        for (i, piece) in samples.chunks(3 * 7).enumerate() {
-            growing.extend(piece);
-            let so_far = &samples[..(3 * 7 * (i + 1)).min(samples.len())];
-            assert_eq!(growing.so_far(), Moments::new(3, 48, so_far));
+        let (mut growing, mut at_once) = (GrowingMoments::new(3, 48), GrowingMoments::new(3, 48));
+        samples.chunks(3 * 7).for_each(|piece| growing.extend(piece));
+        at_once.extend(&samples);
+        assert_eq!(growing.so_far(), at_once.so_far());
+        let (so_far, exact) = (growing.so_far(), Moments::new(3, 48, &samples));
+        let approximate = [Of::SquaredLevel, Of::Magnitude, Of::Root, Of::Crossings];
+        for (i, (a, b)) in so_far.sums.iter().zip(&exact.sums).enumerate() {
+            let of = (i.wrapping_sub(1)) % OF_CHANNEL;
+            let is_exact = i == 0
+                || i >= products(3, 0)
+                || !approximate.iter().any(|&other| other as usize == of);
+            assert!(!is_exact || a == b, "{i}");
         }
     }
 

@@ -1,8 +1,10 @@
 //! A series, or a piece of it, as a vector (method §11): Fourier features of its log-band frames,
-//! moments, lag covariance; in shape, with its own level taken off, and in level.
+//! the means of its channels, moments, lag covariance; in shape, with its own level taken off, and in
+//! level.
 //!
 //! Moments and lag covariance see all frequencies. They are left out where a source is compared by
-//! a part of its spectrum alone: what a configuration excludes must not come in by another way.
+//! a part of its spectrum alone, and means where its band begins above 0 Hz: what a configuration
+//! excludes must not come in by another way.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -36,6 +38,8 @@ pub(super) struct SeriesEmbedder {
     deviations: Vec<f64>,
     /// Whether moments and lag covariance are features.
     all_frequencies: bool,
+    /// Whether the means of channels are: they lie at 0 Hz.
+    means: bool,
 }
 
 impl SeriesEmbedder {
@@ -60,8 +64,14 @@ impl SeriesEmbedder {
             frames,
             deviations: (0..views.0[0].channels).map(deviation).collect(),
             all_frequencies: band_hz.is_none_or(is_all),
+            means: band_hz.is_none_or(|(low, _)| low <= 0.0),
             views,
         }
+    }
+
+    /// Whether a channel rests in the library, and has its level compared, as a switch has.
+    pub fn has_switch(&self) -> bool {
+        self.means && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
     /// Whether a channel moves in most trials of the library.
@@ -76,8 +86,8 @@ impl SeriesEmbedder {
     /// Length of a vector.
     pub fn dims(&self) -> usize {
         let channels = self.channels();
-        let resting = (0..channels).filter(|&c| !self.moves(c)).count();
-        let bands = self.frames[0].dims() + self.frames[1].dims() + resting;
+        let means = if self.means { channels } else { 0 };
+        let bands = self.frames[0].dims() + self.frames[1].dims() + means;
         if !self.all_frequencies {
             return bands;
         }
@@ -107,9 +117,10 @@ impl SeriesEmbedder {
             embedder.push(&sums.on_surface(), ln_gain, &mut vector);
         }
         let stats = moments.statistics(rate_hz, ln_gain);
-        // A channel that rests throughout the library, such as a switch, has nothing but its level.
-        let resting = (0..self.channels()).filter(|&c| !self.moves(c));
-        vector.extend(resting.map(|c| stats.means[c] as f32));
+        if self.means {
+            let means = stats.means.iter().zip(&self.deviations);
+            vector.extend(means.map(|(mean, deviation)| (mean / deviation).asinh() as f32));
+        }
         if self.all_frequencies {
             vector.extend(stats.moments.iter().map(|&x| x as f32));
             let gain = self.ln_gain(&stats);
