@@ -72,7 +72,8 @@ impl AsRef<Self> for Step {
 }
 
 /// Writes a trial into a library, under the next number that neither a trial nor a removed one has,
-/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`.
+/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`. One with the same notes that was
+/// removed comes back instead: it is the same trial.
 ///
 /// # Errors
 /// If the library cannot be read or written.
@@ -83,6 +84,14 @@ pub(crate) fn keep(
     options: &TrialOptions,
     what: String,
 ) -> Result<String, LibraryError> {
+    let notes = options.about.notes.as_deref();
+    let gone = notes.and_then(|notes| trial_of_note(&library.join(REMOVED), notes, None));
+    if let Some(gone) = gone
+        && let Some(back) =
+            Editor::open(library, scene)?.bring_back(&gone, &trial.key, what.clone())?
+    {
+        return Ok(back);
+    }
     let mut steps = Steps::open(library)?;
     if steps.last().and_then(KnownStep::left).is_some() {
         drop(steps);
@@ -172,7 +181,8 @@ impl Editor {
         let gone = removed(&self.root, &self.scene)?;
         let mut plan = Plan::new(&self.root, [entries, &gone], &HashSet::new());
         for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
-            plan.relabel(self.folder_of(entry)?, label, &entry.key);
+            let wanted = TrialKey { surface: label.into(), ..entry.key.clone() };
+            plan.rename(self.folder_of(entry)?, &entry.key, &wanted);
         }
         self.take(what, plan.moves)
     }
@@ -225,12 +235,31 @@ impl Editor {
         let leaving = chosen.keys().cloned().collect();
         let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
         for (folder, key) in chosen {
-            plan.relabel(&folder, &key.surface, key);
+            plan.rename(&folder, key, key);
         }
         for (from, to) in damaged {
             plan.add(&from, to, None, None);
         }
         self.take(format!("restore {}", names.join(", ")), plan.moves)
+    }
+
+    /// Brings a removed trial back under another name, as a step; `None` if it cannot be read.
+    fn bring_back(
+        &mut self,
+        gone: &str,
+        key: &TrialKey,
+        what: String,
+    ) -> Result<Option<String>, LibraryError> {
+        let folder = self.root.join(REMOVED).join(gone);
+        let (entries, removed) =
+            (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
+        let entry = removed.iter().find(|entry| entry.folder() == Some(&*folder));
+        let Some(was) = entry.map(|entry| &entry.key) else { return Ok(None) };
+        let leaving = HashSet::from([folder.clone()]);
+        let mut plan = Plan::new(&self.root, [&entries, &removed], &leaving);
+        plan.rename(&folder, was, &TrialKey { number: was.number, ..key.clone() });
+        let step = self.take(what, plan.moves)?;
+        Ok(step.moves.first().map(|one| one.to.clone()))
     }
 
     /// Takes the last step back. A trial whose place is taken by another comes to a free one beside
@@ -333,7 +362,7 @@ impl Editor {
         undoing: bool,
     ) -> Result<Option<LibraryError>, LibraryError> {
         let finished = carry_out(&self.root, moves).and_then(|()| match undoing {
-            true => self.steps.take_back(false),
+            true => self.steps.undone(),
             false => self.steps.done(),
         });
         let error = finished.err();

@@ -28,9 +28,9 @@ impl<'a> Plan<'a> {
         Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
     }
 
-    /// Moves a trial under a label, with the same number if that is free.
-    pub fn relabel(&mut self, from: &Path, label: &str, was: &TrialKey) {
-        let is = self.free_key(&TrialKey::new(label, &was.user, was.number));
+    /// Gives a trial another name, with the same number if that is free.
+    pub fn rename(&mut self, from: &Path, was: &TrialKey, wanted: &TrialKey) {
+        let is = self.free_key(wanted);
         let to = trial_folder(self.root, &is);
         self.add(from, to, Some(was.clone()), Some(is));
     }

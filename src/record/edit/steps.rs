@@ -4,8 +4,9 @@
 //! {"began": {"what": "…", "at": "…", "moves": […]}}    before anything moves
 //! "done"                                              the disk holds all of it
 //! {"undoing": […]}                                    it is being taken back, by these moves
+//! "undone"                                            the disk holds that, too
 //! ```
-//! A step that is taken back is cut off. So the last line tells what a crash left undone.
+//! So the last line tells what a crash left undone.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -66,6 +67,7 @@ enum StepLine {
     Began(Step),
     Done,
     Undoing(Vec<Move>),
+    Undone,
 }
 
 /// A step, and where its lines begin.
@@ -116,6 +118,7 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
             (Ok(StepLine::Undoing(moves)), Some(last)) if is_within(&moves) => {
                 last.undoing = Some((at, moves));
             }
+            (Ok(StepLine::Undone), Some(_)) => undone(&mut steps),
             (Err(_), _) => {
                 let bare = bare().filter(|(step, _): &(Step, bool)| is_within(&step.moves));
                 steps.extend(bare.map(|(step, is_done)| known(step, is_done)));
@@ -125,6 +128,21 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
         at += line.len() as u64;
     }
     Ok((steps, at))
+}
+
+/// Takes the last step off the list. Where one of its trials came to another place than it had been
+/// in before, the step that had put it there learns that.
+fn undone(steps: &mut Vec<KnownStep>) {
+    let Some(KnownStep { step, undoing: Some((_, moves)), .. }) = steps.pop() else { return };
+    for went in &moves {
+        let Some(one) = step.moves.iter().find(|one| one.to == went.from) else { continue };
+        let earlier = steps.iter_mut().rev().flat_map(|known| known.step.moves.iter_mut());
+        let mut touching = earlier.filter(|other| other.to == one.from || other.from == one.from);
+        // If the last that touched the place took a trial from it, this one came without a step.
+        if let Some(before) = touching.next().filter(|other| other.to == one.from) {
+            (before.to, before.is) = (went.to.clone(), went.is.clone());
+        }
+    }
 }
 
 /// Whether moves stay within a library: `SURFACE/TRIAL`, there or among what was removed.
@@ -187,12 +205,6 @@ impl Steps {
         Ok(at)
     }
 
-    fn cut(&mut self, at: u64) -> Result<(), LibraryError> {
-        disk::cut(&self.file, at).map_err(|error| failed(&self.path, error))?;
-        self.end = at;
-        Ok(())
-    }
-
     /// A step begins.
     pub fn begin(&mut self, step: &Step) -> Result<(), LibraryError> {
         if self.known.len() >= MOST_STEPS || self.end > MOST_BYTES {
@@ -226,13 +238,21 @@ impl Steps {
 
     /// The last step, or its taking back, never was.
     pub fn take_back(&mut self, undoing: bool) -> Result<(), LibraryError> {
-        let Some(last) = self.known.last() else { return Ok(()) };
-        let of_undoing = last.undoing.as_ref().map(|(at, _)| *at);
-        self.cut(of_undoing.filter(|_| undoing).unwrap_or(last.at))?;
-        match self.known.last_mut() {
-            Some(last) if undoing => last.undoing = None,
-            _ => drop(self.known.pop()),
+        let Some(last) = self.known.last_mut() else { return Ok(()) };
+        let at = last.undoing.as_ref().filter(|_| undoing).map_or(last.at, |(at, _)| *at);
+        disk::cut(&self.file, at).map_err(|error| failed(&self.path, error))?;
+        self.end = at;
+        match undoing {
+            true => last.undoing = None,
+            false => drop(self.known.pop()),
         }
+        Ok(())
+    }
+
+    /// The last step is taken back.
+    pub fn undone(&mut self) -> Result<(), LibraryError> {
+        self.add(&[&StepLine::Undone])?;
+        undone(&mut self.known);
         Ok(())
     }
 
