@@ -318,3 +318,14 @@ fn a_scan_of_eleven_milliseconds_or_of_silence_is_not_named() {
         refused(&args, 3, &["too little to name"]);
     }
 }
+
+#[cfg(not(feature = "mcap"))]
+#[test]
+fn a_build_without_mcap_says_how_to_get_it() {
+    for args in [["export", "my-library", "my-library.mcap"], ["import", "a.mcap", "my-library"]] {
+        let output = Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(2));
+        let said = String::from_utf8_lossy(&output.stderr);
+        common::says(&said, &["cannot read or write MCAP", "--features mcap"]);
+    }
+}
