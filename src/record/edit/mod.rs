@@ -27,7 +27,7 @@ use serde::Serialize;
 use self::list::{name_of, removed, trials};
 use self::moves::{carry_out, check, inode, tidy};
 use self::plan::Plan;
-use self::steps::{KnownStep, Steps};
+use self::steps::Steps;
 use super::{TrialOptions, append_trial, trial_folder, utc};
 use crate::library::{Entry, LibraryError};
 use crate::scene::Scene;
@@ -72,8 +72,8 @@ impl AsRef<Self> for Step {
 }
 
 /// Writes a trial into a library, under the next number that neither a trial nor a removed one has,
-/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`. One with the same notes that was
-/// removed comes back instead: it is the same trial.
+/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`. One with the same notes is the same
+/// trial: it is left where it is, or comes back if it was removed.
 ///
 /// # Errors
 /// If the library cannot be read or written.
@@ -84,19 +84,17 @@ pub(crate) fn keep(
     options: &TrialOptions,
     what: String,
 ) -> Result<String, LibraryError> {
-    let notes = options.about.notes.as_deref();
-    let gone = notes.and_then(|notes| trial_of_note(&library.join(REMOVED), notes, None));
-    if let Some(gone) = gone
-        && let Some(back) =
-            Editor::open(library, scene)?.bring_back(&gone, &trial.key, what.clone())?
-    {
-        return Ok(back);
-    }
-    let mut steps = Steps::open(library)?;
-    if steps.last().and_then(KnownStep::left).is_some() {
-        drop(steps);
-        Editor::finish(library)?;
-        steps = Steps::open(library)?;
+    // Nothing moves while it is looked for.
+    let mut editor = Editor::open(library, scene)?;
+    if let Some(notes) = &options.about.notes {
+        if let Some(there) = trial_of_note(library, notes, None) {
+            return Ok(there);
+        }
+        if let Some(gone) = trial_of_note(&library.join(REMOVED), notes, None)
+            && let Some(back) = editor.bring_back(&gone, &trial.key, what.clone())?
+        {
+            return Ok(back);
+        }
     }
     trial.key.number = number_after(library, scene, &trial.key.surface, &trial.key.user)?;
     let (number, folder) = append_trial(library, &trial, scene, options)?;
@@ -105,7 +103,7 @@ pub(crate) fn keep(
     // To undo it is to remove it.
     let from = format!("{REMOVED}/{to}");
     let moves = vec![Move { from, to: to.clone(), was: key.clone(), is: key, inode: None }];
-    steps.note(Step { what, at: utc(SystemTime::now()), moves })?;
+    editor.steps.note(Step { what, at: utc(SystemTime::now()), moves })?;
     Ok(to)
 }
 
