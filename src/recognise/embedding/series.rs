@@ -2,9 +2,8 @@
 //! the means of its channels, moments, lag covariance; in shape, with its own level taken off, and in
 //! level.
 //!
-//! Moments and lag covariance see all frequencies. They are left out where a source is compared by
-//! a part of its spectrum alone, and means where its band begins above 0 Hz: what a configuration
-//! excludes must not come in by another way.
+//! Means, moments and lag covariance see all frequencies. They are left out where a source is compared
+//! by a part of its spectrum alone: what a configuration excludes must not come in by another way.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -36,10 +35,8 @@ pub(super) struct SeriesEmbedder {
     frames: [ViewEmbedder; 2],
     /// Median over a library of the deviation of each channel.
     deviations: Vec<f64>,
-    /// Whether moments and lag covariance are features.
+    /// Whether means, moments and lag covariance are features.
     all_frequencies: bool,
-    /// Whether the means of channels are: they lie at 0 Hz.
-    means: bool,
 }
 
 impl SeriesEmbedder {
@@ -64,14 +61,13 @@ impl SeriesEmbedder {
             frames,
             deviations: (0..views.0[0].channels).map(deviation).collect(),
             all_frequencies: band_hz.is_none_or(is_all),
-            means: band_hz.is_none_or(|(low, _)| low <= 0.0),
             views,
         }
     }
 
     /// Whether a channel rests in the library, and has its level compared, as a switch has.
     pub fn has_switch(&self) -> bool {
-        self.means && (0..self.channels()).any(|channel| !self.moves(channel))
+        self.all_frequencies && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
     /// Whether a channel moves in most trials of the library.
@@ -86,14 +82,13 @@ impl SeriesEmbedder {
     /// Length of a vector.
     pub fn dims(&self) -> usize {
         let channels = self.channels();
-        let means = if self.means { channels } else { 0 };
-        let bands = self.frames[0].dims() + self.frames[1].dims() + means;
+        let bands = self.frames[0].dims() + self.frames[1].dims();
         if !self.all_frequencies {
             return bands;
         }
         let stacked = LAGS.len() * channels;
         bands
-            + (MOMENTS.len() + LOUDNESS.len()) * channels
+            + (1 + MOMENTS.len() + LOUDNESS.len()) * channels
             + stacked * (stacked + 1) / 2
             + channels * (channels - 1) / 2
     }
@@ -117,11 +112,9 @@ impl SeriesEmbedder {
             embedder.push(&sums.on_surface(), ln_gain, &mut vector);
         }
         let stats = moments.statistics(rate_hz, ln_gain);
-        if self.means {
+        if self.all_frequencies {
             let means = stats.means.iter().zip(&self.deviations);
             vector.extend(means.map(|(mean, deviation)| (mean / deviation).asinh() as f32));
-        }
-        if self.all_frequencies {
             vector.extend(stats.moments.iter().map(|&x| x as f32));
             let gain = self.ln_gain(&stats);
             for of_channel in stats.moments.chunks_exact(MOMENTS.len()) {
