@@ -16,7 +16,7 @@ use crate::dataset::table::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
-    UnknownOutcome, enrol,
+    UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{Method, MethodName, RecogniseError};
@@ -247,6 +247,10 @@ fn measured(
     let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
     let unknown = unknown.transpose()?;
     let measured = run.measure()?;
+    let mut warnings = show::left_out(&measured.left_out);
+    if args.method.is_default() {
+        warnings.extend(better_plain(evaluation, &measured.predictions));
+    }
     let enrolled = match args.enrolled {
         0 => None,
         count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
@@ -261,7 +265,7 @@ fn measured(
         unknown,
         enrolled,
         predictions: measured.predictions.into_iter().map(EvalAnswer::from).collect(),
-        warnings: show::left_out(&measured.left_out),
+        warnings,
     })
 }
 

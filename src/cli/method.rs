@@ -132,6 +132,11 @@ impl MethodArgs {
         }
     }
 
+    /// Whether no method was chosen.
+    pub fn is_default(&self) -> bool {
+        self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
+    }
+
     /// Whether prepared trials are kept beside their library.
     pub fn uses_cache(&self) -> bool {
         !self.no_cache

@@ -16,7 +16,7 @@ use crate::library::loader::{Headers, SourceFiles, channels as counted};
 use crate::library::recording;
 use crate::library::seen::Seen;
 use crate::library::{Library, LibraryError, Opened};
-use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::scene::{Declared, Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Folders of the database; one of them is enough to know it by.
@@ -225,7 +225,9 @@ fn source_files(
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
         // One file each at least: `complete` saw to it.
-        "mi1" | "mi2" => headers.series(spec, None, &paths.remove(0))?,
+        "mi1" | "mi2" => {
+            headers.series(spec, Declared { rate_hz: None, band: true }, &paths.remove(0))?
+        }
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

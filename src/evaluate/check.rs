@@ -10,10 +10,11 @@ use serde::ser::{SerializeMap, Serializer};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::Fold;
 use super::outcome::{Confusion, Outcome, Prediction};
+use super::plain::better_plain;
 use super::share::Share;
 use crate::library::audit::{self, Unreadable};
 use crate::library::{Entry, Opened};
-use crate::recognise::Method;
+use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws, is_plain};
 
@@ -129,7 +130,10 @@ pub fn check(
     let folds = left_out(&keys);
     let measured = measure(&entries, &folds, scene, method, cache, progress);
     let (predictions, outcome) = match measured {
-        Ok((predictions, outcome)) => (predictions, Some(outcome)),
+        Ok((predictions, outcome, better)) => {
+            advice.extend(better);
+            (predictions, Some(outcome))
+        }
         Err(why) => {
             advice.push(why);
             (Vec::new(), None)
@@ -187,7 +191,7 @@ fn measure(
     method: &dyn Method,
     cache: Option<&Path>,
     progress: ProgressFn<'_>,
-) -> Result<(Vec<Prediction>, Outcome), String> {
+) -> Result<(Vec<Prediction>, Outcome, Option<String>), String> {
     let surfaces: BTreeSet<&str> = entries.iter().map(|e| e.key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
         return Err(
@@ -199,7 +203,9 @@ fn measure(
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let measured = run.measure().map_err(|error| error.to_string())?;
-    Ok((measured.predictions, measured.outcome))
+    let is_default = method.name() == MethodName::Embedding.as_str();
+    let better = is_default.then(|| better_plain(evaluation, &measured.predictions)).flatten();
+    Ok((measured.predictions, measured.outcome, better))
 }
 
 fn trials(

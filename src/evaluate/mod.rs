@@ -14,6 +14,7 @@ mod loudness;
 mod outcome;
 #[doc(hidden)]
 pub mod paper;
+mod plain;
 #[doc(hidden)]
 pub mod plan;
 mod settled;
@@ -35,6 +36,7 @@ pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};
 pub(crate) use outcome::{interval_over_users, is_over_users};
+pub(crate) use plain::better_plain;
 pub use settled::SettledOutcome;
 pub use share::Share;
 pub use unknown::UnknownOutcome;

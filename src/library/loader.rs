@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::series_file;
 use super::series_header::Header;
 use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
-use crate::scene::{Domain, SourceId, SourceSpec};
+use crate::scene::{Declared, Domain, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 
 /// Where the data of one source of one trial are.
@@ -130,20 +130,22 @@ fn mixed_down(series: &Series) -> Result<Series, SignalError> {
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
     first: BTreeMap<SourceId, (f64, PathBuf)>,
+    /// The lowest rate in Hz of each source that has one too low for a band that nobody declared.
+    pub lowest_hz: BTreeMap<SourceId, f64>,
     remarks: Vec<(PathBuf, String)>,
 }
 
 impl Headers {
-    /// A WAV or FLAC file as the data of a source. `declared_hz` is the rate that the library's own
-    /// description asks for.
+    /// A WAV or FLAC file as the data of a source. `declared` is what the library's own description
+    /// asks for.
     ///
     /// # Errors
     /// If the source is an image, if the file cannot be read, if its channels are not those
-    /// expected, or if its rate is not the one declared or too low for the source's band.
+    /// expected, or if its rate is not the one declared or too low for the band declared.
     pub fn series(
         &mut self,
         spec: &SourceSpec,
-        declared_hz: Option<f64>,
+        declared: Declared,
         path: &Path,
     ) -> Result<SourceFiles, LibraryError> {
         let id = &spec.id;
@@ -159,7 +161,13 @@ impl Headers {
             ));
         }
         let header = series_file::probe(path)?;
-        spec.check_rate(header.rate_hz).map_err(|problem| LibraryError::file(path, problem))?;
+        if let Err(problem) = spec.check_rate(header.rate_hz) {
+            if declared.band {
+                return fail(problem);
+            }
+            let lowest = self.lowest_hz.entry(id.clone()).or_insert(header.rate_hz);
+            *lowest = lowest.min(header.rate_hz);
+        }
         let mixed = (header.channels, spec.channels) == (2, 1);
         if header.channels != spec.channels && !mixed {
             return fail(format!(
@@ -170,7 +178,7 @@ impl Headers {
                 header.channels,
             ));
         }
-        if let Some(declared) = declared_hz
+        if let Some(declared) = declared.rate_hz
             && declared != header.rate_hz
         {
             return fail(format!(

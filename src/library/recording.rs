@@ -18,7 +18,7 @@ use super::files::{self, Listed};
 use super::loader::{FileTrial, Headers, SourceFiles};
 use super::seen::Seen;
 use super::{About, Entry, Library, LibraryError, Opened, loose, series_header};
-use crate::scene::{Domain, LibraryToml, Scene, SourceId};
+use crate::scene::{Declared, Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
 /// Name of the file that describes a library.
@@ -138,7 +138,7 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    declared_hz: BTreeMap<SourceId, f64>,
+    declared: BTreeMap<SourceId, Declared>,
     /// The sources that `library.toml` describes.
     own: Vec<SourceId>,
     synthetic: bool,
@@ -155,7 +155,7 @@ impl<'a> RecordingOpening<'a> {
             root,
             name: String::new(),
             scene,
-            declared_hz: BTreeMap::new(),
+            declared: BTreeMap::new(),
             own: Vec::new(),
             synthetic: false,
             headers: Headers::default(),
@@ -168,7 +168,7 @@ impl<'a> RecordingOpening<'a> {
             let described = LibraryToml::parse(&text, &opening.scene)
                 .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
             opening.synthetic = described.synthetic;
-            opening.declared_hz = described.declared_hz;
+            opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
             opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
             opening.scene = opening.scene.with(described.sources);
@@ -180,8 +180,21 @@ impl<'a> RecordingOpening<'a> {
         for (path, what) in self.headers.remarks() {
             self.pass_over(&path, what);
         }
+        let lowest_hz = std::mem::take(&mut self.headers.lowest_hz);
         let RecordingOpening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
-        let remarks: Vec<String> = passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
+        let mut remarks: Vec<String> =
+            passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
+        let scene = scene.changed(|spec| {
+            if let Some(rate_hz) = lowest_hz.get(&spec.id) {
+                spec.end_band_at(rate_hz / 2.0);
+                remarks.push(format!(
+                    "source `{}`: compared up to {} Hz, half of its lowest rate; to choose a band, \
+                     say band_hz = [low, high] in library.toml",
+                    spec.id,
+                    rate_hz / 2.0
+                ));
+            }
+        });
         let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
             // A file without a folder of its own lies among others.
             let folder = path.is_dir().then_some(path);
@@ -240,8 +253,8 @@ impl<'a> RecordingOpening<'a> {
         let places = loose::places(&names, &self.scene, only, &taken);
         for (item, place) in files.iter().zip(places) {
             let Some(spec) = self.scene.get(place.source.as_str()) else { continue };
-            let declared_hz = self.declared_hz.get(&place.source).copied();
-            match self.headers.series(spec, declared_hz, &item.path) {
+            let declared = self.declared.get(&place.source).copied().unwrap_or_default();
+            match self.headers.series(spec, declared, &item.path) {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
@@ -337,8 +350,8 @@ impl<'a> RecordingOpening<'a> {
             return Ok(None);
         };
         if !picture {
-            let declared_hz = self.declared_hz.get(stem).copied();
-            let files = self.headers.series(spec, declared_hz, &item.path)?;
+            let declared = self.declared.get(stem).copied().unwrap_or_default();
+            let files = self.headers.series(spec, declared, &item.path)?;
             return Ok(Some((spec.id.clone(), files)));
         }
         if spec.domain != Domain::Image {

@@ -89,13 +89,22 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
+/// What a `library.toml` says of a source itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Declared {
+    /// The rate in Hz that recordings must have.
+    pub rate_hz: Option<f64>,
+    /// Whether it gives a band.
+    pub band: bool,
+}
+
 /// The content of a `library.toml`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
     /// The sources that it describes, and the library's name.
     pub sources: Scene,
-    /// The rates that it asks for itself.
-    pub declared_hz: BTreeMap<SourceId, f64>,
+    /// What it asks of each of them itself, whatever the defaults say.
+    pub declared: BTreeMap<SourceId, Declared>,
     /// Whether it carries `synthetic = true`.
     pub synthetic: bool,
 }
@@ -109,11 +118,12 @@ impl LibraryToml {
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
-            Some((SourceId::new(name).ok()?, block.get_ref().rate_hz?))
+            let SourceBlock { rate_hz, band_hz, .. } = *block.get_ref();
+            Some((SourceId::new(name).ok()?, Declared { rate_hz, band: band_hz.is_some() }))
         };
-        let declared_hz = file.sources.iter().filter_map(declared).collect();
+        let declared = file.sources.iter().filter_map(declared).collect();
         let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
-        Ok(Self { sources, declared_hz, synthetic: file.synthetic })
+        Ok(Self { sources, declared, synthetic: file.synthetic })
     }
 }
 
@@ -236,23 +246,25 @@ impl SourceBlock {
 
     fn domain_of(&self, channels: usize) -> Result<Domain, String> {
         match (self.domain, self.band_hz) {
-            (Some(DomainName::Spectrum) | None, Some([low, high]))
-                if 0.0 <= low && low < high && high <= RATES_HZ.1 =>
-            {
+            (Some(DomainName::Image), Some(_)) => Err("an image has no band_hz".into()),
+            (_, Some([low, high])) if !(0.0 <= low && low < high && high <= RATES_HZ.1) => {
+                Err(format!(
+                    "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
+                    RATES_HZ.1
+                ))
+            }
+            (Some(DomainName::Spectrum) | None, Some([low, high])) => {
                 Ok(Domain::Spectrum { band_hz: (low, high) })
             }
-            (Some(DomainName::Spectrum) | None, Some([low, high])) => Err(format!(
-                "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
-                RATES_HZ.1
-            )),
+            (Some(DomainName::Time), band_hz) => {
+                Ok(Domain::Time { band_hz: band_hz.map(|[low, high]| (low, high)) })
+            }
             (None, None) => Err("no default is called so; say what it is: domain = \"time\", \
                                  \"image\", or \"spectrum\" with band_hz = [low, high]"
                 .into()),
             (Some(DomainName::Spectrum), None) => {
                 Err("a spectrum needs band_hz = [low, high], in Hz".into())
             }
-            (_, Some(_)) => Err("band_hz goes with domain = \"spectrum\" alone".into()),
-            (Some(DomainName::Time), None) => Ok(Domain::Time),
             (Some(DomainName::Image), None) if channels == 3 => Ok(Domain::Image),
             (Some(DomainName::Image), None) => {
                 Err(format!("an image has 3 channels, not {channels}"))
@@ -263,7 +275,7 @@ impl SourceBlock {
     fn from_spec(spec: &SourceSpec) -> Self {
         let (domain, band_hz) = match spec.domain {
             Domain::Spectrum { band_hz: (low, high) } => (DomainName::Spectrum, Some([low, high])),
-            Domain::Time => (DomainName::Time, None),
+            Domain::Time { band_hz } => (DomainName::Time, band_hz.map(|(low, high)| [low, high])),
             Domain::Image => (DomainName::Image, None),
         };
         let unless = |value: f64, default: f64| (value != default).then_some(value);
@@ -366,7 +378,7 @@ mod tests {
         assert!(band.align_mean && band.what == "sound while dragging");
         let anew = of("domain = \"time\"", "mi2").unwrap();
         assert!(
-            !anew.align_mean && anew.domain == Domain::Time,
+            !anew.align_mean && anew.domain == Domain::Time { band_hz: None },
             "another domain is another source"
         );
         let unknown = of("channels = 2", "pac").unwrap_err().to_string();

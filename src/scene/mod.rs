@@ -5,7 +5,7 @@
 
 pub(crate) mod config;
 
-pub use config::LibraryToml;
+pub use config::{Declared, LibraryToml};
 
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
@@ -68,7 +68,10 @@ pub enum Domain {
         band_hz: (f64, f64),
     },
     /// Equidistant samples in time.
-    Time,
+    Time {
+        /// lowest and highest frequency that `embedding` compares, where one is configured
+        band_hz: Option<(f64, f64)>,
+    },
     /// A grid of pixels.
     Image,
 }
@@ -78,7 +81,8 @@ impl Domain {
     pub fn band_hz(&self) -> Option<(f64, f64)> {
         match *self {
             Self::Spectrum { band_hz } => Some(band_hz),
-            Self::Time | Self::Image => None,
+            Self::Time { band_hz } => band_hz,
+            Self::Image => None,
         }
     }
 }
@@ -155,13 +159,22 @@ pub struct SourceSpec {
 }
 
 impl SourceSpec {
+    /// Ends the band at a frequency in Hz; one that begins above it then begins at 0.
+    pub(crate) fn end_band_at(&mut self, end_hz: f64) {
+        if let Domain::Spectrum { band_hz } | Domain::Time { band_hz: Some(band_hz) } =
+            &mut self.domain
+        {
+            *band_hz = (if band_hz.0 < end_hz { band_hz.0 } else { 0.0 }, end_hz);
+        }
+    }
+
     /// Checks that a spectrum reaches no higher than half the sample rate of its recording.
     ///
     /// # Errors
     /// With what is wrong, and what to do.
     pub fn check_rate(&self, rate_hz: f64) -> Result<(), String> {
-        match self.domain {
-            Domain::Spectrum { band_hz: (low, high) } if high > rate_hz / 2.0 => Err(format!(
+        match self.domain.band_hz() {
+            Some((low, high)) if high > rate_hz / 2.0 => Err(format!(
                 "source `{}` has {rate_hz} Hz, but band_hz = [{low}, {high}] reaches above half of \
                  that; lower its upper end to {} in library.toml, or record with {} Hz or more",
                 self.id,

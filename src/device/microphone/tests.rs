@@ -219,7 +219,7 @@ fn silence_and_clipping_are_reported_once_a_change_and_within_a_second() {
     };
     let running = start(script, None);
     let second = |step: u64| Duration::from_millis(10 * step + 1000);
-    running.says(&["opening", "streaming", "is silent"]);
+    running.says(&["opening", "streaming", "pure silence"]);
     assert!(running.begin.elapsed() < second(60) + Duration::from_millis(100));
     running.says(&["level is normal again", "is clipped"]);
     assert!(running.begin.elapsed() < second(400) + Duration::from_millis(100));

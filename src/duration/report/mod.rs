@@ -160,7 +160,7 @@ pub fn report(
 fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, ReportError> {
     let is_pooled = matches!(question.estimator, Estimator::Pooled(_));
     let takes = |spec: &SourceSpec| match spec.domain {
-        Domain::Time => true,
+        Domain::Time { .. } => true,
         Domain::Spectrum { .. } => is_pooled || question.as_time,
         // Images of a trial are no series, whatever they are taken as.
         Domain::Image => false,

@@ -122,7 +122,7 @@ fn subsets(scene: &Scene) -> Vec<Scene> {
     let mut subsets: Vec<Scene> = scene.sources().filter_map(single).collect();
     let domains: [fn(&Domain) -> bool; 3] = [
         |domain| matches!(domain, Domain::Spectrum { .. }),
-        |domain| matches!(domain, Domain::Time),
+        |domain| matches!(domain, Domain::Time { .. }),
         |domain| matches!(domain, Domain::Image),
     ];
     let several = domains.into_iter().filter_map(|is| of_domain(scene, is));

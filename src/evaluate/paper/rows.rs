@@ -296,7 +296,9 @@ impl SampledSource {
             spec.align_mean = self.align;
             spec.weight = 1.0;
             match self.view {
-                SampleView::Time | SampleView::TimeOfSerial => spec.domain = Domain::Time,
+                SampleView::Time | SampleView::TimeOfSerial => {
+                    spec.domain = Domain::Time { band_hz: None }
+                }
                 SampleView::Spectrum if matches!(spec.domain, Domain::Spectrum { .. }) => {}
                 SampleView::Spectrum => spec.domain = Domain::Spectrum { band_hz: BAND_HZ },
                 SampleView::Pixels(colour) => spec.colour = colour,

@@ -153,7 +153,7 @@ impl Moments {
             (Of::Root, root),
             (Of::Crossings, crossings),
         ] {
-            self.sums[place(of, channel)] = (scale * value) as f32;
+            self.sums[place(of, channel)] = held(scale * value);
         }
     }
 
@@ -279,10 +279,13 @@ impl GrowingMoments {
         if !self.pending.is_empty() {
             sums.add(&block_sums(&self.pending, &self.before, &reference, channels));
         }
-        // Powers of samples far beyond full scale must not become infinite.
-        let held = |x: &f64| x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32;
-        Moments { sums: sums.values.iter().map(held).collect(), reference }
+        Moments { sums: sums.values.iter().copied().map(held).collect(), reference }
     }
+}
+
+/// Powers of samples far beyond full scale must not become infinite.
+fn held(x: f64) -> f32 {
+    x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32
 }
 
 /// The mean of each channel of interleaved samples.

@@ -122,6 +122,8 @@ impl SeriesEmbedder {
             }
             self.push_covariance(&stats, &mut vector);
         }
+        // Statistics of samples far beyond full scale may overflow; they say nothing.
+        vector.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         vector
     }
 

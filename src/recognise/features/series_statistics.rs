@@ -36,7 +36,7 @@ pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
     }
     let (frame_s, bands, band_hz) = match *domain {
         Domain::Spectrum { band_hz } => (VIEWS[0].0, VIEWS[0].1, band_hz),
-        Domain::Time | Domain::Image => (SLOW.0, SLOW.1, (0.0, SLOW.2)),
+        Domain::Time { .. } | Domain::Image => (SLOW.0, SLOW.1, (0.0, SLOW.2)),
     };
     let view = FrameView::new(series.rate_hz(), series.channels(), band_hz, frame_s, bands);
     features.extend(levels(&ViewFrames::new(view, series.samples())));
@@ -112,8 +112,9 @@ mod tests {
 
     #[test]
     fn hostile_series_have_finite_features_of_one_length() {
-        let time =
-            |samples: Vec<f32>| features(&Series::new(100.0, 1, samples).unwrap(), &Domain::Time);
+        let time = |samples: Vec<f32>| {
+            features(&Series::new(100.0, 1, samples).unwrap(), &Domain::Time { band_hz: None })
+        };
         let usual = time((0..500).map(|i| (i as f32).sin()).collect());
         for samples in [vec![0.0; 500], vec![1.0], vec![1e30; 7], vec![-1e-30; 500]] {
             let features = time(samples);

@@ -31,7 +31,7 @@ impl DomainSamples {
                 let series = series.crop(0, frames);
                 match spec.domain {
                     Domain::Spectrum { band_hz } => spectrum_rows(&series, band_hz),
-                    Domain::Time | Domain::Image => {
+                    Domain::Time { .. } | Domain::Image => {
                         let rows = series.view().to_owned();
                         Self::Rows { extent: DomainExtent::Time(rows.nrows()), rows }
                     }

@@ -163,7 +163,7 @@ fn drag(spec: &SourceSpec) -> bool {
 
 /// A series in time, whose samples T* is about.
 fn slow(spec: &SourceSpec) -> bool {
-    spec.domain == Domain::Time && spec.sigma.is_none()
+    matches!(spec.domain, Domain::Time { .. }) && spec.sigma.is_none()
 }
 
 fn many_channels(spec: &SourceSpec) -> bool {
