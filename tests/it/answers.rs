@@ -156,7 +156,7 @@ fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
     halfway.signals.remove(&id("ca1"));
     let halfway_said = said(&mut *follower, &scene, &halfway, 0.1);
     assert_eq!(halfway_said.last().unwrap().named, expected.last().unwrap().named);
-    assert_ne!(halfway_said[2], expected[2]);
+    assert!((2..8).any(|look| halfway_said[look] != expected[look]));
 }
 
 #[test]

@@ -120,7 +120,7 @@ fn a_wrong_number_of_channels() {
 }
 
 #[test]
-fn two_rates_in_one_source_are_said_and_refused_where_the_band_is_not_there() {
+fn two_rates_in_one_source_are_said_and_refused_where_a_declared_band_is_not_there() {
     let (_dir, path) = temp();
     write_wav(&path.join("Ash/1/mi2.wav"), 44_100, 1, &[1, 2]);
     write_wav(&path.join("Oak/1/mi2.wav"), 48_000, 1, &[1, 2]);
@@ -134,6 +134,15 @@ fn two_rates_in_one_source_are_said_and_refused_where_the_band_is_not_there() {
         ],
     );
     write_wav(&path.join("Yew/1/mi2.wav"), 8_000, 1, &[1, 2]);
+    let library = open(&path).unwrap();
+    says(
+        &library.remarks.join("\n"),
+        &["source `mi2`: compared up to 4000 Hz, half of its lowest rate"],
+    );
+    let band_hz = library.scene.get("mi2").unwrap().domain.band_hz();
+    assert_eq!(band_hz, Some((0.0, 4000.0)));
+    let declared = "format = 1\n[sources.mi2]\nband_hz = [0, 7500]\n";
+    write_file(&path.join("library.toml"), declared);
     says(&refusal(&path), &["Yew/1/mi2.wav", "reaches above half of that"]);
 }
 

@@ -6,6 +6,7 @@ use surfaced::library::{About, recording};
 use surfaced::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
+use unicode_normalization::UnicodeNormalization;
 
 fn quick() -> TrialOptions {
     TrialOptions { durable: false, ..TrialOptions::default() }
@@ -58,6 +59,8 @@ proptest! {
         let scene = Scene::from_toml("format = 1\n[sources.q]\ndomain = \"time\"\nchannels = 2").unwrap();
         let even = samples.len() / 2 * 2;
         let signal = Series::new(f64::from(rate), 2, samples[..even].to_vec()).unwrap();
+        // Labels are read in normal form C.
+        let surface: String = surface.nfc().collect();
         let key = TrialKey::new(surface, user, number);
         let trial = Trial { key, signals: [(id("q"), Signal::Series(signal))].into() };
         write_trial(&path, &trial, &scene, &quick()).unwrap();

@@ -9,15 +9,15 @@
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
-//! trial out; whole scans last 4.80 s and are all named right. `surfaced eval
+//! trial out; whole scans last 4.80 s, and 99.5 % are named right. `surfaced eval
 //! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
 //! --settle` prints
 //!
 //! | stated loss | named right when settled (95 % interval) | lost | scan time, mean | median |
 //! |---|---|---|---|---|
-//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 1.06 s | 0.70 s |
+//! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.86 s | 0.70 s |
 //!
-//! Following a scan, ten looks a second, takes 0.1 % of one core (processor time over scan time).
+//! Following a scan, ten looks a second, takes 0.2 % of one core (processor time over scan time).
 
 use super::interval::jeffreys_quantile;
 
