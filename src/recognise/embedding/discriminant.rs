@@ -402,6 +402,14 @@ mod tests {
         (vectors, labels)
     }
 
+    /// The same, but every third round is of copies, whose means are their own.
+    fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
+        let (rows, labels) = data();
+        let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };
+        let labels = labels.iter().enumerate().map(label).collect();
+        (rows, labels)
+    }
+
     fn vectors<'a>(rows: &'a Array2<f32>, labels: &'a [usize], classes: usize) -> Vectors<'a> {
         Vectors { rows, labels, groups: &[], classes, group_count: 0 }
     }
@@ -460,13 +468,7 @@ mod tests {
 
     #[test]
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
-        let (rows, labels) = data();
-        // Every third round is of copies, whose means are their own.
-        let labels: Vec<usize> = labels
-            .iter()
-            .enumerate()
-            .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
-            .collect();
+        let (rows, labels) = data_with_copies();
         let all: Vec<usize> = (0..90).collect();
         let ours = trained(&rows, &labels, 3).unwrap().distances(rows.row(5));
         let full = by_definition((&rows, &labels), &all, 3, rows.row(5));
@@ -476,12 +478,7 @@ mod tests {
 
     #[test]
     fn leaving_a_group_out_is_training_without_it() {
-        let (rows, labels) = data();
-        let labels: Vec<usize> = labels
-            .iter()
-            .enumerate()
-            .map(|(i, c)| if i / 3 % 3 == 2 { c + 3 } else { *c })
-            .collect();
+        let (rows, labels) = data_with_copies();
         let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
         let of = Vectors { groups: &groups, group_count: 5, ..vectors(&rows, &labels, 3) };
         let (all, without) = Discriminant::train(&of, 8, SHRINKAGE);

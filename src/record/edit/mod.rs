@@ -241,7 +241,8 @@ impl Editor {
         self.take(format!("restore {}", names.join(", ")), plan.moves)
     }
 
-    /// Brings a removed trial back under another name, as a step; `None` if it cannot be read.
+    /// Brings a removed trial back under another name, as a step; `None` if it is not there. One that
+    /// shares its number with another removed trial is not listed, and comes back all the same.
     fn bring_back(
         &mut self,
         gone: &str,
@@ -252,10 +253,15 @@ impl Editor {
         let (entries, removed) =
             (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
         let entry = removed.iter().find(|entry| entry.folder() == Some(&*folder));
-        let Some(was) = entry.map(|entry| &entry.key) else { return Ok(None) };
+        let surface = gone.split('/').next().unwrap_or_default();
+        let was = match entry {
+            Some(entry) => entry.key.clone(),
+            None if folder.is_dir() => TrialKey { surface: surface.into(), ..key.clone() },
+            None => return Ok(None),
+        };
         let leaving = HashSet::from([folder.clone()]);
         let mut plan = Plan::new(&self.root, [&entries, &removed], &leaving);
-        plan.rename(&folder, was, &TrialKey { number: was.number, ..key.clone() });
+        plan.rename(&folder, &was, &TrialKey { number: was.number, ..key.clone() });
         let step = self.take(what, plan.moves)?;
         Ok(step.moves.first().map(|one| one.to.clone()))
     }
