@@ -18,7 +18,7 @@ pub const EXCERPTS: usize = 3;
 pub const COPIES: usize = EXCERPTS + 1;
 
 /// Length of an excerpt as a share of its trial.
-const SHARE: f64 = 0.4;
+pub const SHARE: f64 = 0.4;
 
 /// Standard deviation of the ln of a copy's gain: a hand's force, 2 dB.
 const LN_GAIN: f64 = 0.25;

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::calibrated_probability::{HeldOut, Temperature};
-use super::copies::EXCERPTS;
+use super::copies::{EXCERPTS, SHARE};
 use super::discriminant::Discriminant;
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
@@ -22,9 +22,6 @@ use crate::recognise::follow::{FollowOptions, LOOK_S};
 
 /// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
-
-/// Length of an excerpt as a share of its trial.
-const EXCERPT: f64 = 0.4;
 
 /// Trials whose beginnings are looked at, at most: as many more would change no digit that is
 /// stated.
@@ -82,7 +79,7 @@ impl Trained {
             let without = self.without[group].as_ref()?;
             Some((group, nonconformity(&without.distances(vector))))
         };
-        let excerpt_s = EXCERPT * drag_s;
+        let excerpt_s = SHARE * drag_s;
         let longest_s = if labels.across_users { f64::INFINITY } else { excerpt_s - 1e-9 };
         let shorter = begun.iter().filter(|(scan_s, _)| *scan_s < longest_s);
         let mut by_length: Vec<Calibration> = shorter
