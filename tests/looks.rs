@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use common::id;
 use surfaced::dataset::synth;
 use surfaced::recognise::{
-    Follow, FollowOptions, FreshFrames, LOOK_S, MethodName, MethodSpec, ready_model,
+    FollowOptions, Follower, FreshFrames, LOOK_S, MethodName, MethodSpec, ready_model,
 };
 use surfaced::scene::Phase;
 use surfaced::trial::{Signal, Trial};
@@ -41,7 +41,7 @@ unsafe impl GlobalAlloc for Counting {
 static COUNTING: Counting = Counting;
 
 /// Passes on the next step of a scan that repeats a trial's drag without end, and looks.
-fn step(follower: &mut dyn Follow, trial: &Trial, dragged: impl Fn(&str) -> bool, step: usize) {
+fn step(follower: &mut Follower, trial: &Trial, dragged: impl Fn(&str) -> bool, step: usize) {
     for (source, signal) in &trial.signals {
         let Signal::Series(series) = signal else { continue };
         let (rate_hz, channels) = (series.rate_hz(), series.channels());
@@ -68,7 +68,7 @@ fn a_look_costs_the_same_at_the_hundredth_second_of_a_scan_as_at_its_tenth() {
     let all = (0..entries.len()).collect();
     let model = ready_model(&*method, &entries, &all, None, &|_, _| ()).unwrap().model;
     let scan = entries[0].load().unwrap();
-    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let mut follower = model.embedding().unwrap().follow(&FollowOptions::default());
     let dragged = |source: &str| scene.get(source).unwrap().phase == Phase::Drag;
 
     // Of a second of looks each: what they allocate, and what is held after them.
@@ -76,7 +76,7 @@ fn a_look_costs_the_same_at_the_hundredth_second_of_a_scan_as_at_its_tenth() {
     follower.begin();
     for second in 0..100 {
         let before = ALLOCATED.load(Ordering::Relaxed);
-        (1..=10).for_each(|n| step(&mut *follower, &scan, dragged, 10 * second + n));
+        (1..=10).for_each(|n| step(&mut follower, &scan, dragged, 10 * second + n));
         costs.push((ALLOCATED.load(Ordering::Relaxed) - before, HELD.load(Ordering::Relaxed)));
     }
     let (tenth, hundredth) = (costs[9], costs[99]);

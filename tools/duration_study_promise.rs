@@ -72,11 +72,12 @@ fn check(
     goals: &[Goal],
 ) -> Result<Vec<Option<Checked>>, Failure> {
     let model = run.fit(from)?;
-    let by_time = model.left_out_accuracy().ok_or("the method cannot follow scans")?;
+    let by_time =
+        model.clone().embedding().ok_or("the method cannot follow scans")?.left_out_accuracy();
     let named = |seconds: Option<f64>| -> Result<(usize, usize), Failure> {
         let mut right = 0;
         for &i in to {
-            let query = run.query(&*model, i, seconds)?;
+            let query = run.query(&model, i, seconds)?;
             // A scan too short to be named is not named right.
             let surface = model.rank(&query.prepared).ok().map(|r| r.surface().to_string());
             right += usize::from(surface.as_deref() == Some(&*run.on().trials.key(i).surface));

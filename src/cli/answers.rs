@@ -41,10 +41,9 @@ impl AnswerArgs {
             }
         }
         let found = by.calibrate(self.settle_loss);
-        let (settling, scan_times): (Vec<Settling>, Vec<Option<ScanTime>>) =
-            found.into_iter().unzip();
+        let (settling, scan_times): (Vec<Settling>, Vec<ScanTime>) = found.into_iter().unzip();
         remarks.extend(on_settling(&settling));
-        remarks.extend(on_scan_time(scan_times.iter().flatten()));
+        remarks.extend(on_scan_time(scan_times.iter()));
         by.add_remarks(&remarks);
         Ok(Applied { follows: !settling.is_empty(), remarks })
     }
@@ -62,11 +61,12 @@ fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
     Some(format!(
         "unknown surfaces are detected; at most {} of scans of known surfaces are called unknown by \
-         mistake (95 % interval {} to {}, from {} left-out trials)",
+         mistake (95 % interval {} to {}, from {} left-out trials{})",
         show::percent(least.rate),
         show::percent(least.rate_low),
         show::percent(least.rate_high),
-        least.trials
+        least.trials,
+        if least.across_people { "" } else { "; for this person" },
     ))
 }
 

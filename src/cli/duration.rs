@@ -257,7 +257,7 @@ impl Args {
         let all = (0..entries.len()).collect();
         let step = |done, of| steps.show("preparing the library", done, of);
         let ready = ready_model(&*method, &entries, &all, Some(&self.lib), &step)?;
-        Ok(ready.model.left_out_accuracy().unwrap_or_default())
+        Ok(ready.model.embedding().map(|model| model.left_out_accuracy()).unwrap_or_default())
     }
 
     fn failure(&self, error: ReportError) -> Failure {

@@ -190,7 +190,7 @@ impl<'a> Run<'a, '_> {
     /// If it cannot be read or compared.
     pub fn query(
         &self,
-        model: &dyn Model,
+        model: &Arc<dyn Model>,
         index: usize,
         seconds: Option<f64>,
     ) -> Result<Query, RecogniseError> {
@@ -213,7 +213,7 @@ impl<'a> Run<'a, '_> {
     /// If it cannot be compared.
     pub(crate) fn query_of(
         &self,
-        model: &dyn Model,
+        model: &Arc<dyn Model>,
         trial: Trial,
         seconds: Option<f64>,
     ) -> Result<Query, RecogniseError> {
@@ -225,7 +225,10 @@ impl<'a> Run<'a, '_> {
         let (trial, left_out) = if self.on.keep_dead_sources {
             (trial, Vec::new())
         } else {
-            without_flawed(trial, scene, |id, channel| model.moves(id, channel))
+            let embedding = model.clone().embedding();
+            without_flawed(trial, scene, |id, channel| {
+                embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
+            })
         };
         let trial = Arc::new(trial);
         let entry = Entry::in_memory(Arc::clone(&trial));
@@ -277,7 +280,7 @@ impl<'a> Run<'a, '_> {
             for (&seconds, (predictions, left_out)) in lengths.iter().zip(&mut all) {
                 for &query in &fold.queries {
                     let key = self.on.trials.key(query);
-                    let (prediction, remarks) = self.name(&*model, (at, query), seconds)?;
+                    let (prediction, remarks) = self.name(&model, (at, query), seconds)?;
                     predictions.push(prediction);
                     for remark in remarks {
                         left_out.entry(remark).or_default().insert(key.clone());
@@ -296,7 +299,7 @@ impl<'a> Run<'a, '_> {
 
     fn name(
         &self,
-        model: &dyn Model,
+        model: &Arc<dyn Model>,
         (fold, index): (usize, usize),
         seconds: Option<f64>,
     ) -> Result<(Prediction, Vec<String>), RecogniseError> {

@@ -5,7 +5,7 @@ use rustix::time::{ClockId, clock_gettime};
 use super::evaluation::Run;
 use super::{EvaluateError, Share};
 use crate::recognise::{
-    Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
+    FollowOptions, Follower, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Series, Signal, Trial};
@@ -61,18 +61,18 @@ impl SettledOutcome {
         let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
         for fold in folds {
             let model = run.fit(&fold.library)?;
-            let mut follower = (model.clone())
-                .follow(&FollowOptions { loss, rejection: None })
+            let embedding = (model.clone().embedding())
                 .ok_or(EvaluateError::Follow { method: run.method().name() })?;
+            let mut follower = embedding.follow(&FollowOptions { loss, rejection: None });
             rules.push(follower.settling().clone());
             for &query in &fold.queries {
                 let trial = run.recording(query)?;
                 let truth = run.on().trials.key(query).surface.clone();
                 let scan_s = trial.longest_s(|id| scene.is_dragged(id)).unwrap_or(0.0);
                 let start_s = processor_s();
-                let settled = follow(follower.as_mut(), &trial, scene, scan_s)?;
+                let settled = follow(&mut follower, &trial, scene, scan_s)?;
                 busy_s += processor_s() - start_s;
-                let whole = model.rank(&run.query_of(&*model, trial, None)?.prepared)?;
+                let whole = model.rank(&run.query_of(&model, trial, None)?.prepared)?;
                 all.push(StoppedQuery {
                     truth,
                     whole: whole.surface().into(),
@@ -119,7 +119,7 @@ fn sum_up(all: &[StoppedQuery], rules: Vec<Settling>, busy_s: f64, loss: f64) ->
 /// # Errors
 /// If it cannot be compared.
 pub fn follow(
-    follower: &mut dyn Follow,
+    follower: &mut Follower,
     trial: &Trial,
     scene: &Scene,
     scan_s: f64,
@@ -127,7 +127,7 @@ pub fn follow(
     follower.begin();
     for (id, signal) in &trial.signals {
         match signal {
-            Signal::Image(picture) => follower.add_picture(id, picture)?,
+            Signal::Image(picture) => follower.add_picture(id, picture),
             Signal::Series(series) if !scene.is_dragged(id) => {
                 add(follower, id, series, 0, series.frames())?;
             }
@@ -152,7 +152,7 @@ pub fn follow(
 }
 
 fn add(
-    follower: &mut dyn Follow,
+    follower: &mut Follower,
     source: &SourceId,
     series: &Series,
     from: usize,

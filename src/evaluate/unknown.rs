@@ -7,7 +7,7 @@ use serde::Serializer;
 
 use super::evaluation::Run;
 use super::{EvaluateError, Share};
-use crate::recognise::{RecogniseError, Rejection};
+use crate::recognise::{RecogniseError, Rejection, RejectionError};
 
 /// Queries of surfaces that were left out of the library, and of those that were not. Shares are
 /// fractions from 0 to 1, with 95 % Wilson intervals.
@@ -65,11 +65,12 @@ impl UnknownOutcome {
             let (mut of_fold, mut in_fold) = (Share::default(), None);
             for left_out in 0..groups {
                 let model = run.fit(fold.library.iter().filter(|&&i| group(i) != left_out))?;
-                let rejection = model.rejection(rate)?;
+                let embedding = model.clone().embedding().ok_or(RejectionError::NoPValue)?;
+                let rejection = embedding.rejection(rate)?;
                 if queries.is_empty() {
                     // The libraries have one shape, so what one model prepares serves all.
                     let query = |&i: &usize| {
-                        Ok((i, run.query(&*model, i, run.on().query_seconds)?.prepared))
+                        Ok((i, run.query(&model, i, run.on().query_seconds)?.prepared))
                     };
                     queries =
                         fold.queries.iter().map(query).collect::<Result<_, RecogniseError>>()?;

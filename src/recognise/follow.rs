@@ -5,11 +5,7 @@
 //! played changes what is said.
 
 use super::decide::conformal::Rejection;
-use super::decide::settle::Settling;
-use super::error::RecogniseError;
-use super::rank::Ranking;
 use crate::scene::SourceId;
-use crate::trial::{Flaw, Image, Trial};
 
 /// Scan time between two looks, in seconds.
 pub const LOOK_S: f64 = 0.1;
@@ -54,44 +50,4 @@ pub struct GuessSoFar {
     pub p_value: Option<f64>,
     /// Since when the answer is settled, if it is: the surface, and the scan time of that look.
     pub settled: Option<(String, f64)>,
-}
-
-/// Follows one scan after the other.
-pub trait Follow: Send {
-    /// Forgets the scan so far: another one begins.
-    fn begin(&mut self);
-
-    /// Takes the next frames of a source. Sources that the scene does not know are passed over,
-    /// and so are those with samples that are not numbers, until the next scan begins.
-    ///
-    /// # Errors
-    /// If the frames do not fit the scene or those before them.
-    fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError>;
-
-    /// Takes a picture.
-    ///
-    /// # Errors
-    /// If the source is not of pictures.
-    fn add_picture(&mut self, source: &SourceId, picture: &Image) -> Result<(), RecogniseError>;
-
-    /// Looks at the scan at each whole step of [`LOOK_S`] up to `scan_s` seconds of drag that was
-    /// not yet looked at, as far as the frames of that time have come. Gives the last of these
-    /// looks, or nothing where none was due or nothing can be said yet.
-    ///
-    /// # Errors
-    /// If what came cannot be compared with the library.
-    fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError>;
-
-    /// The ranking of a scan that has ended and is `trial`, as [`super::Model::rank`] would give it
-    /// without its flawed sources ([`super::without_flawed`]): only what was not followed yet is
-    /// worked on. `None` where what was followed is not a beginning of the trial, or the trial
-    /// cannot be named.
-    fn finish(&mut self, trial: &Trial) -> Option<Ranking>;
-
-    /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
-    /// it is finished. `None` where the source was not followed.
-    fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>>;
-
-    /// When answers count as settled, and how that was found.
-    fn settling(&self) -> &Settling;
 }

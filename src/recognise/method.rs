@@ -2,10 +2,8 @@
 
 use std::sync::Arc;
 
-use super::decide::conformal::{Rejection, RejectionError};
-use super::decide::scan_time::LeftOutAccuracy;
+use super::embedding::EmbeddingModel;
 use super::error::RecogniseError;
-use super::follow::{Follow, FollowOptions};
 use super::prepared::Prepared;
 use super::rank::Ranking;
 use super::shape::LibraryShape;
@@ -51,7 +49,7 @@ pub trait Method: Send + Sync {
         None
     }
 
-    /// The model that [`Model::store`] gave these bytes for; `None` if there is none.
+    /// The model that [`EmbeddingModel::store`] gave these bytes for; `None` if there is none.
     fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
         None
     }
@@ -73,12 +71,6 @@ pub trait Model: Send + Sync {
     /// prepared by another kind of method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
-    /// there may rest in a query, too: its sensor is not dead.
-    fn moves(&self, _source: &SourceId, _channel: usize) -> bool {
-        true
-    }
-
     /// What each source says alone; `None` by a method that cannot take them apart.
     ///
     /// # Errors
@@ -87,55 +79,10 @@ pub trait Model: Send + Sync {
         Ok(None)
     }
 
-    /// A query that can be named again and again, each time by some of its sources; `None` by a
-    /// method to which that costs as much as a query of those sources.
-    ///
-    /// # Errors
-    /// As [`Model::rank`].
-    fn by_sources(
-        self: Arc<Self>,
-        _query: &Prepared,
-    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
-        Ok(None)
-    }
-
-    /// Follows scans while they go on; `None` by a method that cannot. The first time, the stop
-    /// rule is calibrated, which takes a while.
-    fn follow(self: Arc<Self>, _options: &FollowOptions) -> Option<Box<dyn Follow>> {
+    /// The model as one of `embedding`, which can do more; `None` by any other method.
+    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
         None
     }
-
-    /// How many left-out library trials are named right by when; `None` by a method that cannot
-    /// follow scans. The first time takes a while, unless scans were followed before.
-    fn left_out_accuracy(&self) -> Option<LeftOutAccuracy> {
-        None
-    }
-
-    /// The p-value at or below which a query is called unknown, for a stated rate of false
-    /// rejections; without one, for the usual rate: 1 %, or what the library's trials can show.
-    ///
-    /// # Errors
-    /// If the method gives no p-value, or the library has too few trials.
-    fn rejection(&self, _rate: Option<f64>) -> Result<Rejection, RejectionError> {
-        Err(RejectionError::NoPValue)
-    }
-
-    /// For people: what the library was too small for, a line each.
-    fn remarks(&self) -> &[String] {
-        &[]
-    }
-
-    /// The model as bytes, for [`Method::restore`]; `None` if it is not kept.
-    fn store(&self) -> Option<Vec<u8>> {
-        None
-    }
-}
-
-/// A query, ready to be named by any of its sources.
-pub trait BySources: Send + Sync {
-    /// The surface that is most alike by `sources`, as a query of these alone would be named;
-    /// `None` if the query and the library have none of them in common.
-    fn surface(&self, sources: &[&SourceId]) -> Option<&str>;
 }
 
 /// How unlike a query each surface is, source by source.

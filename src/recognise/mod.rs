@@ -32,10 +32,10 @@ pub use decide::conformal::{Conformity, Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingOptions};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Follower, QueryVector};
 pub use error::RecogniseError;
-pub use follow::{Follow, FollowOptions, FreshFrames, GuessSoFar};
-pub use method::{BySources, Evidence, Method, Model, SourceEvidence};
+pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
+pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;
 pub use prepared_library::{PreparedLibrary, prepare_library};
 pub use rank::{Candidate, RankedSurface, Ranking};
@@ -47,7 +47,7 @@ pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
 #[doc(hidden)] // For the project's own tests and tools.
 pub use decide::dead_sensor::without_flawed;
 #[doc(hidden)]
-pub use embedding::{EmbeddingModel, TrialFrames};
+pub use embedding::TrialFrames;
 #[doc(hidden)]
 pub use features::hsv;
 #[doc(hidden)]

@@ -54,7 +54,7 @@ pub fn ready_model(
     let mut remarks = prepared.remarks;
     // One of trials that have changed meanwhile is used, and not kept.
     if let Some(kept) = kept.filter(|kept| stamp(&of_model) == Some(kept.stamp))
-        && let Some(bytes) = model.store()
+        && let Some(bytes) = model.clone().embedding().and_then(|model| model.store())
     {
         let why = kept.replace(bytes.into());
         // Where trials could not be kept either, that has been said.

@@ -97,7 +97,7 @@ mod tests {
             confidence: Some(0.9),
             p_value,
         };
-        let rejection = threshold.then(|| Rejection::usual(99).unwrap());
+        let rejection = threshold.then(|| Rejection::usual(99, true).unwrap());
         let (left_out, lacking, remarks) = (Vec::new(), Vec::new(), Vec::new());
         Verdict { ranking, rejection, left_out, lacking, needed_s: Some(0.9), remarks }
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::event::{Guess, SurfaceProbability};
 use super::recogniser::{Ranked, Recogniser};
 use super::trial_need::{Purpose, TrialNeed};
-use crate::recognise::{Follow, FreshFrames, GuessSoFar, RecogniseError};
+use crate::recognise::{Follower, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
 
@@ -15,7 +15,7 @@ use crate::scene::SourceId;
 pub(super) struct Followed {
     scan: u32,
     /// The follower, with its recogniser.
-    follower: Option<(Arc<Recogniser>, Box<dyn Follow>)>,
+    follower: Option<(Arc<Recogniser>, Follower)>,
     last: Option<GuessSoFar>,
     trial: TrialNeed,
 }
@@ -39,7 +39,7 @@ impl Followed {
         }
         if let Some((_, follower)) = &mut self.follower {
             // A scan that cannot be compared is followed no longer; its answer will say why.
-            match caught(|| look(&mut **follower, progress)) {
+            match caught(|| look(follower, progress)) {
                 Some(Ok(guess)) => self.last = guess.or(self.last.take()),
                 Some(Err(_)) | None => self.follower = None,
             }
@@ -86,7 +86,7 @@ pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
 }
 
 fn look(
-    follower: &mut dyn Follow,
+    follower: &mut Follower,
     progress: &Progress,
 ) -> Result<Option<GuessSoFar>, RecogniseError> {
     for Fresh { source, rate_hz, channels, samples, .. } in &progress.fresh {
@@ -94,7 +94,7 @@ fn look(
         follower.add(FreshFrames { source, rate_hz, channels, samples })?;
     }
     for (source, picture) in &progress.images {
-        follower.add_picture(source, picture)?;
+        follower.add_picture(source, picture);
     }
     follower.look(progress.scan_s)
 }

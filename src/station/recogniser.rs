@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    Follow, FollowOptions, Goal, LOOK_S, Model, Prepared, Ranking, RecogniseError, Rejection,
+    FollowOptions, Follower, Goal, LOOK_S, Model, Prepared, Ranking, RecogniseError, Rejection,
     RejectionError, ScanTime, Settling, without_flawed,
 };
 use crate::scan::Scan;
@@ -109,7 +109,10 @@ impl Recogniser {
     /// If the method gives no p-value, or a library has too few trials; no scan is called
     /// unknown then.
     pub fn reject_unknown(&mut self, rate: Option<f64>) -> Result<Vec<Rejection>, RejectionError> {
-        let rejections = self.models.iter().map(|model| model.rejection(rate));
+        let rejection = |model: &Arc<dyn Model>| {
+            model.clone().embedding().ok_or(RejectionError::NoPValue)?.rejection(rate)
+        };
+        let rejections = self.models.iter().map(rejection);
         let rejections: Vec<Rejection> = rejections.collect::<Result<_, _>>()?;
         for (following, rejection) in self.following.iter_mut().zip(&rejections) {
             following.rejection = Some(rejection.clone());
@@ -120,16 +123,17 @@ impl Recogniser {
     /// Finds when answers are settled with each model and how long scans must last, for a stated
     /// loss of accuracy, so that no scan waits for it. Gives what was found; nothing, if the method
     /// cannot follow scans.
-    pub fn calibrate(&mut self, loss: f64) -> Vec<(Settling, Option<ScanTime>)> {
+    pub fn calibrate(&mut self, loss: f64) -> Vec<(Settling, ScanTime)> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
-        let with_options = self.models.iter().zip(&self.following);
-        let followers = with_options.map(|(model, options)| model.clone().follow(options));
-        let settling: Vec<Option<Settling>> =
-            followers.map(|follower| Some(follower?.settling().clone())).collect();
-        let by_time = self.models.iter().map(|model| model.left_out_accuracy());
-        self.scan_times = by_time.map(|found| Some(found?.scan_time(Goal::Loss(loss)))).collect();
-        let both = settling.into_iter().zip(&self.scan_times);
-        both.filter_map(|(settling, scan_time)| Some((settling?, scan_time.clone()))).collect()
+        let mut found = Vec::new();
+        for (at, model) in self.models.iter().enumerate() {
+            let Some(model) = model.clone().embedding() else { continue };
+            let scan_time = model.left_out_accuracy().scan_time(Goal::Loss(loss));
+            let settling = model.follow(&self.following[at]).settling().clone();
+            self.scan_times[at] = Some(scan_time.clone());
+            found.push((settling, scan_time));
+        }
+        found
     }
 
     /// Adds remarks on the basis of answers to those of the library.
@@ -187,7 +191,10 @@ impl Recogniser {
     /// a text for each of these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
-        let moves = |id: &SourceId, channel: usize| model.moves(id, channel);
+        let embedding = model.clone().embedding();
+        let moves = |id: &SourceId, channel: usize| {
+            embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
+        };
         let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
@@ -242,9 +249,9 @@ impl Recogniser {
     }
 
     /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].
-    pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Box<dyn Follow>> {
+    pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Follower> {
         let at = self.model(truth);
-        self.models[at].clone().follow(&self.following[at])
+        Some(self.models[at].clone().embedding()?.follow(&self.following[at]))
     }
 
     /// How long the drag of a scan should last, in seconds, where that is known; `truth` as in

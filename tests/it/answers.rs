@@ -11,11 +11,12 @@ use surfaced::dataset::synth;
 use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, Follow, FollowOptions, FreshFrames, GuessSoFar,
+    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, Follower, FreshFrames, GuessSoFar,
     LOOK_S, LibraryShape, Model, Ranking, Reference, ReferenceOptions, RejectionError, TrialFrames,
     without_flawed,
 };
 use surfaced::scene::{Phase, Scene};
+use surfaced::station::{LibraryState, Recogniser};
 use surfaced::trial::{Image, Signal, Trial, flaws};
 
 fn embedding(scene: &Scene) -> Embedding {
@@ -42,7 +43,7 @@ fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
 }
 
 /// What is said at the looks at a scan whose frames come in pieces of that many seconds.
-fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -> Vec<GuessSoFar> {
+fn said(follower: &mut Follower, scene: &Scene, trial: &Trial, piece_s: f64) -> Vec<GuessSoFar> {
     follower.begin();
     let mut said = Vec::new();
     let pieces = (1.73 / piece_s).ceil() as usize;
@@ -50,7 +51,7 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
         for (source, signal) in &trial.signals {
             let series = match signal {
                 Signal::Image(picture) if piece == 0 => {
-                    follower.add_picture(source, picture).unwrap();
+                    follower.add_picture(source, picture);
                     continue;
                 }
                 Signal::Image(_) => continue,
@@ -78,12 +79,12 @@ fn said(follower: &mut dyn Follow, scene: &Scene, trial: &Trial, piece_s: f64) -
 #[test]
 fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_scan_says() {
     let (scene, model, scan) = made();
-    let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
-    let fine = said(&mut *follower, &scene, &scan, 0.01);
+    let mut follower = model.clone().follow(&FollowOptions::default());
+    let fine = said(&mut follower, &scene, &scan, 0.01);
     assert_eq!(fine.len(), 17, "one look each {LOOK_S} s");
     let settled = fine.last().unwrap().settled.clone().expect("four easy surfaces");
     for piece_s in [0.1, 0.037, 0.45, 2.0] {
-        let coarse = said(&mut *follower, &scene, &scan, piece_s);
+        let coarse = said(&mut follower, &scene, &scan, piece_s);
         assert!(coarse.iter().all(|guess| fine.contains(guess)), "pieces of {piece_s} s");
         assert_eq!(coarse.last(), fine.last());
     }
@@ -103,21 +104,21 @@ fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_s
 #[test]
 fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
     let (scene, model, scan) = made();
-    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let mut follower = model.follow(&FollowOptions::default());
     let mut without = scan.clone();
     without.signals.remove(&id("fr"));
-    let expected = said(&mut *follower, &scene, &without, 0.1);
+    let expected = said(&mut follower, &scene, &without, 0.1);
     follower.begin();
     let broken = vec![f32::NAN; 2 * 17_300];
     let fresh = FreshFrames { source: &id("fr"), rate_hz: 1e4, channels: 2, samples: &broken };
     // The begin of `said` forgets this; it must not be remembered.
     follower.add(fresh).unwrap();
-    assert_eq!(said(&mut *follower, &scene, &without, 0.1), expected);
+    assert_eq!(said(&mut follower, &scene, &without, 0.1), expected);
     follower.begin();
     follower.add(fresh).unwrap();
     for (source, signal) in &without.signals {
         match signal {
-            Signal::Image(picture) => follower.add_picture(source, picture).unwrap(),
+            Signal::Image(picture) => follower.add_picture(source, picture),
             Signal::Series(series) => {
                 let (rate_hz, channels) = (series.rate_hz(), series.channels());
                 let samples = series.samples();
@@ -131,10 +132,10 @@ fn a_source_with_samples_that_are_no_numbers_is_passed_over() {
 #[test]
 fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
     let (scene, model, scan) = made();
-    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let mut follower = model.follow(&FollowOptions::default());
     let mut without = scan.clone();
     without.signals.retain(|source, _| *source != id("fr") && *source != id("ca1"));
-    let expected = said(&mut *follower, &scene, &without, 0.1);
+    let expected = said(&mut follower, &scene, &without, 0.1);
     let mut flawed = scan.clone();
     // One channel of two, and a covered lens.
     if let Some(Signal::Series(forces)) = flawed.signals.get_mut(&id("fr")) {
@@ -143,7 +144,7 @@ fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
     let black = vec![0; 3 * Image::ROWS * Image::COLS];
     let black = Image::new(Image::COLS, Image::ROWS, black).unwrap();
     flawed.signals.insert(id("ca1"), Signal::Image(black));
-    assert_eq!(said(&mut *follower, &scene, &flawed, 0.1), expected);
+    assert_eq!(said(&mut follower, &scene, &flawed, 0.1), expected);
     let (left, _) = without_flawed(flawed, &scene, |_, _| true);
     assert_eq!(left, without);
     // A source that stops halfway counts until it has rested for half of what came.
@@ -154,7 +155,7 @@ fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
         forces.view_mut().rows_mut().into_iter().skip(stop).for_each(|mut row| row.assign(&last));
     }
     halfway.signals.remove(&id("ca1"));
-    let halfway_said = said(&mut *follower, &scene, &halfway, 0.1);
+    let halfway_said = said(&mut follower, &scene, &halfway, 0.1);
     assert_eq!(halfway_said.last().unwrap().named, expected.last().unwrap().named);
     assert!((2..8).any(|look| halfway_said[look] != expected[look]));
 }
@@ -175,9 +176,9 @@ fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
         let expected = whole(trial);
         for followed_s in [0.0, 0.1, 1.04, 1.73] {
             let beginning = trial.clone().first_seconds(followed_s, |id| scene.is_dragged(id));
-            let mut follower = model.clone().follow(&FollowOptions::default()).unwrap();
+            let mut follower = model.clone().follow(&FollowOptions::default());
             if followed_s > 0.0 {
-                said(&mut *follower, &scene, &beginning, 0.1);
+                said(&mut follower, &scene, &beginning, 0.1);
             }
             let ranking = follower.finish(trial).unwrap();
             let surfaces =
@@ -204,14 +205,14 @@ fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
 #[test]
 fn a_scan_that_is_another_than_was_followed_is_not_finished() {
     let (scene, model, scan) = made();
-    let mut follower = model.follow(&FollowOptions::default()).unwrap();
+    let mut follower = model.follow(&FollowOptions::default());
     let shorter = scan.clone().first_seconds(0.5, |id| scene.is_dragged(id));
     let mut without = scan.clone();
     without.signals.remove(&id("mi1"));
     let mut unlike = scan.clone();
     unlike.signals.retain(|_, signal| matches!(signal, Signal::Image(_)));
     for other in [shorter, without, unlike] {
-        assert!(!said(&mut *follower, &scene, &scan, 0.1).is_empty());
+        assert!(!said(&mut follower, &scene, &scan, 0.1).is_empty());
         assert_eq!(follower.finish(&other), None);
     }
 }
@@ -253,8 +254,9 @@ fn a_method_or_a_library_that_gives_no_p_value_says_so() {
     let error = model.rejection(Some(0.01)).unwrap_err();
     assert_eq!(error, RejectionError::TooFew { rate: 0.01, needed: 99, trials: 16 });
     assert!(model.rejection(Some(0.1)).is_ok(), "16 trials are enough for 10 %");
-    let reference = Reference::new(scene, ReferenceOptions::default()).model(&[]).unwrap();
-    let error = reference.rejection(Some(0.01)).unwrap_err();
+    let reference = Reference::new(scene.clone(), ReferenceOptions::default()).model(&[]).unwrap();
+    let mut by = Recogniser::new(Arc::new(reference), scene, LibraryState::default());
+    let error = by.reject_unknown(Some(0.01)).unwrap_err();
     assert_eq!(error, RejectionError::NoPValue);
     assert!(error.to_string().contains("the method `embedding` can"), "{error}");
 }

@@ -16,7 +16,7 @@ use surfaced::library::{Entry, recording};
 use surfaced::outputs::{HttpOutput, MqttOutput};
 use surfaced::recognise::features::FeatureVector;
 use surfaced::recognise::{
-    Evidence, Follow, FollowOptions, Model, Prepared, RankedSurface, Ranking, RecogniseError,
+    EmbeddingModel, Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError,
 };
 use surfaced::record::edit::LibraryLock;
 use surfaced::ring::Sink;
@@ -198,7 +198,7 @@ impl Model for Slow {
     }
 
     // It calibrates itself when the first scan is followed.
-    fn follow(self: Arc<Self>, _: &FollowOptions) -> Option<Box<dyn Follow>> {
+    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
         self.reach("follow");
         None
     }

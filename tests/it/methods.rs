@@ -202,10 +202,9 @@ fn tiny_short_and_patchy_libraries_give_a_full_ranking() {
 }
 
 #[test]
-fn one_trial_a_surface_is_said_to_be_uncalibrated_and_states_no_probability() {
+fn one_trial_a_surface_states_no_probability() {
     let scene = Scene::lmt108().only(&[id("mi2"), id("ir")]).unwrap();
     let model = trained(&scene, &embedding(&scene), &made_library(1, 1.2));
-    assert!(model.remarks().iter().any(|r| r.contains("not calibrated")), "{:?}", model.remarks());
     let ranking = rank(&model, &made(3, 5, 1.2)).unwrap();
     assert_eq!((ranking.surface(), ranking.confidence), ("s3", None));
 }
@@ -259,7 +258,7 @@ fn constant_and_silent_sources_never_make_nan() {
 fn a_scan_in_pieces_is_the_scan_at_once() {
     let scene = Scene::lmt108();
     let model = Arc::new(trained(&scene, &embedding(&scene), &made_library(2, 1.2)));
-    let mut follower = Arc::clone(&model).follow(&FollowOptions::default()).unwrap();
+    let mut follower = Arc::clone(&model).follow(&FollowOptions::default());
     for seconds in [0.1, 0.4, 1.2] {
         let whole = made(1, 7, seconds);
         follower.begin();
@@ -267,7 +266,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
             let series = match signal {
                 Signal::Series(series) => series,
                 Signal::Image(image) => {
-                    follower.add_picture(name, image).unwrap();
+                    follower.add_picture(name, image);
                     continue;
                 }
             };

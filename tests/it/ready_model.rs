@@ -46,8 +46,9 @@ fn ready(folder: &Path, sources: Option<&[&str]>, seed: u64) -> ReadyModel {
 /// All that a model says of a scan, and of its library.
 fn said(ready: ReadyModel, scan: &Trial) -> String {
     let model = ready.model;
-    let mut said = format!("{:?} {:?}", model.remarks(), model.left_out_accuracy());
-    said += &format!("{:?}", model.rejection(Some(0.2)));
+    let embedding = model.clone().embedding().unwrap();
+    let rejection = embedding.rejection(Some(0.2));
+    let mut said = format!("{rejection:?} {:?}", embedding.left_out_accuracy());
     let entry = Entry::in_memory(scan.clone());
     let query = model.prepare(&entry, scan).unwrap();
     said += &format!("{:?} {:?}", model.rank(&query), model.explain(&query));
@@ -58,8 +59,8 @@ fn said(ready: ReadyModel, scan: &Trial) -> String {
     let query = model.prepare(&Entry::in_memory(fewer.clone()), &fewer).unwrap();
     said += &format!("{:?}", model.rank(&query));
     for loss in [0.01, 0.2] {
-        let options = FollowOptions { loss, rejection: model.rejection(Some(0.2)).ok() };
-        let mut follower = model.clone().follow(&options).unwrap();
+        let options = FollowOptions { loss, rejection: rejection.clone().ok() };
+        let mut follower = embedding.clone().follow(&options);
         said += &format!("{:?}", follower.settling());
         follower.begin();
         for (source, signal) in &scan.signals {

@@ -8,7 +8,7 @@ use super::report::{LogScores, nearest};
 use super::rows::{Row, SampledSource, rows};
 use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Protocol, folds};
 use crate::library::{Entry, Library};
-use crate::recognise::{Reference, ReferenceOptions};
+use crate::recognise::{Model, Reference, ReferenceOptions};
 use crate::trial::TrialKey;
 
 /// Names the queries of a shard in all settings of the paper.
@@ -223,11 +223,12 @@ fn score(
     let method = Reference::new(scene.clone(), options.clone());
     let run = Evaluation::new(&scene, &own, &folds).prepare(&method)?;
     for fold in &folds {
-        let model = method.model(&run.prepared(&fold.library))?;
+        let model = Arc::new(method.model(&run.prepared(&fold.library))?);
+        let any: Arc<dyn Model> = model.clone();
         let library: Arc<[usize]> = fold.library.clone().into();
         for &query in &fold.queries {
             // A scene of one source: a dead one is compared, since nothing else would be left.
-            let values = model.log_scores(&run.query(&model, query, None)?.prepared)?;
+            let values = model.log_scores(&run.query(&any, query, None)?.prepared)?;
             let values = values.into_iter().map(|score| score.unwrap_or(f64::NAN)).collect();
             scores.insert(query, LogScores { library: Arc::clone(&library), values });
         }

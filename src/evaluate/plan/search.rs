@@ -141,7 +141,7 @@ impl Trying<'_> {
         let all = (0..entries.len()).collect();
         let step = |done, of| progress("finding the scan time", done, of);
         let ready = ready_model(&*method, &entries, &all, None, &step).ok()?;
-        ready.model.left_out_accuracy()?.scan_time(Goal::Accuracy(target)).scan_s()
+        ready.model.embedding()?.left_out_accuracy().scan_time(Goal::Accuracy(target)).scan_s()
     }
 }
 

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run};
 use crate::library::Entry;
-use crate::recognise::{BySources, MethodName, MethodSpec, Model, RecogniseError};
+use crate::recognise::{MethodName, MethodSpec, Model, QueryVector, RecogniseError};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
@@ -50,7 +50,7 @@ impl StudiedSource {
 /// it.
 struct StudyQuery {
     truth: String,
-    by_sources: Option<Box<dyn BySources>>,
+    by_sources: Option<QueryVector>,
 }
 
 impl StudyQuery {
@@ -59,8 +59,10 @@ impl StudyQuery {
         model: &Arc<dyn Model>,
         trial: &Trial,
     ) -> Result<Self, RecogniseError> {
-        let query = run.query_of(&**model, trial.clone(), None)?;
-        let by_sources = match Arc::clone(model).by_sources(&query.prepared) {
+        let query = run.query_of(model, trial.clone(), None)?;
+        let embedding = model.clone().embedding();
+        let by_sources = match embedding.map(|model| model.by_sources(&query.prepared)).transpose()
+        {
             Err(RecogniseError::TooLittle) => None,
             other => other?,
         };
@@ -95,7 +97,7 @@ impl Study {
                 queries.push(StudyQuery::new(&run, &model, &trial)?);
                 if queries.len() <= TIMED {
                     for (source, latencies) in sources.iter().zip(&mut latencies) {
-                        latencies.extend(time_alone(&run, &*model, &trial, &source.id));
+                        latencies.extend(time_alone(&run, &model, &trial, &source.id));
                     }
                 }
                 progress("trying sources", queries.len(), total);
@@ -126,7 +128,12 @@ impl Study {
 }
 
 /// Milliseconds from the raw samples of one source to its answer.
-fn time_alone(run: &Run<'_, '_>, model: &dyn Model, trial: &Trial, id: &SourceId) -> Option<f64> {
+fn time_alone(
+    run: &Run<'_, '_>,
+    model: &Arc<dyn Model>,
+    trial: &Trial,
+    id: &SourceId,
+) -> Option<f64> {
     let signal = trial.signals.get(id)?.clone();
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
     let query = run.query_of(model, alone, None).ok()?;

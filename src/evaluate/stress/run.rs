@@ -206,7 +206,7 @@ impl Models {
     ) -> StressAnswer {
         let truth = &plan.entries[query].key.surface;
         // The two libraries have one shape.
-        let Ok(disturbed) = run.query_of(&*self.all, trial, None) else {
+        let Ok(disturbed) = run.query_of(&self.all, trial, None) else {
             return StressAnswer::default();
         };
         let named = |ranking: Ranking| NamedQuery {

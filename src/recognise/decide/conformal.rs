@@ -6,10 +6,11 @@
 //! p-value (`fit` in JSON) is the share of left-out trials that are at least as strange, itself
 //! counted among them (cross-conformal prediction, Vovk 2015, "Cross-conformal predictors", Annals of
 //! Mathematics and Artificial Intelligence 74): for a surface of the library, and a person like the
-//! library's, it is about as often below α as α says. A scan is compared with beginnings of trials
-//! that are no longer than it is. Where the library has one person only, another hand differs more
-//! than that person's trials do from each other; excerpts of 40 % stand for them there, and three
-//! excerpts of a trial count as one trial.
+//! library's, it is about as often below α as α says. A scan that has ended is compared with whole
+//! trials, unless it is shorter than they are; a shorter one, and a scan in progress, with beginnings
+//! of trials that are no longer than it is. Where the library has one person only, another hand
+//! differs more than that person's trials do from each other; excerpts of 40 % stand for them there,
+//! and three excerpts of a trial count as one trial.
 //!
 //! Only a method that can leave its library's trials out cheaply has such a measure: `embedding`.
 //! For `reference` it would take comparing every trial of the library with all others
@@ -147,6 +148,8 @@ pub struct Rejection {
     pub rate: f64,
     /// Left-out library trials that the threshold rests on.
     pub trials: usize,
+    /// Whether people were left out as a whole; otherwise the rate holds for the library's own.
+    pub across_people: bool,
     /// Lower end of the 95 % interval of the rate, given these trials.
     pub rate_low: f64,
     /// Upper end of that interval.
@@ -159,12 +162,12 @@ impl Rejection {
     ///
     /// # Errors
     /// With fewer than `FEWEST` trials: one scan in ten and more would be rejected wrongly.
-    pub(crate) fn usual(trials: usize) -> Result<Self, RejectionError> {
+    pub(crate) fn usual(trials: usize, across_people: bool) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;
             return Err(RejectionError::TooFew { rate, needed: FEWEST, trials });
         }
-        Self::new(trials, USUAL_RATE.max(1.0 / (trials + 1) as f64))
+        Self::new(trials, across_people, USUAL_RATE.max(1.0 / (trials + 1) as f64))
     }
 
     /// The threshold for a rate of `rate`, by `trials` left-out trials. Given the trials, the rate
@@ -174,7 +177,11 @@ impl Rejection {
     ///
     /// # Errors
     /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
-    pub(crate) fn new(trials: usize, rate: f64) -> Result<Self, RejectionError> {
+    pub(crate) fn new(
+        trials: usize,
+        across_people: bool,
+        rate: f64,
+    ) -> Result<Self, RejectionError> {
         if !(rate > 0.0 && rate < 1.0) {
             return Err(RejectionError::Rate(rate));
         }
@@ -186,7 +193,7 @@ impl Rejection {
         let end = |level| beta_quantile(k, (trials + 1) as f64 - k, level);
         let (rate_low, rate_high) =
             if k < 2.0 { (0.0, end(0.95)) } else { (end(0.025), end(0.975)) };
-        Ok(Self { rate, trials, rate_low, rate_high })
+        Ok(Self { rate, trials, across_people, rate_low, rate_high })
     }
 
     /// Whether a query of this p-value is no surface of the library.
@@ -206,33 +213,35 @@ mod tests {
 
     #[test]
     fn the_usual_rate_is_as_low_as_the_trials_can_show() {
-        assert!(Rejection::usual(8).is_err());
+        assert!(Rejection::usual(8, false).is_err());
         for (trials, rate) in [(9, 0.1), (24, 0.04), (99, 0.01), (1000, 0.01)] {
-            let usual = Rejection::usual(trials).unwrap();
+            let usual = Rejection::usual(trials, false).unwrap();
             assert!((usual.rate - rate).abs() < 1e-12, "{trials}");
             assert!(usual.rejects(1.0 / (trials + 1) as f64));
             assert!(usual.rate_low <= rate && rate < usual.rate_high);
         }
         // P(rate ≤ x) = 1 − (1 − x)^n for k = 1.
-        let interval = Rejection::usual(24).unwrap();
+        let interval = Rejection::usual(24, false).unwrap();
         assert!(interval.rate_low == 0.0 && (interval.rate_high - 0.117).abs() < 1e-3);
     }
 
     #[test]
     fn too_few_trials_are_refused_and_99_are_enough_for_one_percent() {
-        let error = Rejection::new(98, 0.01).unwrap_err().to_string();
+        let error = Rejection::new(98, false, 0.01).unwrap_err().to_string();
         assert!(error.contains("1 % false rejections takes 99 trials"), "{error}");
-        let enough = Rejection::new(99, 0.01).unwrap();
+        let enough = Rejection::new(99, false, 0.01).unwrap();
         assert!(enough.rejects(1.0 / 100.0) && !enough.rejects(2.0 / 100.0));
         assert!(enough.rate_low < 0.01 && 0.01 < enough.rate_high, "{enough:?}");
-        assert!(Rejection::new(99, 0.0).is_err() && Rejection::new(99, f64::NAN).is_err());
+        assert!(
+            Rejection::new(99, false, 0.0).is_err() && Rejection::new(99, false, f64::NAN).is_err()
+        );
     }
 
     #[test]
     fn of_exchangeable_queries_no_more_than_the_stated_share_is_rejected() {
         // A permutation of 0 … 999; each value in turn is the query, 199 others the library.
         let value = |i: usize| ((i * 617) % 1000) as f64;
-        let test = Rejection::new(199, 0.05).unwrap();
+        let test = Rejection::new(199, true, 0.05).unwrap();
         let rejected = (0..1000).filter(|&q| {
             let others = (1..=199).map(|j| value((q + 5 * j) % 1000)).collect();
             let conformity = Conformity::new(vec![calibration(4.8, others)]);

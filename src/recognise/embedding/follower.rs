@@ -11,7 +11,7 @@ use super::band_sums::BandSums;
 use super::frames::{PackedFrames, SourceViews};
 use super::joint::{JointEmbedder, Present, SourceEmbedder};
 use super::model::{EmbeddingModel, Posterior};
-use super::moments::{GrowingMoments, Moments};
+use super::moments::GrowingMoments;
 use super::series::{SeriesEmbedder, counted};
 use super::tiles::{Part, PictureTiles};
 use crate::recognise::decide::conformal::Rejection;
@@ -19,7 +19,7 @@ use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{Look, Settling, Watch};
 use crate::recognise::error::RecogniseError;
 use crate::recognise::features::windowed_frames::ViewFrames;
-use crate::recognise::follow::{Follow, FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
+use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::rank::Ranking;
 use crate::recognise::shape::LibraryShape;
 use crate::scene::{Phase, SourceId};
@@ -28,8 +28,8 @@ use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
 /// Surfaces that a guess names, at most.
 const NAMED: usize = 5;
 
-/// See [`Follow`].
-pub(super) struct Follower {
+/// Follows one scan after the other.
+pub struct Follower {
     model: Arc<EmbeddingModel>,
     rejection: Option<Rejection>,
     settling: Settling,
@@ -71,7 +71,7 @@ impl Waiting {
 }
 
 impl Follower {
-    pub fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
+    pub(super) fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
         let settling = model.settling(options);
         let scan = ScanSoFar::new(model, &settling);
         let (model, rejection) = (model.clone(), options.rejection.clone());
@@ -88,7 +88,7 @@ impl Follower {
         for (id, signal) in &trial.signals {
             match signal {
                 Signal::Image(picture) if !self.scan.pictures.contains(id) => {
-                    self.add_picture(id, picture).ok()?;
+                    self.add_picture(id, picture);
                 }
                 Signal::Image(_) => {}
                 Signal::Series(series) => {
@@ -191,12 +191,18 @@ impl ScanSoFar {
     }
 }
 
-impl Follow for Follower {
-    fn begin(&mut self) {
+impl Follower {
+    /// Forgets the scan so far: another one begins.
+    pub fn begin(&mut self) {
         self.scan = ScanSoFar::new(&self.model, &self.settling);
     }
 
-    fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
+    /// Takes the next frames of a source. Sources that the scene does not know are passed over,
+    /// and so are those with samples that are not numbers, until the next scan begins.
+    ///
+    /// # Errors
+    /// If the frames do not fit the scene or those before them.
+    pub fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
         let FreshFrames { source, rate_hz, channels, samples } = fresh;
         let stretches = &self.model.joint.stretches;
         let Some(stretch) = stretches.iter().find(|s| s.spec.id == *source) else { return Ok(()) };
@@ -224,7 +230,8 @@ impl Follow for Follower {
         Ok(())
     }
 
-    fn add_picture(&mut self, source: &SourceId, picture: &Image) -> Result<(), RecogniseError> {
+    /// Takes a picture.
+    pub fn add_picture(&mut self, source: &SourceId, picture: &Image) {
         if is_plain(picture) {
             self.scan.plain.insert(source.clone());
         } else {
@@ -232,10 +239,15 @@ impl Follow for Follower {
         }
         self.scan.sums.push_picture(&self.model.joint, source, picture);
         self.scan.pictures.insert(source.clone());
-        Ok(())
     }
 
-    fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+    /// Looks at the scan at each whole step of [`LOOK_S`] up to `scan_s` seconds of drag that was
+    /// not yet looked at, as far as the frames of that time have come. Gives the last of these
+    /// looks, or nothing where none was due or nothing can be said yet.
+    ///
+    /// # Errors
+    /// If what came cannot be compared with the library.
+    pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
         let mut said = None;
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
             self.scan.looks += 1;
@@ -249,7 +261,11 @@ impl Follow for Follower {
         Ok(said)
     }
 
-    fn finish(&mut self, trial: &Trial) -> Option<Ranking> {
+    /// The ranking of a scan that has ended and is `trial`, as
+    /// [`Model::rank`](crate::recognise::Model::rank) would give it without its flawed sources
+    /// ([`crate::recognise::without_flawed`]): only what was not followed yet is worked on. `None`
+    /// where what was followed is not a beginning of the trial, or the trial cannot be named.
+    pub fn finish(&mut self, trial: &Trial) -> Option<Ranking> {
         if self.scan.failed {
             return None;
         }
@@ -267,15 +283,18 @@ impl Follow for Follower {
             return None;
         }
         let (vector, present) = self.scan.sums.vector(&self.model.joint, keep, Some(trial));
-        Some(self.model.ranking(&vector, &present, drag_s.unwrap_or(f64::INFINITY)))
+        Some(self.model.ranking(&vector, &present, self.model.ended_s(drag_s)))
     }
 
-    fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
+    /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
+    /// it is finished. `None` where the source was not followed.
+    pub fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
         let whole = self.scan.waiting.get(source).filter(|waiting| !waiting.broken);
         whole.map(|waiting| waiting.flaws.flaws())
     }
 
-    fn settling(&self) -> &Settling {
+    /// When answers count as settled, and how that was found.
+    pub fn settling(&self) -> &Settling {
         &self.settling
     }
 }
@@ -431,9 +450,7 @@ impl SeriesScan {
             }
         }
         let moments = match whole {
-            Some(Signal::Series(series)) => {
-                Moments::new(series.channels(), self.views.block(), series.samples())
-            }
+            Some(Signal::Series(series)) => self.moments.whole(series.samples()),
             _ => self.moments.so_far(),
         };
         embedder.vector(&frames, &moments, self.views.0[0].rate_hz, 0.0)

@@ -23,6 +23,9 @@ use crate::recognise::follow::{FollowOptions, LOOK_S};
 /// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 
+/// Share of the library's trials that are shorter than what counts as a whole scan.
+const SHORTER: f64 = 0.05;
+
 /// Trials whose beginnings are looked at, at most: as many more would change no digit that is
 /// stated.
 const MOST_BEGUN: usize = 400;
@@ -127,6 +130,9 @@ pub(super) struct LeftOut {
     pub held_out: Vec<HeldOut>,
     /// Median length of the drag of trials that have all sources; 0 without one.
     pub drag_s: f64,
+    /// Scans of this length and above count as whole: all but [`SHORTER`] of these trials have it;
+    /// by one person, to whose excerpts whole scans are compared, half of them.
+    whole_from_s: f64,
     /// The discriminants of the sources that trials of the library have.
     pub trained: BTreeMap<Present, Arc<Trained>>,
 }
@@ -153,7 +159,11 @@ impl LeftOut {
         let mut lengths: Vec<f64> =
             (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();
         lengths.sort_by(f64::total_cmp);
-        let drag_s = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
+        let quantile = |share: f64| {
+            lengths.get((share * lengths.len() as f64) as usize).copied().unwrap_or(0.0)
+        };
+        let drag_s = quantile(0.5);
+        let whole_from_s = if labels.across_users { quantile(SHORTER) } else { drag_s };
         let mut looks: Vec<usize> = BEGINNINGS
             .map(|share| (share * drag_s / LOOK_S).round().max(1.0) as usize)
             .into_iter()
@@ -195,8 +205,15 @@ impl LeftOut {
             temperature: Temperature::fit(&by_length),
             held_out: whole,
             drag_s,
+            whole_from_s,
             trained: trained.into_iter().map(|(has, trained)| (has, Arc::new(trained))).collect(),
         }
+    }
+
+    /// The length that a scan of `scan_s` seconds counts as, now that it has ended: one as long as
+    /// the library's trials are is a whole one, like these, and no beginning of a longer one.
+    pub fn ended_s(&self, scan_s: f64) -> f64 {
+        if scan_s >= self.whole_from_s { scan_s.max(self.drag_s) } else { scan_s }
     }
 
     /// The discriminant that a trial did not train, if its class is known without it.

@@ -35,8 +35,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+pub use self::follower::Follower;
 pub use self::frames::TrialFrames;
-pub use self::model::EmbeddingModel;
+pub use self::model::{EmbeddingModel, QueryVector};
 use super::checks::check_surfaces;
 use super::error::RecogniseError;
 use super::method::{Method, Model};

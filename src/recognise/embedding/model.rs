@@ -1,6 +1,6 @@
 //! A library that the method `embedding` has been trained on: from a query to its answer.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ndarray::{Array2, ArrayView1};
@@ -20,8 +20,8 @@ use crate::recognise::decide::conformal::{Rejection, RejectionError, nonconformi
 use crate::recognise::decide::scan_time::{LeftOutAccuracy, LeftOutScan, LibraryCounts};
 use crate::recognise::decide::settle::{Settling, Stops};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::{Follow, FollowOptions, LOOK_S};
-use crate::recognise::method::{BySources, Evidence, Model, SourceEvidence};
+use crate::recognise::follow::{FollowOptions, LOOK_S};
+use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{Candidate, Ranking, rank};
 use crate::recognise::shape::LibraryShape;
@@ -47,8 +47,6 @@ pub struct EmbeddingModel {
     /// The stop rule by the options that were wanted first: scans are followed by them again and
     /// again.
     settling: OnceLock<(FollowOptions, Settling)>,
-    /// What the library was too small for, a line each.
-    remarks: Vec<String>,
 }
 
 /// How far a query is from each surface, and what that means.
@@ -103,7 +101,6 @@ impl EmbeddingModel {
         Self {
             scene: scene.clone(),
             shape: shape.clone(),
-            remarks: remarks(&keys, &labels, &left_out),
             keys,
             labels,
             joint,
@@ -122,8 +119,9 @@ impl EmbeddingModel {
         &self.left_out.held_out
     }
 
-    fn scan_s(&self, query: &TrialFrames) -> f64 {
-        self.joint.drag_s(query).unwrap_or(f64::INFINITY)
+    /// The length that a scan counts as that has ended after a drag of `drag_s` seconds, if any.
+    pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
+        drag_s.map_or(f64::INFINITY, |drag_s| self.left_out.ended_s(drag_s))
     }
 
     fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {
@@ -274,7 +272,7 @@ impl EmbeddingModel {
         Some(FollowedTrial {
             group: self.labels.group[trial],
             truth: self.labels.class[trial],
-            whole: self.posterior_of(&without.distances(whole), None, drag_s).best(),
+            whole: self.posterior_of(&without.distances(whole), None, f64::INFINITY).best(),
             drag_s,
             looks: looks.iter().zip(distances).map(look).collect(),
         })
@@ -292,7 +290,7 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model of the bytes that [`Model::store`] gave; `None` if they are of something else.
+    /// The model of the bytes that [`EmbeddingModel::store`] gave; `None` if they are of something else.
     pub(super) fn from_bytes(
         bytes: &[u8],
         scene: &Scene,
@@ -337,47 +335,68 @@ impl Model for EmbeddingModel {
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
-        Ok(self.ranking(&vector, &present, self.scan_s(query)))
-    }
-
-    fn moves(&self, source: &SourceId, channel: usize) -> bool {
-        self.joint.moves(source, channel)
+        Ok(self.ranking(&vector, &present, self.ended_s(self.joint.drag_s(query))))
     }
 
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
-        Ok(Some(self.evidence(&vector, &present, self.scan_s(query))))
+        Ok(Some(self.evidence(&vector, &present, self.ended_s(self.joint.drag_s(query)))))
     }
 
-    fn by_sources(
-        self: Arc<Self>,
-        query: &Prepared,
-    ) -> Result<Option<Box<dyn BySources>>, RecogniseError> {
+    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+        Some(self)
+    }
+}
+
+/// What no other method can do.
+impl EmbeddingModel {
+    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
+    /// there may rest in a query, too: its sensor is not dead.
+    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        self.joint.moves(source, channel)
+    }
+
+    /// A query that can be named again and again, each time by some of its sources.
+    ///
+    /// # Errors
+    /// As [`Model::rank`].
+    pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector, RecogniseError> {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
-        Ok(Some(Box::new(QueryVector { model: self, vector, present })))
+        Ok(QueryVector { model: self, vector, present })
     }
 
-    fn follow(self: Arc<Self>, options: &FollowOptions) -> Option<Box<dyn Follow>> {
-        Some(Box::new(Follower::new(&self, options)))
+    /// Follows scans while they go on. The first time, the stop rule is calibrated, which takes a
+    /// while.
+    pub fn follow(self: Arc<Self>, options: &FollowOptions) -> Follower {
+        Follower::new(&self, options)
     }
 
-    fn left_out_accuracy(&self) -> Option<LeftOutAccuracy> {
+    /// How many left-out library trials are named right by when. The first time takes a while,
+    /// unless scans were followed before.
+    pub fn left_out_accuracy(&self) -> LeftOutAccuracy {
         let scans: Vec<LeftOutScan> = self.followed().iter().map(FollowedTrial::scan).collect();
-        Some(LeftOutAccuracy::new(&scans, self.counts()))
+        LeftOutAccuracy::new(&scans, self.counts())
     }
 
-    fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
+    /// The p-value at or below which a query is called unknown, for a stated rate of false
+    /// rejections; without one, for the usual rate: 1 %, or what the library's trials can show.
+    ///
+    /// # Errors
+    /// If the library has too few trials.
+    pub fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
         let all = vec![true; self.joint.stretches.len()];
         let trials = self.trained(&all).conformity.trials();
-        rate.map_or_else(|| Rejection::usual(trials), |rate| Rejection::new(trials, rate))
+        let across = self.labels.across_users;
+        match rate {
+            None => Rejection::usual(trials, across),
+            Some(rate) => Rejection::new(trials, across, rate),
+        }
     }
 
-    fn remarks(&self) -> &[String] {
-        &self.remarks
-    }
-
-    fn store(&self) -> Option<Vec<u8>> {
+    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore); `None` if it
+    /// is too large for them.
+    pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless that was done.
         let (joint, training) = (self.joint.to_stored(), self.training.to_stored());
         let stored = (&self.keys, joint, training, &self.left_out, self.followed());
@@ -386,15 +405,17 @@ impl Model for EmbeddingModel {
 }
 
 /// A query as a vector, to be named by any of its sources.
-struct QueryVector {
+pub struct QueryVector {
     model: Arc<EmbeddingModel>,
     /// In the library's deviations.
     vector: Vec<f32>,
     present: Present,
 }
 
-impl BySources for QueryVector {
-    fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
+impl QueryVector {
+    /// The surface that is most alike by `sources`, as a query of these alone would be named;
+    /// `None` if the query and the library have none of them in common.
+    pub fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
         let stretches = self.model.joint.stretches.iter().zip(&self.present);
         let chosen: Present =
             stretches.map(|(s, has)| *has && sources.contains(&&s.spec.id)).collect();
@@ -404,31 +425,4 @@ impl BySources for QueryVector {
         let posterior = self.model.posterior(&self.vector, &chosen, f64::INFINITY);
         Some(&self.model.labels.surfaces[posterior.best()])
     }
-}
-
-/// What a library is too small for, a line each.
-fn remarks(keys: &[TrialKey], labels: &Labels, left_out: &LeftOut) -> Vec<String> {
-    let mut remarks = Vec::new();
-    let mut users: BTreeMap<&str, usize> = BTreeMap::new();
-    keys.iter().for_each(|key| *users.entry(&key.user).or_default() += 1);
-    match left_out.held_out.len() {
-        0 => remarks.push(
-            "probabilities are not calibrated: that takes two trials of each of two surfaces"
-                .to_string(),
-        ),
-        trials if !labels.across_users => {
-            let person = match users.first_key_value() {
-                Some((user, _)) if users.len() == 1 => format!("scans by `{user}`"),
-                _ => "scans by the people in the library".to_string(),
-            };
-            remarks.push(format!(
-                "probabilities rest on {trials} left-out trials, and hold for {person}"
-            ));
-        }
-        trials => remarks.push(format!(
-            "probabilities rest on {trials} trials by {} people, each left out in turn",
-            users.len()
-        )),
-    }
-    remarks
 }

@@ -5,6 +5,7 @@
 //! an offset costs no digits. While a scan grows, its mean is not known yet: mean magnitude, crossings
 //! and drift are taken about the mean of each block. Of a whole piece they are exact.
 
+use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 /// Lags of the products x_t·x_{t−l}, in samples: 0 … 3.
@@ -125,36 +126,7 @@ impl Moments {
     pub fn new(channels: usize, block: usize, samples: &[f32]) -> Self {
         let mut growing = GrowingMoments::new(channels, block);
         growing.extend(samples);
-        let mut moments = growing.so_far();
-        let mut x = Vec::with_capacity(samples.len() / channels);
-        for channel in 0..channels {
-            x.clear();
-            let reference = moments.reference[channel];
-            x.extend(samples.iter().skip(channel).step_by(channels).map(|x| x - reference));
-            moments.set_exact(channel, &x);
-        }
-        moments
-    }
-
-    /// Takes the exact sums of a channel's samples, less the reference, where blocks have other ones;
-    /// they count as many samples as those do.
-    fn set_exact(&mut self, channel: usize, x: &[f32]) {
-        let [_, _, _, magnitude, root, crossings] = powers(x);
-        let part = |k: usize| {
-            let part = &x[k * x.len() / PARTS..(k + 1) * x.len() / PARTS];
-            let sum: f64 = part.iter().map(|&x| f64::from(x)).sum();
-            sum * sum / part.len().max(1) as f64
-        };
-        let squared_level = (0..PARTS).map(part).sum();
-        let scale = f64::from(self.sums[0]) / x.len().max(1) as f64;
-        for (of, value) in [
-            (Of::SquaredLevel, squared_level),
-            (Of::Magnitude, magnitude),
-            (Of::Root, root),
-            (Of::Crossings, crossings),
-        ] {
-            self.sums[place(of, channel)] = held(scale * value);
-        }
+        growing.whole(samples)
     }
 
     fn channels(&self) -> usize {
@@ -281,6 +253,35 @@ impl GrowingMoments {
         }
         Moments { sums: sums.values.iter().copied().map(held).collect(), reference }
     }
+
+    /// The moments of all samples, which are `samples` and have ended: exact.
+    pub fn whole(&self, samples: &[f32]) -> Moments {
+        let channels = self.sums.channels;
+        let mut moments = self.so_far();
+        // Gaps are not counted in the other sums.
+        let scale = f64::from(moments.sums[0]) / (samples.len() / channels).max(1) as f64;
+        for channel in 0..channels {
+            let x = less(samples, (channels, channel), moments.reference[channel]);
+            let part = |k: usize| &x[k * x.len() / PARTS..(k + 1) * x.len() / PARTS];
+            let (mut total, mut squared_level) = (0.0, 0.0);
+            for part in (0..PARTS).map(part) {
+                let sum = powers(part)[0];
+                total += sum;
+                squared_level += sum * sum / part.len().max(1) as f64;
+            }
+            let mean = total / x.len().max(1) as f64;
+            let [magnitude, root, crossings] = about(&x, mean as f32);
+            for (of, value) in [
+                (Of::SquaredLevel, squared_level),
+                (Of::Magnitude, magnitude),
+                (Of::Root, root),
+                (Of::Crossings, crossings),
+            ] {
+                moments.sums[place(of, channel)] = held(scale * value);
+            }
+        }
+        moments
+    }
 }
 
 /// Powers of samples far beyond full scale must not become infinite.
@@ -303,16 +304,15 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
     let frames = samples.len() / channels;
     sums[0] = frames as f32;
     let past = before.len() / channels;
-    let centred = |samples: &[f32], c: usize| -> Vec<f32> {
-        let of_channel = samples.iter().skip(c).step_by(channels);
-        of_channel.map(|x| x - reference[c]).collect()
-    };
+    let centred = |samples: &[f32], c: usize| less(samples, (channels, c), reference[c]);
     // Each channel with the samples before it, so that products reach back.
     let all: Vec<Vec<f32>> =
         (0..channels).map(|c| [centred(before, c), centred(samples, c)].concat()).collect();
     for (c, of_channel) in all.iter().enumerate() {
-        let [sum, cubes, fourths, magnitude, root, crossings] = powers(&of_channel[past..]);
         let of_block = &of_channel[past..];
+        let [sum, cubes, fourths] = powers(of_block);
+        let mean = (sum / frames.max(1) as f64) as f32;
+        let [magnitude, root, crossings] = about(of_block, mean);
         let extreme = |f: fn(f32, f32) -> f32| of_block.iter().copied().reduce(f).unwrap_or(0.0);
         for (of, value) in [
             (Of::Sum, sum),
@@ -350,40 +350,66 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
 /// Lanes of the sums below: additions need not wait for each other.
 const LANES: usize = 8;
 
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn dot(a: &[f32], b: &[f32]) -> f64 {
     let mut lanes = [0f64; LANES];
-    for (a, b) in a.chunks(LANES).zip(b.chunks(LANES)) {
+    let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest = a.remainder().iter().zip(b.remainder());
+    let rest: f64 = rest.map(|(&a, &b)| f64::from(a) * f64::from(b)).sum();
+    for (a, b) in a.zip(b) {
         for ((lane, &a), &b) in lanes.iter_mut().zip(a).zip(b) {
             *lane += f64::from(a) * f64::from(b);
         }
     }
-    lanes.iter().sum()
+    lanes.iter().sum::<f64>() + rest
 }
 
-/// Σ x, Σ x³, Σ x⁴, Σ |x − m|, Σ √|x − m| and the crossings of m, the mean.
-fn powers(x: &[f32]) -> [f64; 6] {
-    let (mut sum, mut cubes, mut fourths) = ([0f64; LANES], [0f64; LANES], [0f64; LANES]);
-    for chunk in x.chunks(LANES) {
-        for (lane, &x) in chunk.iter().enumerate() {
-            let x = f64::from(x);
-            sum[lane] += x;
-            cubes[lane] += x * x * x;
-            fourths[lane] += x * x * x * x;
-        }
+/// A channel of interleaved samples, less a reference.
+fn less(samples: &[f32], (channels, channel): (usize, usize), reference: f32) -> Vec<f32> {
+    if channels == 1 {
+        return samples.iter().map(|x| x - reference).collect();
     }
-    let total = sum.iter().sum::<f64>();
-    let mean = (total / x.len().max(1) as f64) as f32;
-    let (mut magnitude, mut root) = ([0f32; LANES], [0f32; LANES]);
-    for chunk in x.chunks(LANES) {
-        for (lane, &x) in chunk.iter().enumerate() {
-            let distance = (x - mean).abs();
-            magnitude[lane] += distance;
-            root[lane] += distance.sqrt();
+    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
+}
+
+/// Σ x, Σ x³ and Σ x⁴.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn powers(x: &[f32]) -> [f64; 3] {
+    let mut sums = [[0f64; LANES]; 3];
+    let mut add = |lane: usize, x: f32| {
+        let x = f64::from(x);
+        let square = x * x;
+        for (sum, power) in sums.iter_mut().zip([x, square * x, square * square]) {
+            sum[lane] += power;
         }
+    };
+    let chunks = x.chunks_exact(LANES);
+    chunks.remainder().iter().for_each(|&x| add(0, x));
+    for chunk in chunks {
+        (0..LANES).for_each(|lane| add(lane, chunk[lane]));
     }
-    let crossings = x.windows(2).filter(|w| (w[0] < mean) != (w[1] < mean)).count();
-    let add = |lanes: [f32; LANES]| lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
-    [total, cubes.iter().sum(), fourths.iter().sum(), add(magnitude), add(root), crossings as f64]
+    sums.map(|lanes| lanes.iter().sum())
+}
+
+/// Σ |x − m|, Σ √|x − m| and the crossings of m.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn about(x: &[f32], m: f32) -> [f64; 3] {
+    let mut sums = [[0f32; LANES]; 2];
+    let mut add = |lane: usize, x: f32| {
+        let distance = (x - m).abs();
+        sums[0][lane] += distance;
+        sums[1][lane] += distance.sqrt();
+    };
+    let chunks = x.chunks_exact(LANES);
+    chunks.remainder().iter().for_each(|&x| add(0, x));
+    for chunk in chunks {
+        (0..LANES).for_each(|lane| add(lane, chunk[lane]));
+    }
+    let later = x.get(1..).unwrap_or_default();
+    let crosses = |(a, b): (&f32, &f32)| u32::from((*a < m) != (*b < m));
+    let crossings: u32 = x.iter().zip(later).map(crosses).sum();
+    let [magnitude, root] = sums.map(|lanes| lanes.iter().map(|&x| f64::from(x)).sum());
+    [magnitude, root, f64::from(crossings)]
 }
 
 #[cfg(test)]
