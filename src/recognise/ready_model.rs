@@ -50,8 +50,9 @@ pub fn ready_model(
         return Ok(ReadyModel { model, from_cache: true, remarks: Vec::new() });
     }
     let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
-    let model = prepared.fit(method, wanted)?;
     let mut remarks = prepared.remarks;
+    // Handed over, so that the method can let go of what it has used.
+    let model = method.fit(prepared.trials.into_iter().flatten().collect(), &prepared.shape)?;
     // One of trials that have changed meanwhile is used, and not kept.
     if let Some(kept) = kept.filter(|kept| stamp(&of_model) == Some(kept.stamp))
         && let Some(bytes) = model.clone().embedding().and_then(|model| model.store())

@@ -74,13 +74,7 @@ impl Counts {
         let (least, most) =
             row.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
         self.reach((least * BINS).floor() as i32, (most * BINS).floor() as i32 + 1);
-        for (&x, counts) in row.iter().zip(self.counts.chunks_exact_mut(self.bins)) {
-            let at = x * BINS;
-            let bin = at.floor();
-            let (part, bin) = (at - bin, (bin as i32 - self.first) as usize);
-            counts[bin] += 1.0 - part;
-            counts[bin + 1] += part;
-        }
+        count(row, self.first, self.bins, &mut self.counts);
         self.frames += 1;
     }
 
@@ -146,6 +140,18 @@ impl Counts {
             })
         };
         self.counts.chunks_exact(self.bins.max(1)).enumerate().map(of_band).collect()
+    }
+}
+
+/// Adds one value of each band to its bins, of which each band has as many.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
+    for (&x, counts) in row.iter().zip(counts.chunks_exact_mut(bins)) {
+        let at = x * BINS;
+        let bin = at.floor();
+        let (part, bin) = (at - bin, (bin as i32 - first) as usize);
+        counts[bin] += 1.0 - part;
+        counts[bin + 1] += part;
     }
 }
 

@@ -20,6 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::linear::{add_lower_gram, cholesky, solve_lower, solve_lower_transposed};
+use super::packed;
 
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
@@ -33,6 +34,7 @@ const INSIDE: f64 = 1e-10;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Discriminant {
     /// Shape (r, D), r < C.
+    #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
     /// Projected origin of the class means.
     origin: Array1<f64>,

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::copies::{self, copies};
 use super::moments::{GrowingMoments, Moments};
+use super::packed;
 use super::tiles::PictureTiles;
 use crate::recognise::checks::check_signal;
 use crate::recognise::error::RecogniseError;
@@ -79,7 +80,7 @@ impl SourceViews {
 /// power, and half the memory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PackedFrames {
-    #[serde(with = "packed")]
+    #[serde(with = "packed::list")]
     values: Vec<i16>,
 }
 
@@ -108,35 +109,6 @@ impl PackedFrames {
     /// Number of frames of `width` values.
     pub fn frames(&self, width: usize) -> usize {
         self.values.len() / width
-    }
-}
-
-/// Numbers as one run of bytes, little-endian: far quicker to read than one after the other.
-mod packed {
-    use serde::de::{Error, Visitor};
-    use serde::{Deserializer, Serializer};
-
-    pub fn serialize<S: Serializer>(values: &[i16], to: S) -> Result<S::Ok, S::Error> {
-        let bytes: Vec<u8> = values.iter().flat_map(|x| x.to_le_bytes()).collect();
-        to.serialize_bytes(&bytes)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
-        struct Bytes;
-        impl Visitor<'_> for Bytes {
-            type Value = Vec<i16>;
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("an even number of bytes")
-            }
-            fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<i16>, E> {
-                let (pairs, rest) = bytes.as_chunks();
-                if !rest.is_empty() {
-                    return Err(E::invalid_length(bytes.len(), &self));
-                }
-                Ok(pairs.iter().map(|pair| i16::from_le_bytes(*pair)).collect())
-            }
-        }
-        from.deserialize_bytes(Bytes)
     }
 }
 
@@ -278,6 +250,15 @@ pub struct TrialFrames {
 }
 
 impl TrialFrames {
+    /// Lets go of the copies.
+    pub(super) fn forget_copies(&mut self) {
+        for source in self.sources.values_mut() {
+            if let SourceFrames::Series(series) = source {
+                series.copies = Vec::new();
+            }
+        }
+    }
+
     /// Frames those sources of a trial that the scene describes, as the trials of a library of
     /// that shape are framed. A trial of the library itself gets its copies by the `seed` of their
     /// draws; a query has none.

@@ -26,6 +26,7 @@ mod left_out;
 pub mod linear;
 mod model;
 mod moments;
+mod packed;
 mod picture;
 mod series;
 mod tiles;
@@ -124,7 +125,9 @@ impl Method for Embedding {
         shape: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError> {
         let frames = library.iter().map(|trial| trial.frames(NAME).cloned());
-        Ok(Arc::new(self.train(frames.collect::<Result<_, _>>()?, shape)?))
+        let frames = frames.collect::<Result<_, _>>()?;
+        drop(library);
+        Ok(Arc::new(self.train(frames, shape)?))
     }
 
     fn model_key(&self, shape: &LibraryShape) -> Option<u64> {

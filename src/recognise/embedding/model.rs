@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use ndarray::{Array2, ArrayView1};
+use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::Deserialize;
 
@@ -77,7 +77,7 @@ impl EmbeddingModel {
     pub(super) fn train(
         scene: &Scene,
         shape: &Arc<LibraryShape>,
-        library: Vec<Arc<TrialFrames>>,
+        mut library: Vec<Arc<TrialFrames>>,
         seed: u64,
     ) -> Result<Self, RecogniseError> {
         let labels = Labels::new(&library.iter().map(|trial| &trial.key).collect::<Vec<_>>());
@@ -86,6 +86,8 @@ impl EmbeddingModel {
             joint.check(trial)?;
         }
         let training = Training::new(&mut joint, &library, &labels, seed);
+        // Most of the memory; nobody else holds them, unless folds share the trials.
+        library.iter_mut().filter_map(Arc::get_mut).for_each(TrialFrames::forget_copies);
         let left_out = LeftOut::new(&joint, &training, &labels, &library);
         let keys = library.iter().map(|trial| trial.key.clone()).collect();
         let model = Self::of(scene, shape, (keys, labels, joint, training, left_out));
@@ -299,7 +301,7 @@ impl EmbeddingModel {
         let stored: Stored = postcard::from_bytes(bytes).ok()?;
         let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>());
         let joint = JointEmbedder::from_stored(scene, stored.joint)?;
-        let training = Training::from_stored(stored.training, &labels, joint.dims())?;
+        let training = stored.training.restored(&labels, joint.dims())?;
         let fits = |trained: &Arc<Trained>| {
             let all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
             trained.without.len() == labels.groups
@@ -321,7 +323,7 @@ impl EmbeddingModel {
 struct Stored {
     keys: Vec<TrialKey>,
     joint: StoredJoint,
-    training: (Array2<f32>, Vec<Present>, f64),
+    training: Training,
     left_out: LeftOut,
     followed: Vec<FollowedTrial>,
 }
@@ -398,8 +400,8 @@ impl EmbeddingModel {
     /// is too large for them.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless that was done.
-        let (joint, training) = (self.joint.to_stored(), self.training.to_stored());
-        let stored = (&self.keys, joint, training, &self.left_out, self.followed());
+        let joint = self.joint.to_stored();
+        let stored = (&self.keys, joint, &self.training, &self.left_out, self.followed());
         postcard::to_allocvec(&stored).ok()
     }
 }

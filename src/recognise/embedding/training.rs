@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::copies::{COPIES, EXCERPTS};
 use super::discriminant::{Discriminant, Residuals, Vectors};
@@ -16,6 +17,7 @@ use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, columns};
 use super::labels::Labels;
 use super::linear::{add_lower_gram, cholesky, solve_lower_transposed};
+use super::packed;
 
 /// Kinds of training vectors: wholes, excerpts, twins.
 const KINDS: usize = 3;
@@ -28,8 +30,10 @@ const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
 const JITTER: f64 = 1e-5;
 
 /// The training vectors of a library, in the library's deviations.
+#[derive(Serialize, Deserialize)]
 pub(super) struct Training {
     /// Shape (rows, D): the whole of each trial, in order, then the copies of each.
+    #[serde(with = "packed::matrix")]
     rows: Array2<f32>,
     /// Class and kind of each row: kind · classes + class.
     labels: Vec<usize>,
@@ -82,17 +86,10 @@ impl Training {
         Self { rows, labels: of_rows, groups, classes, group_count, shrinkage, present }
     }
 
-    /// All of it that does not follow from the labels: vectors, which sources each trial has, and γ.
-    pub fn to_stored(&self) -> (&Array2<f32>, &[Present], f64) {
-        (&self.rows, &self.present, self.shrinkage)
-    }
-
-    /// The same again; `None` if that is not of trials with these labels and vectors of `dims`.
-    pub fn from_stored(
-        (rows, present, shrinkage): (Array2<f32>, Vec<Present>, f64),
-        labels: &Labels,
-        dims: usize,
-    ) -> Option<Self> {
+    /// The same, read from where it was stored; `None` if that is not of trials with these labels and
+    /// vectors of `dims`.
+    pub fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
+        let Self { rows, present, shrinkage, .. } = self;
         let trials = labels.class.len();
         let fits = present.len() == trials && rows.dim() == (trials * (1 + COPIES), dims);
         fits.then(|| Self::of(rows, present, shrinkage, labels))
