@@ -4,7 +4,7 @@
 use std::fmt::{self, Write};
 
 /// Text in which characters that act instead of being seen are written as `\u{…}`: control
-/// characters but for new lines and tabs, marks of direction (Unicode Standard Annex 9), and
+/// characters except new lines and tabs, marks of direction (Unicode Standard Annex 9), and
 /// characters without width that join nothing.
 pub(crate) struct Printable<'a>(pub &'a str);
 

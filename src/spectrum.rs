@@ -14,7 +14,7 @@ thread_local! {
 
 type Buffers = (Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// Which bins of the spectrum of `frames` samples at `rate_hz` lie in a band, both ends included.
+/// The bins of the spectrum of `frames` samples at `rate_hz` that lie in a band, both ends included.
 ///
 /// The transform has the next power of two of points, so bin k stands for k·rate/points Hz.
 pub fn band_bins(frames: usize, rate_hz: f64, band_hz: (f64, f64)) -> std::ops::Range<usize> {

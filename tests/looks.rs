@@ -1,4 +1,4 @@
-//! What a look at a scan in progress costs, in memory touched: the same at any length of the scan.
+//! The cost of a look at a scan in progress, in memory touched: the same at any length of the scan.
 
 mod common;
 

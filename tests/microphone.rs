@@ -34,7 +34,7 @@ fn find(sound: &[f32], recorded: &[f32]) -> (f64, usize) {
     };
     let mut product: Vec<_> =
         spectrum(recorded).iter().zip(spectrum(sound)).map(|(h, s)| h * s.conj()).collect();
-    // What rounding left there, the inverse would refuse.
+    // The inverse would refuse the remains of rounding there.
     (product[0].im, product[n / 2].im) = (0.0, 0.0);
     let mut lags = back.make_output_vec();
     back.process(&mut product, &mut lags).unwrap();
@@ -108,7 +108,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     thread.join().unwrap().unwrap();
     assert!(player.wait().unwrap().success(), "paplay failed");
     assert_eq!((lost, tap.meter().counts().lost), (0, 0), "samples were lost");
-    // As much sound as time has passed, but for what the server's buffer held or holds.
+    // As much sound as time has passed, give or take what the server's buffer holds.
     assert!((recorded_s - open_s).abs() < 0.5, "{recorded_s} s of sound in {open_s} s");
 
     // The server's sink may swallow a little while it starts and stops to play.

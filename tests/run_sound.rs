@@ -92,7 +92,7 @@ fn dragging_sounds_are_named_against_the_other_trials() {
         assert_eq!(line["lost_samples"], 0, "{line}");
         assert_eq!(line["spoiled"], serde_json::json!([]), "{line}");
         assert_eq!(line["ranked"].as_array().unwrap().len(), surfaces.len());
-        // All of the sound, but for what is quiet at its ends.
+        // All of the sound, except its quiet ends.
         assert!((3.5..5.2).contains(&line["scan_s"].as_f64().unwrap()), "{line}");
         right += usize::from(line["surface"] == *surface);
         answers.push((surface.clone(), line["surface"].clone(), line["scan_s"].clone()));

@@ -29,7 +29,7 @@ pub struct FollowOptions {
     /// Accuracy that answers may lose, when given as soon as they are settled, against the whole
     /// scan: a fraction of all scans.
     pub loss: f64,
-    /// What counts as no surface of the library; an answer that does is never settled.
+    /// The threshold for no surface of the library; an answer beyond it is never settled.
     pub rejection: Option<Rejection>,
 }
 
@@ -39,7 +39,7 @@ impl Default for FollowOptions {
     }
 }
 
-/// What a scan looks like so far.
+/// The guess at a scan in progress.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GuessSoFar {
     /// Scan time of the look, in seconds.

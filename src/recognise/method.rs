@@ -1,4 +1,4 @@
-//! What a way of comparing trials is, and a library made ready by it.
+//! The interfaces of a way of comparing trials, and of a library made ready by it.
 
 use std::sync::Arc;
 
@@ -71,7 +71,7 @@ pub trait Model: Send + Sync {
     /// prepared by another kind of method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// What each source says alone; `None` by a method that cannot take them apart.
+    /// The evidence of each source alone; `None` by a method that cannot take them apart.
     ///
     /// # Errors
     /// As [`Model::rank`].
@@ -90,7 +90,7 @@ pub trait Model: Send + Sync {
 pub struct Evidence {
     /// The surfaces of the library, sorted.
     pub surfaces: Vec<String>,
-    /// What each source says.
+    /// The evidence of each source.
     pub sources: Vec<SourceEvidence>,
 }
 

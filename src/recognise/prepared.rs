@@ -1,4 +1,4 @@
-//! What is kept of a trial, by whichever method, and how it lies in a cache.
+//! A trial as each method keeps it, and its form in a cache.
 
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ const FRAMES: u8 = 1;
 const FEATURES: u8 = 2;
 
 impl Prepared {
-    /// Which trial this is.
+    /// The trial's key.
     pub fn key(&self) -> &TrialKey {
         match self {
             Self::Samples(trial) => trial.key(),

@@ -21,7 +21,7 @@ pub struct PreparedLibrary {
     pub shape: Arc<LibraryShape>,
     /// Those of the trials that were wanted, at the places of their entries.
     pub trials: Vec<Option<Prepared>>,
-    /// For people: what was wrong with the cache, a line each. Nothing of it is an error.
+    /// Problems of the cache, a line of text each. None is an error.
     pub remarks: Vec<String>,
     /// How many trials came from the cache.
     pub from_cache: usize,
@@ -46,7 +46,7 @@ impl PreparedLibrary {
 /// `beside` is the folder of the library, whose cache is read and brought up to date; without it,
 /// all is prepared anew. `progress` gets how much is done of how much.
 ///
-/// What comes of it is the same with and without a cache: a stored trial counts only if the method's
+/// The result is the same with and without a cache: a stored trial counts only if the method's
 /// settings and the trial's files are what they were. One whose files change while they are read is
 /// not stored.
 ///

@@ -13,7 +13,7 @@ use crate::library::cache::{Cache, Record};
 use crate::library::files::program_stamp;
 use crate::seed;
 
-/// What the one record of the cache is called.
+/// Name of the one record of the cache.
 const RECORD: &str = "model";
 
 /// A model, and how it came about.
@@ -22,7 +22,7 @@ pub struct ReadyModel {
     pub model: Arc<dyn Model>,
     /// Whether it came from the cache.
     pub from_cache: bool,
-    /// For people: what was wrong with the caches, a line each. Nothing of it is an error.
+    /// Problems of the caches, a line of text each. None is an error.
     pub remarks: Vec<String>,
 }
 
@@ -31,7 +31,7 @@ pub struct ReadyModel {
 /// trials, see [`super::prepare_library`]. Without it, all is made anew. `progress` gets how much is
 /// prepared of how much.
 ///
-/// What comes of it is the same with and without a cache: a stored model counts only if the method,
+/// The result is the same with and without a cache: a stored model counts only if the method,
 /// the files of all trials, and this program itself are what they were.
 ///
 /// # Errors
@@ -58,7 +58,7 @@ pub fn ready_model(
         && let Some(bytes) = model.clone().embedding().and_then(|model| model.store())
     {
         let why = kept.replace(bytes.into());
-        // Where trials could not be kept either, that has been said.
+        // If trials could not be kept either, that has been said.
         if remarks.is_empty() {
             remarks.extend(why);
         }

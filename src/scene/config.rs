@@ -89,7 +89,7 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// What a `library.toml` says of a source itself.
+/// The settings of one source in a `library.toml`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Declared {
     /// The rate in Hz that recordings must have.
@@ -103,7 +103,7 @@ pub struct Declared {
 pub struct LibraryToml {
     /// The sources that it describes, and the library's name.
     pub sources: Scene,
-    /// What it asks of each of them itself, whatever the defaults say.
+    /// Its own settings for each of them, which go before the defaults.
     pub declared: BTreeMap<SourceId, Declared>,
     /// Whether it carries `synthetic = true`.
     pub synthetic: bool,

@@ -24,7 +24,7 @@ use crate::common::stylus::Fake;
 /// The sources of the stylus.
 pub const CHANNELS: [&str; 4] = ["ac", "fr", "ir", "me"];
 
-/// What the stylus samples, one scan after the other; then it rests.
+/// The scans that the stylus samples, one after the other; then it rests.
 type Tape = Arc<Mutex<Vec<Sample>>>;
 
 /// A station of a stylus alone.

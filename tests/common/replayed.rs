@@ -87,7 +87,7 @@ impl PartialScan {
     }
 }
 
-/// What a session reported.
+/// The reports of a session.
 pub struct Reported {
     pub scans: Vec<Scan>,
     pub so_far: Vec<(u32, f64, Trial)>,

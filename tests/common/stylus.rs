@@ -33,7 +33,7 @@ pub struct Fake {
     pub deaf: usize,
     /// The commands that it received.
     pub commands: Vec<Command>,
-    /// What one step of each channel of [`NAMES`] is worth.
+    /// The value of one step of each channel of [`NAMES`].
     pub scales: [f32; 7],
     /// Samples as many times as fast.
     pub speed: f64,

@@ -42,7 +42,7 @@ fn made() -> (Scene, Arc<EmbeddingModel>, Trial) {
     (scene, Arc::new(model), users[1].clone())
 }
 
-/// What is said at the looks at a scan whose frames come in pieces of that many seconds.
+/// The guesses at the looks at a scan whose frames come in pieces of that many seconds.
 fn said(follower: &mut Follower, scene: &Scene, trial: &Trial, piece_s: f64) -> Vec<GuessSoFar> {
     follower.begin();
     let mut said = Vec::new();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::common::{open, picture, says, temp, write_file, write_wav};
 use surfaced::trial::Signal;
 
-/// What is said when a library is opened and its first trial is read.
+/// The message when a library is opened and its first trial is read.
 #[track_caller]
 fn refusal(path: &Path) -> String {
     match open(path).and_then(|library| library.entries[0].load()) {
@@ -14,7 +14,7 @@ fn refusal(path: &Path) -> String {
     }
 }
 
-/// What is said of a library of one file with these bytes.
+/// The message about a library of one file with these bytes.
 #[track_caller]
 fn refusal_of(name: &str, bytes: &[u8]) -> String {
     let (_dir, path) = temp();

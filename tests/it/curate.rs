@@ -105,7 +105,7 @@ fn a_library_without_past_scans_says_how_to_keep_them() {
 }
 
 #[test]
-fn whoever_reads_a_library_waits_for_an_edit_under_way_and_says_for_whom() {
+fn a_reader_of_a_library_waits_for_an_edit_under_way_and_says_for_whom() {
     let dir = tempfile::tempdir().unwrap();
     let library = library(dir.path());
     let out = dir.path().join("out").to_str().unwrap().to_string();

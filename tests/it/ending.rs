@@ -33,7 +33,7 @@ use surfaced::trial::{Trial, TrialKey};
 const LIMIT: Duration = Duration::from_secs(5);
 /// Scans that the stylus makes.
 const SCANS: u32 = 3;
-/// What never ends, as far as a test can see.
+/// A time that never ends, as far as a test can see.
 const FOR_EVER: Duration = Duration::from_secs(600);
 
 /// Makes some scans, and rests until the end.
@@ -131,7 +131,7 @@ fn of_a_station_whose_library_is_still_being_read() {
 #[test]
 fn of_a_station_whose_disk_takes_no_scan() {
     let dir = tempfile::tempdir().unwrap();
-    // Where the library's folder should be lies a file.
+    // A file lies in the place of the library's folder.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
     let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };

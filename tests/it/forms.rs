@@ -15,7 +15,7 @@ fn fixture(name: &str) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// What the fixtures hold.
+/// The content of the fixtures.
 fn ramp() -> Vec<i16> {
     (0..64).map(|i| 500 * i - 16000).collect()
 }

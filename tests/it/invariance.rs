@@ -1,4 +1,4 @@
-//! What must not matter: the order of the library, the number of threads, the chunks in the rings.
+//! Things that must not matter: the order of the library, the number of threads, the chunks in the rings.
 
 use std::sync::Arc;
 

@@ -10,7 +10,7 @@ use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, ScanCommand, Sess
 use surfaced::scene::Phase;
 use surfaced::trial::Signal;
 
-/// What happens, in true seconds: a tap, then a drag.
+/// The events, in true seconds: a tap, then a drag.
 const TAP_S: [f64; 2] = [1.2, 1.26];
 const DRAG_S: [f64; 2] = [2.0, 3.6];
 const TOTAL_S: f64 = 4.6;
@@ -58,7 +58,7 @@ impl Device for Sensor {
             if !control.sleep_until(Instant::now() + Duration::from_secs_f64(self.burst_s)) {
                 break;
             }
-            // What was sampled `late_s` ago arrives now.
+            // Samples of `late_s` ago arrive now.
             let t = begin.elapsed().as_secs_f64() - self.late_s;
             let due = (t.max(0.0) * self.rate_hz / (1.0 + self.drift)) as u64;
             let mut samples = Vec::new();

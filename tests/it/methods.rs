@@ -36,7 +36,7 @@ fn embedding_names_real_sounds_whole_and_short() {
     assert!(accuracy(&method, &entries, &folds, Some(0.5)) >= 0.88);
 }
 
-/// What a room and a session give away: the band below 80 Hz alone. It is a scene, so that every
+/// The band below 80 Hz alone, which gives away the room and the session. It is a scene, so that every
 /// chart can show it, and may not come near the method itself.
 #[test]
 fn negative_controls_stay_far_below() {
@@ -278,7 +278,7 @@ fn a_scan_in_pieces_is_the_scan_at_once() {
             }
         }
         let guess = follower.look(seconds).unwrap().unwrap();
-        // What rests in a scan so far is left out of it; the metal detector may rest.
+        // A source that rests in a scan so far is left out of it; the metal detector may rest.
         let ranking = rank(&model, &whole).unwrap();
         assert_eq!(guess.named[0].0, ranking.surface());
         assert!((guess.named[0].1 - ranking.confidence.unwrap()).abs() < 1e-4, "{seconds} s");

@@ -78,7 +78,7 @@ fn pages() -> Vec<Page> {
     pages
 }
 
-/// What a page links to, without places on the web.
+/// The links of a page, without those to the web.
 fn links(page: &str) -> impl Iterator<Item = &str> {
     let all = page.split("](").skip(1).filter_map(|rest| rest.split(')').next());
     all.filter_map(|link| link.split('#').next())
@@ -163,7 +163,7 @@ fn first_recordings(folder: &Path) {
         }
     }
     record(&folder.join("new/1.wav"), 44_100, 7, 99);
-    // What a station would have kept: an answer that the page of the interface shows.
+    // A scan as a station keeps it: the answer that the page of the interface shows.
     let page = blocks(include_str!("../../src/serve/README.md")).join("\n\n");
     let rest = page.split_once("$ curl http://127.0.0.1:8080/api/v1/scans/1\n").unwrap().1;
     let answer = rest.split("\n\n").next().unwrap();

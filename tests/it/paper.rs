@@ -139,7 +139,7 @@ fn shards_join_to_the_same_bytes_and_a_killed_run_resumes() {
         String::from_utf8(done(&[&args[..], &QUICK[..]].concat()).stderr).unwrap()
     };
     assert!(shard("2/3").contains("wrote"));
-    // What a killed run leaves behind is no result.
+    // The leftovers of a killed run are no result.
     write_file(&shards.join("shard-0001-of-0003.1.unfinished"), "{\"format\": 1, \"da");
     let refused = eval(&["merge", &shards_text]);
     assert!(String::from_utf8_lossy(&refused.stderr).contains("not there yet: 1, 3"));

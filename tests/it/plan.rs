@@ -66,7 +66,7 @@ fn a_hundred_and_eight_surfaces_need_several() {
     assert_eq!(plan.expected.surfaces, 108);
     assert!(plan.synthetic);
 
-    // What the search added up from single sources is what the method does with all of them.
+    // The search's sum over single sources is the method's answer by all of them.
     let scene = library.scene.clone().only(&plan.sources).unwrap();
     let entries: Vec<Entry> =
         library.entries.iter().map(|entry| entry.clone().within(&scene)).collect();

@@ -11,7 +11,7 @@ use crate::common::http::Client;
 use crate::common::stylus::Fake;
 use serde_json::{Value, json};
 
-/// Where a station serves, as it said.
+/// The address that a station said it serves at.
 fn served(run: &Surfaced) -> Client {
     run.until_said("http://", None);
     let said = run.said();
@@ -86,7 +86,7 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
         fake.serve(seconds);
         let line = run.line(&mut fake);
         assert_eq!(line["surface"], data.surfaces()[surface], "{line} {}", run.said());
-        // What the page shows is what the line said.
+        // The page shows the same as the line.
         let at = format!("/api/v1/scans/{scan}");
         let answer = until(station, &at, &mut fake, |answer| answer["scan"] == scan);
         assert_eq!(answer["surface"], line["surface"]);

@@ -20,7 +20,7 @@ fn short_session() -> Served {
     served
 }
 
-/// What a clock or a release number decides.
+/// Values that a clock or a release number decides.
 fn timeless(mut value: Value) -> Value {
     match &mut value {
         Value::Object(map) => {

@@ -1,4 +1,4 @@
-//! What the operator of a day gets from the server beside names: scans that have none, and the camera.
+//! The server's answers to an operator, beside names: scans that have none, and the camera.
 
 use std::collections::BTreeMap;
 use std::path::Path;

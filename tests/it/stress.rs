@@ -133,7 +133,7 @@ fn holds(scene: &Scene, entries: &[Entry], folds: &[Fold], levels: &[(&str, &'st
     }
 }
 
-/// Where `embedding` lost 18 points and more, on the one kind of sounds or the other, while an
+/// Disturbances by which `embedding` lost 18 points and more, on one kind of sounds or the other, while an
 /// offset leaked into the lowest bands and silence moved the level of a whole scan.
 const BAD_DAY: [(&str, &[f64]); 3] =
     [("offset", &[10.0]), ("gaps", &[0.3]), ("lift-offs", &[0.15])];

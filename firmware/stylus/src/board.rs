@@ -30,7 +30,7 @@ const ACCELERATION: f32 = 9.806_65 * (3.3 / 65_536.0) / 0.330;
 /// A step of the channels that start at 0 V.
 const VOLTAGE: f32 = 3.3 / 32_768.0;
 
-/// What the channels mean.
+/// The meaning of the channels.
 pub const CHANNELS: [Channel<'static>; STYLUS_CHANNELS] = [
     Channel { name: "acc_x", scale: ACCELERATION, unit: "m/s²" },
     Channel { name: "acc_y", scale: ACCELERATION, unit: "m/s²" },
@@ -42,7 +42,7 @@ pub const CHANNELS: [Channel<'static>; STYLUS_CHANNELS] = [
     Channel { name: "metal", scale: 1.0 / 32_767.0, unit: "" },
 ];
 
-/// What `init` found.
+/// The findings of `init`.
 pub struct Setup {
     /// The crystal did not start; the internal oscillator, good to 1 %, stands in.
     pub crystal_failed: bool,
@@ -149,7 +149,7 @@ fn start_timer(_: &Peripherals) {
     core.SYST.enable_counter();
 }
 
-/// Where TIM5 stood at the last tick.
+/// The count of TIM5 at the last tick.
 #[cfg(not(feature = "qemu"))]
 static LAST: AtomicU32 = AtomicU32::new(0);
 

@@ -9,7 +9,7 @@ use cortex_m_semihosting::{debug, hprintln, nr, syscall, syscall1};
 use surfaced_stylus_core::{ByteRing, Sample, SampleRing, Sampling, Stylus};
 use surfaced_wire::STYLUS_CHANNELS;
 
-/// What has been read and not yet been sampled.
+/// Values that were read and not yet sampled.
 static READ: SampleRing<ROOM> = SampleRing::new();
 /// The file has no more.
 static ENDED: AtomicBool = AtomicBool::new(false);

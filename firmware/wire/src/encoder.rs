@@ -7,7 +7,7 @@ use crate::{DELIMITER, EncodeError, MAX_FRAME, Message, VERSION, cobs, crc};
 /// length. [`MAX_ENCODED`](crate::MAX_ENCODED) bytes are always enough room.
 ///
 /// # Errors
-/// Where the message breaks a rule of the format, is too long, or `out` is too short; what `out`
+/// If the message breaks a rule of the format, is too long, or `out` is too short; what `out`
 /// then holds is not to be sent.
 pub fn encode(message: &Message<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
     let mut frame = Frame { bytes: [0; MAX_FRAME], len: 0 };

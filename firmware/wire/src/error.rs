@@ -1,4 +1,4 @@
-//! What can be wrong with a frame, and what cannot be sent.
+//! Errors of frames, and of messages that cannot be sent.
 
 use core::fmt;
 

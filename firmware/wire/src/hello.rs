@@ -5,7 +5,7 @@ use crate::{MAX_CHANNELS, MAX_SERIAL, MAX_TEXT};
 /// One channel of the stylus. A value v means `v × scale` in `unit`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Channel<'a> {
-    /// What it measures, at most [`MAX_TEXT`] bytes.
+    /// The quantity that it measures, at most [`MAX_TEXT`] bytes.
     pub name: &'a str,
     /// Units in one step of the 16-bit value; finite.
     pub scale: f32,

@@ -1,4 +1,4 @@
-//! What the stylus and the daemon say to each other over the serial line.
+//! The messages between stylus and daemon over the serial line.
 //!
 //! The crate is `no_std`, allocates nothing and does no I/O: [`encode`] writes one message into a
 //! slice, [`Decoder`] takes bytes as they come, in pieces of any size, and gives messages or typed

@@ -15,11 +15,11 @@ pub(crate) mod kind {
 pub enum Message<'a> {
     /// Who the stylus is.
     Hello(Hello<'a>),
-    /// What it measured.
+    /// The measured values.
     Samples(Samples<'a>),
     /// How it fares.
     Status(Status),
-    /// What it is to do.
+    /// The order.
     Command(Command),
 }
 
@@ -42,7 +42,7 @@ pub struct Status {
     pub crystal_failed: bool,
 }
 
-/// What the stylus is to do.
+/// An order to the stylus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Command {

@@ -1,4 +1,4 @@
-//! What must hold for every stream, however it is cut and whatever happens to it.
+//! Properties that hold for every stream, however it is cut and whatever happens to it.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -130,7 +130,7 @@ fn damage() -> impl Strategy<Value = Damage> {
 #[derive(Clone, Copy)]
 struct Byte {
     value: u8,
-    /// Which byte of the stream it was, if it is undamaged.
+    /// Its place in the stream, if it is undamaged.
     origin: Option<usize>,
 }
 

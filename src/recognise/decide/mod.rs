@@ -1,4 +1,4 @@
-//! What a ranking is taken for: when an answer is settled, how long a scan must last, whether a
+//! Decisions on a ranking: when an answer is settled, how long a scan must last, whether a
 //! surface is unknown, which sources no comparison should see.
 
 pub mod conformal;

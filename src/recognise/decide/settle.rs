@@ -88,7 +88,7 @@ impl Watch {
     }
 }
 
-/// Where each rule stops on one trial; those that never do, at its end.
+/// The stop of each rule on one trial; a rule that never stops does at its end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stops {
     /// The trial's true label.

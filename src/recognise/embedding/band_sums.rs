@@ -6,7 +6,7 @@
 //! them. A function's mean over the counts is that of its linear interpolation between the bins: a
 //! smooth function of the samples, whose cost does not grow with the scan.
 //!
-//! Where the stylus leaves the surface, or a line holds its last value, frames are far quieter than
+//! When the stylus leaves the surface, or a line holds its last value, frames are far quieter than
 //! the rest and say nothing of the surface. The median that decides is known at the end alone, so
 //! frames are counted loudness by loudness.
 

@@ -38,7 +38,7 @@ const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 /// One copy of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Copy {
-    /// Where an excerpt begins, as a share of what can come before it; `None` for the twin.
+    /// Begin of an excerpt, as a share of the latest one possible; `None` for the twin.
     pub place: Option<f64>,
     /// ln of the gain of its series.
     pub ln_gain: f64,

@@ -102,7 +102,7 @@ struct Metric<'a> {
     residuals: Residuals,
     /// L.
     factor: Array2<f64>,
-    /// How much Σ r·rᵀ counts in S.
+    /// Weight of Σ r·rᵀ in S.
     weight: f64,
     freedom: f64,
 }
@@ -362,7 +362,7 @@ impl<'a> Metric<'a> {
     }
 }
 
-/// What makes inner products with the class means of vectors, stretch by stretch.
+/// Inner products of vectors with the class means, stretch by stretch.
 pub struct EvidenceWeights {
     /// Shape (C, D).
     of_class: Array2<f32>,

@@ -36,7 +36,7 @@ pub struct Follower {
     scan: ScanSoFar,
 }
 
-/// What is known of the present scan.
+/// The present scan, as far as it has come.
 struct ScanSoFar {
     sums: ScanSums,
     waiting: BTreeMap<SourceId, Waiting>,

@@ -212,7 +212,7 @@ pub fn samples_by(seconds: f64, rate_hz: f64) -> usize {
     (seconds * rate_hz - 1e-6).ceil().max(0.0) as usize
 }
 
-/// What the draws of a library's trial depend on.
+/// The key and the seed that the draws of a library's trial depend on.
 #[derive(Clone, Copy)]
 struct Drawn<'a> {
     key: &'a TrialKey,
@@ -243,9 +243,9 @@ impl SourceFrames {
 /// A trial, ready for `embedding`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialFrames {
-    /// Which trial this is.
+    /// The trial's key.
     pub key: TrialKey,
-    /// What it holds of the scene's sources.
+    /// Its sources that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,
 }
 

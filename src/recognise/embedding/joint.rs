@@ -121,7 +121,7 @@ pub(super) struct StoredJoint {
     factor: Vec<f32>,
 }
 
-/// Which sources of the vector something has.
+/// Whether each source of the vector is there.
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
@@ -149,7 +149,7 @@ impl JointEmbedder {
         Self { stretches, mean: Vec::new(), factor: Vec::new() }
     }
 
-    /// What is to be kept of it beside its scene.
+    /// All of it that its scene does not give.
     pub fn to_stored(&self) -> StoredJoint {
         let parts = |s: &Stretch| (s.spec.id.clone(), s.embedder.clone(), s.first.clone());
         StoredJoint {
@@ -192,7 +192,7 @@ impl JointEmbedder {
         self.mean.len()
     }
 
-    /// Which of the sources a trial has.
+    /// Whether a trial has each of the sources.
     pub fn present(&self, trial: &TrialFrames) -> Present {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
@@ -233,7 +233,7 @@ impl JointEmbedder {
                 let values = || with.iter().map(|vector| f64::from(vector[column]));
                 let mean = values().sum::<f64>() / n;
                 let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-                // What hardly varies is not blown up.
+                // A feature that hardly varies is not blown up.
                 let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
                 self.mean[column] = mean as f32;
                 self.factor[column] = (1.0 / deviation) as f32;

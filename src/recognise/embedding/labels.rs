@@ -1,4 +1,4 @@
-//! What training needs to know of a library: its trials' classes, and the groups in which they are
+//! The labels that training needs of a library: its trials' classes, and the groups in which they are
 //! left out.
 
 use crate::trial::TrialKey;

@@ -34,7 +34,7 @@ const MOST_BEGUN: usize = 400;
 /// group.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Trained {
-    /// Where the library cannot train one, classes are as far as their means.
+    /// From all trials; the distances of plain means if the library cannot train one.
     pub all: Discriminant,
     /// By group; none where too little is left.
     pub without: Vec<Option<Discriminant>>,
@@ -66,7 +66,7 @@ impl Trained {
         trained
     }
 
-    /// Where the library has one person, excerpts stand for another's whole scans.
+    /// In a library of one person, excerpts stand for whole scans by somebody else.
     fn measure(
         &mut self,
         training: &Training,
@@ -121,7 +121,7 @@ impl Trained {
     }
 }
 
-/// What left-out trials showed.
+/// Results of leaving trials out.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
     /// τ by the length of a scan.
@@ -234,7 +234,7 @@ pub(super) fn evenly(trials: usize) -> Vec<usize> {
     (0..used).map(|i| i * trials / used).collect()
 }
 
-/// What a left-out trial looks like as its drag grows, by a model trained without it. No option of
+/// A left-out trial as its drag grows, seen by a model trained without it. No option of
 /// following changes that.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct FollowedTrial {
@@ -259,7 +259,7 @@ pub(super) struct LeftOutLook {
 }
 
 impl FollowedTrial {
-    /// Where each stop rule would have stopped.
+    /// The look at which each stop rule would have stopped.
     pub fn stops(&self, options: &FollowOptions) -> Stops {
         let fits = |p_value| options.rejection.as_ref().is_none_or(|r| !r.rejects(p_value));
         let look = |(i, look): (usize, &LeftOutLook)| Look {

@@ -95,7 +95,7 @@ fn subtract_lower_product(
     y: &ArrayView2<'_, f64>,
     a: &mut ArrayViewMut2<'_, f64>,
 ) {
-    /// Where the half that would be saved costs as much as it saves.
+    /// Below this size, sparing the upper half costs as much as it saves.
     const ENOUGH: usize = 4 * BLOCK;
     let n = a.nrows();
     if n <= ENOUGH {

@@ -42,7 +42,7 @@ pub struct EmbeddingModel {
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, until they are followed.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
-    /// What following them showed.
+    /// Results of following them.
     followed: OnceLock<Vec<FollowedTrial>>,
     /// The stop rule by the options that were wanted first: scans are followed by them again and
     /// again.
@@ -318,7 +318,7 @@ impl EmbeddingModel {
     }
 }
 
-/// What is stored of a model: all that does not follow from its scene and its trials' names.
+/// The stored part of a model: all that does not follow from its scene and its trials' names.
 #[derive(Deserialize)]
 struct Stored {
     keys: Vec<TrialKey>,
@@ -351,7 +351,7 @@ impl Model for EmbeddingModel {
     }
 }
 
-/// What no other method can do.
+/// Abilities that no other method has.
 impl EmbeddingModel {
     /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
     /// there may rest in a query, too: its sensor is not dead.

@@ -115,7 +115,7 @@ impl Sums {
 /// The moments of a piece of a series, as its sums.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
-    /// What powers are taken from, channel by channel.
+    /// The value of each channel that powers are taken from.
     reference: Vec<f32>,
     /// See [`width`].
     sums: Vec<f32>,

@@ -34,7 +34,7 @@ const RADII: (f64, f64) = (1.5, SIDE as f64 / 2.0);
 const DIRECTIONS: usize = 4;
 /// Keeps the logarithm of power finite.
 const POWER_FLOOR: f32 = 1e-14;
-/// Pixels of the pairs whose covariance is taken: displaced by so many rows and columns.
+/// Displacements, in rows and columns, of the pixels whose covariance is taken.
 const DISPLACED: [(usize, usize); 7] = [(0, 0), (0, 1), (1, 0), (0, 4), (4, 0), (0, 16), (16, 0)];
 /// The longest of these.
 const REACH: usize = 16;
@@ -52,7 +52,7 @@ pub enum Part {
     Quarter(usize),
 }
 
-/// What is kept of a picture.
+/// A picture, reduced to its tiles and its statistics.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PictureTiles {
     /// ln power of each tile, row by row.
@@ -273,7 +273,7 @@ fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
     }
 }
 
-/// Which band each bin of a transformed tile belongs to.
+/// The band of each bin of a transformed tile.
 struct Rings {
     /// Bins of the upper half plane with a band: row, column, band.
     bins: Vec<(usize, usize, usize)>,

@@ -43,7 +43,7 @@ pub(super) struct Training {
     /// γ.
     shrinkage: f64,
     group_count: usize,
-    /// Which sources each trial has.
+    /// Whether each trial has each source.
     pub present: Vec<Present>,
 }
 

@@ -22,7 +22,7 @@ pub struct SourceFeatures {
 /// Features of a trial, source by source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureVector {
-    /// Which trial this is.
+    /// The trial's key.
     pub key: TrialKey,
     /// Its features.
     pub sources: BTreeMap<SourceId, SourceFeatures>,

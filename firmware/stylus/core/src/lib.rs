@@ -1,4 +1,4 @@
-//! What the stylus's firmware decides, free of any hardware, so that it is tested on any computer.
+//! The decisions of the stylus's firmware, free of any hardware, so that they are tested on any computer.
 //!
 //! The sampling interrupt calls [`Sampling::tick`], the main loop [`Stylus::poll`], the UART's
 //! interrupt takes and gives bytes through [`ByteRing`]s. Each ring has one producer and one

@@ -80,7 +80,7 @@ impl<const N: usize> SampleRing<N> {
 /// Room for 25.6 ms at 10 kHz, eight frames: longer than the main loop is ever held up.
 const ROOM: usize = 256;
 
-/// What the sampling interrupt and the main loop share.
+/// State that the sampling interrupt and the main loop share.
 pub struct Sampling {
     pub(crate) ring: SampleRing<ROOM>,
     on: AtomicBool,

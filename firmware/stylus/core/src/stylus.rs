@@ -10,7 +10,7 @@ use crate::{ByteRing, Sample, Sampling};
 /// Bytes of one sample on the wire.
 const SAMPLE_BYTES: usize = 2 * STYLUS_CHANNELS;
 
-/// What does not change while the stylus runs.
+/// Settings that do not change while the stylus runs.
 #[derive(Debug, Clone, Copy)]
 pub struct Identity<'a> {
     /// Serial number of the device.
@@ -19,7 +19,7 @@ pub struct Identity<'a> {
     pub firmware: [u8; 3],
     /// Ticks of the sampling clock a second.
     pub sample_rate_hz: u32,
-    /// What the channels mean.
+    /// The meaning of the channels.
     pub channels: &'a [Channel<'a>],
     /// Whether the crystal failed, see [`Status::crystal_failed`].
     pub crystal_failed: bool,
@@ -223,7 +223,7 @@ mod tests {
         from: ByteRing<4096>,
     }
 
-    /// What the daemon sees of a message: its kind in words, or index and count.
+    /// The daemon's view of a message: its kind in words, or index and count.
     #[derive(Debug, PartialEq)]
     enum Seen {
         Hello,

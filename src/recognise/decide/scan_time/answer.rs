@@ -115,7 +115,7 @@ impl ScanTime {
         self.enough.map(|at| at.scan_s)
     }
 
-    /// For people: the answer in one line.
+    /// The answer in one line of text.
     pub fn line(&self) -> String {
         let Some(at) = self.enough else {
             let why = self.reason().unwrap_or_default();
@@ -137,7 +137,7 @@ impl ScanTime {
         self.whole.map_or_else(String::new, |whole| percent(whole.accuracy))
     }
 
-    /// For people: why there is no scan time.
+    /// The reason why there is no scan time, as text.
     pub fn reason(&self) -> Option<String> {
         self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
     }

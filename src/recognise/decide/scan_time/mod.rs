@@ -41,7 +41,7 @@ pub struct LeftOutScan {
     pub right_whole: bool,
 }
 
-/// What a library's trials say of whom a promise holds for, and of what is lacking.
+/// The people whom a promise holds for, and the surfaces that lack trials, by a library's trials.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryCounts {
     /// Its people.
