@@ -13,14 +13,13 @@
 //! the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white coordinates is
 //! I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which costs as much as the group is large.
 
-use std::ops::Range;
-
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::linear::{add_lower_gram, cholesky, solve_lower, solve_lower_transposed};
+use super::linear::{cholesky, solve_lower, solve_lower_transposed};
 use super::packed;
+use super::residuals::Residuals;
 
 /// Variance within classes is taken to be at least this share of all variance: a detector that has
 /// never erred in the library may err.
@@ -56,44 +55,6 @@ pub struct Vectors<'a> {
     pub classes: usize,
     /// Number of groups.
     pub group_count: usize,
-}
-
-/// Training vectors about the means of their labels.
-pub struct Residuals {
-    /// Number of rows of each label.
-    counts: Vec<f64>,
-    /// Mean of each label, shape (labels, D).
-    means: Array2<f64>,
-    /// Shape (n, D).
-    pub rows: Array2<f32>,
-}
-
-impl Residuals {
-    /// Of some vectors.
-    pub fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
-        let count = labels.iter().max().map_or(0, |last| last + 1);
-        let mut counts = vec![0.0; count];
-        let mut means = Array2::<f64>::zeros((count, rows.ncols()));
-        for (row, &label) in rows.rows().into_iter().zip(labels) {
-            counts[label] += 1.0;
-            means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
-        }
-        for (mut mean, &n) in means.rows_mut().into_iter().zip(&counts) {
-            mean /= f64::max(n, 1.0);
-        }
-        let mut residuals = rows.clone();
-        for (mut row, &label) in residuals.rows_mut().into_iter().zip(labels) {
-            row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
-        }
-        Self { counts, means, rows: residuals }
-    }
-
-    /// Σ r·rᵀ; the lower triangle alone.
-    pub fn scatter(&self) -> Array2<f64> {
-        let mut scatter = Array2::zeros((self.rows.ncols(), self.rows.ncols()));
-        add_lower_gram(&mut scatter, &self.rows);
-        scatter
-    }
 }
 
 /// S of some vectors, factored.
@@ -217,11 +178,9 @@ impl Discriminant {
     }
 
     /// m_c in the features' own space, shape (C, D), and what u·m_c has besides.
-    pub fn weights(&self) -> EvidenceWeights {
-        EvidenceWeights {
-            of_class: self.means.mapv(|x| x as f32).dot(&self.projection),
-            offset: self.means.dot(&self.origin),
-        }
+    pub fn weights(&self) -> (Array2<f32>, Array1<f64>) {
+        let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
+        (of_class, self.means.dot(&self.origin))
     }
 
     /// d_c for each class; infinite for those without training vectors.
@@ -362,33 +321,6 @@ impl<'a> Metric<'a> {
     }
 }
 
-/// Inner products of vectors with the class means, stretch by stretch.
-pub struct EvidenceWeights {
-    /// Shape (C, D).
-    of_class: Array2<f32>,
-    /// One a class.
-    offset: Array1<f64>,
-}
-
-impl EvidenceWeights {
-    /// u·m_c, taken apart by stretches of the vector: how much each speaks for the class. The
-    /// class's distance is |u|² + |m_c|² less twice their sum.
-    pub fn terms(
-        &self,
-        class: usize,
-        vector: ArrayView1<'_, f32>,
-        stretches: &[Range<usize>],
-    ) -> Vec<f64> {
-        let offset = self.offset[class] / stretches.len() as f64;
-        let term = |stretch: &Range<usize>| {
-            let stretch = s![stretch.clone()];
-            let own = self.of_class.row(class).slice(stretch).dot(&vector.slice(stretch));
-            f64::from(own) - offset
-        };
-        stretches.iter().map(term).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -524,17 +456,17 @@ mod tests {
     }
 
     #[test]
-    fn terms_of_all_stretches_make_the_distance() {
+    fn inner_products_with_the_class_means_make_the_distance() {
         let (vectors, labels) = data();
         let trained = trained(&vectors, &labels, 3).unwrap();
-        let (z, stretches) = (vectors.row(4), [0..3, 3..8]);
-        let weights = trained.weights();
+        let z = vectors.row(4);
+        let (weights, offsets) = trained.weights();
         let distances = trained.distances(z);
         let u: f64 = trained.project(z).iter().map(|x| x * x).sum();
         for (class, distance) in distances.iter().enumerate() {
-            let terms: f64 = weights.terms(class, z, &stretches).iter().sum();
+            let inner = f64::from(weights.row(class).dot(&z)) - offsets[class];
             let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
-            assert!((distance - (u + mean - 2.0 * terms)).abs() < 1e-2);
+            assert!((distance - (u + mean - 2.0 * inner)).abs() < 1e-2);
         }
     }
 

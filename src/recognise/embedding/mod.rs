@@ -28,7 +28,9 @@ mod model;
 mod moments;
 mod packed;
 mod picture;
+mod residuals;
 mod series;
+mod sums;
 mod tiles;
 mod training;
 

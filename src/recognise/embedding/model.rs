@@ -1,9 +1,10 @@
 //! A library that the method `embedding` has been trained on: from a query to its answer.
 
 use std::collections::{BTreeSet, HashMap};
+use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use ndarray::ArrayView1;
+use ndarray::{ArrayView1, s};
 use rayon::prelude::*;
 use serde::Deserialize;
 
@@ -213,14 +214,20 @@ impl EmbeddingModel {
         let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
         let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));
-        let weights = trained.weights();
+        let (weights, offsets) = trained.weights();
+        // u·m_c: the class's distance is |u|² + |m_c|² less twice that.
+        let inner = |class: usize, vector: ArrayView1<'_, f32>, columns: &Range<usize>| {
+            let columns = s![columns.clone()];
+            f64::from(weights.row(class).slice(columns).dot(&vector.slice(columns)))
+        };
         let mut terms = vec![vec![f64::INFINITY; self.labels.classes]; columns.len()];
         for class in (0..self.labels.classes).filter(|&class| trained.knows(class)) {
             let mean = self.training.class_mean(&self.labels, class);
-            let of_mean = weights.terms(class, mean.view(), &columns);
-            let of_query = weights.terms(class, ArrayView1::from(vector), &columns);
-            for (of_source, (m, q)) in terms.iter_mut().zip(of_mean.iter().zip(of_query)) {
-                of_source[class] = scale * (m - 2.0 * q);
+            let offset = offsets[class] / columns.len() as f64;
+            for (of_source, columns) in terms.iter_mut().zip(&columns) {
+                let of_mean = inner(class, mean.view(), columns) - offset;
+                let of_query = inner(class, ArrayView1::from(vector), columns) - offset;
+                of_source[class] = scale * (of_mean - 2.0 * of_query);
             }
         }
         let of_source = |(stretch, terms): (&Stretch, Vec<f64>)| SourceEvidence {

@@ -12,12 +12,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::copies::{COPIES, EXCERPTS};
-use super::discriminant::{Discriminant, Residuals, Vectors};
+use super::discriminant::{Discriminant, Vectors};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, columns};
 use super::labels::Labels;
 use super::linear::{add_lower_gram, cholesky, solve_lower_transposed};
 use super::packed;
+use super::residuals::Residuals;
 
 /// Kinds of training vectors: wholes, excerpts, twins.
 const KINDS: usize = 3;
