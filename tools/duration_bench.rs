@@ -17,7 +17,7 @@ use surfaced::kernel::Threshold;
 use surfaced::seed;
 use surfaced::trial::Series;
 
-/// What this thread has used of a core, in seconds: others may be using the machine.
+/// The processor time of this thread so far, in seconds: others may be using the machine.
 fn cpu_s() -> f64 {
     let now = clock_gettime(ClockId::ThreadCPUTime);
     now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64

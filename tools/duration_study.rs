@@ -43,7 +43,7 @@ struct Case {
     wanted: Wanted,
 }
 
-/// What must hold, T* in units of the truth unless said otherwise.
+/// The requirement, with T* in units of the truth unless it says otherwise.
 #[derive(Clone, Copy)]
 enum Wanted {
     /// Median T*/τ between two numbers, the truth being ln 10.
@@ -291,7 +291,7 @@ fn algorithm1_on_processes() -> Result<(), Failure> {
         let searches = (0..REPETITIONS).into_par_iter().map(|run| {
             let mut rng = seed::rng(run, &[b"study", b"ar1", &q.to_le_bytes()[..]]);
             let make = || simulate::ar1(22_000, tau, &mut rng);
-            // What `ar1` makes is finite, and more than five trials of it change.
+            // The samples of `ar1` are finite, and more than five trials of them change.
             let series = simulate::trials(q, 1e4, make).expect("finite samples");
             let trials = Trials::new(series).expect("enough trials");
             let threshold = Threshold::Gamma;

@@ -134,7 +134,7 @@ fn is_near(x: usize, y: usize) -> bool {
     x.abs_diff(y) <= 1 || 2 * x.max(y) <= 3 * x.min(y)
 }
 
-/// What a reason begins with.
+/// The words that a reason begins with.
 fn kind(row: &SourceDuration) -> &str {
     row.reason.as_deref().and_then(|reason| reason.split(':').next()).unwrap_or_default()
 }

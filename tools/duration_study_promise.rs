@@ -22,7 +22,7 @@ const GOALS: [(&str, Goal); 4] = [
     ("99 %", Goal::Accuracy(0.99)),
 ];
 
-/// What was promised from one part of some trials, and measured on another.
+/// A promise from one part of some trials, and its measurement on another.
 struct Checked {
     promised: AccuracyAt,
     /// The share of the trials that chose the time, by that time: it flatters.

@@ -6,7 +6,7 @@ use super::algorithm1::CurvePoint;
 use super::need::Second;
 use super::pooled::PooledDependence;
 use super::report::{ByRule, PooledRow, SourceDuration};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, svg};
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
 
@@ -76,8 +76,7 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         .margin(14)
         .x_label_area_size(46)
         .y_label_area_size(62)
-        .build_cartesian_2d(0.0..end, 100.0 * bottom..100.5)
-        .map_err(drawing)?;
+        .build_cartesian_2d(0.0..end, 100.0 * bottom..100.5)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -87,25 +86,22 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         .x_labels(8)
         .y_labels(6)
         .label_style(("sans-serif", 15))
-        .draw()
-        .map_err(drawing)?;
+        .draw()?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
     let mut band: Vec<(f64, f64)> = line(|p| p.accuracy_high).collect();
     band.extend(line(|p| p.accuracy_low).collect::<Vec<_>>().into_iter().rev());
-    chart.draw_series([Polygon::new(band, colour.mix(0.2))]).map_err(drawing)?;
-    chart
-        .draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))
-        .map_err(drawing)?;
+    chart.draw_series([Polygon::new(band, colour.mix(0.2))])?;
+    chart.draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))?;
     let target = 100.0 * curve.target;
     let across = LineSeries::new([(0.0, target), (end, target)], BLACK.mix(0.5));
-    chart.draw_series(across).map_err(drawing)?;
+    chart.draw_series(across)?;
     if let Some(at) = curve.enough_s {
         let mark = PathElement::new([(at, 100.0 * bottom), (at, target)], BLACK.stroke_width(1));
-        chart.draw_series([mark]).map_err(drawing)?;
+        chart.draw_series([mark])?;
         let text = format!("drag for {at:.1} s");
         let beside = (at + 0.01 * end, 100.0 * bottom + 0.08 * (100.0 - 100.0 * bottom));
-        chart.draw_series([Text::new(text, beside, ("sans-serif", 16))]).map_err(drawing)?;
+        chart.draw_series([Text::new(text, beside, ("sans-serif", 16))])?;
     }
     Ok(())
 }
@@ -130,8 +126,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         .margin(14)
         .x_label_area_size(46)
         .y_label_area_size(72)
-        .build_cartesian_2d(0.0..ms(end) * 1.02, 0.0..top)
-        .map_err(drawing)?;
+        .build_cartesian_2d(0.0..ms(end) * 1.02, 0.0..top)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -142,8 +137,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         .y_labels(6)
         .y_label_formatter(&|y| if top < 0.01 { format!("{y:.4}") } else { format!("{y:.3}") })
         .label_style(("sans-serif", 14))
-        .draw()
-        .map_err(drawing)?;
+        .draw()?;
 
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let mut band: Vec<(f64, f64)> = line(|p| p.hsic_high).collect();
@@ -152,8 +146,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 22, y)], style)
     };
     chart
-        .draw_series(std::iter::once(Polygon::new(band, HSIC.mix(0.25))))
-        .map_err(drawing)?
+        .draw_series(std::iter::once(Polygon::new(band, HSIC.mix(0.25))))?
         .label("interval of the mean")
         .legend(|(x, y)| Rectangle::new([(x, y - 4), (x + 22, y + 4)], HSIC.mix(0.25).filled()));
     for (label, style, f) in [
@@ -161,30 +154,21 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         ("quantile of HSIC", HSIC.mix(0.45).stroke_width(1), |p| p.hsic_quantile),
         ("mean threshold κ", KAPPA.stroke_width(2), |p| p.kappa),
     ] {
-        chart
-            .draw_series(LineSeries::new(line(f), style))
-            .map_err(drawing)?
-            .label(label)
-            .legend(key(style));
+        chart.draw_series(LineSeries::new(line(f), style))?.label(label).legend(key(style));
     }
     if let Some(t) = row.t_star_samples {
         let at = ms(t);
         let style = MARK.stroke_width(1);
         chart
-            .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))
-            .map_err(drawing)?;
+            .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))?;
         let text = format!("T* = {at:.2} ms");
         // Low in the panel, where no curve is.
         let beside = (at + 0.01 * ms(end), 0.1 * top);
-        chart
-            .draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))
-            .map_err(drawing)?;
+        chart.draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))?;
     } else {
         let text = "no T* within the range";
         let at = (0.03 * ms(end), 0.07 * top);
-        chart
-            .draw_series(std::iter::once(Text::new(text, at, ("sans-serif", 15))))
-            .map_err(drawing)?;
+        chart.draw_series(std::iter::once(Text::new(text, at, ("sans-serif", 15))))?;
     }
     chart
         .configure_series_labels()
@@ -192,8 +176,8 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         .background_style(WHITE.mix(0.85))
         .border_style(BLACK.mix(0.2))
         .label_font(("sans-serif", 13))
-        .draw()
-        .map_err(drawing)
+        .draw()?;
+    Ok(())
 }
 
 const GREY: RGBColor = RGBColor(150, 150, 150);
@@ -234,8 +218,7 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         .margin(14)
         .x_label_area_size(46)
         .y_label_area_size(62)
-        .build_cartesian_2d((first..last).log_scale(), 0.0..1.0)
-        .map_err(drawing)?;
+        .build_cartesian_2d((first..last).log_scale(), 0.0..1.0)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -245,25 +228,22 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         .x_label_formatter(&|x| format!("{}", (x * 1e6).round() / 1e6))
         .y_labels(6)
         .label_style((FONT, 15))
-        .draw()
-        .map_err(drawing)?;
+        .draw()?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };
     for (_, row) in others {
         let faint = GREY.mix(0.55).stroke_width(1);
-        chart.draw_series(LineSeries::new(line(row, |d| d.fitted), faint)).map_err(drawing)?;
+        chart.draw_series(LineSeries::new(line(row, |d| d.fitted), faint))?;
     }
     let colour = COLOURS[0];
     let mut band = line(row, |d| d.high);
     band.extend(line(row, |d| d.low).into_iter().rev());
-    chart.draw_series([Polygon::new(band, colour.mix(0.22))]).map_err(drawing)?;
+    chart.draw_series([Polygon::new(band, colour.mix(0.22))])?;
     let fitted = LineSeries::new(line(row, |d| d.fitted), colour.stroke_width(2));
-    chart.draw_series(fitted).map_err(drawing)?;
+    chart.draw_series(fitted)?;
     let measured = line(row, |d| d.dependence);
-    chart
-        .draw_series(measured.into_iter().map(|at| Circle::new(at, 2, colour.filled())))
-        .map_err(drawing)?;
+    chart.draw_series(measured.into_iter().map(|at| Circle::new(at, 2, colour.filled())))?;
     mark(&mut chart, longest, row, others.len(), first, last)
 }
 
@@ -288,12 +268,13 @@ fn mark(
     let threshold = row.threshold;
     let across =
         LineSeries::new([(first, threshold), (last, threshold)], COLOURS[1].stroke_width(1));
-    chart.draw_series(across).map_err(drawing)?;
+    chart.draw_series(across)?;
     // Upper right, where the curves have fallen; times on a log axis, as shares of it.
     let at = |share: f64| first * (last / first).powf(share);
-    let mut put = |text: String, y: f64, colour: RGBColor| {
+    let mut put = |text: String, y: f64, colour: RGBColor| -> Drawn {
         let style = (FONT, 16).into_font().color(&colour);
-        chart.draw_series([Text::new(text, (at(0.5), y), style)]).map(|_| ()).map_err(drawing)
+        chart.draw_series([Text::new(text, (at(0.5), y), style)])?;
+        Ok(())
     };
     put(format!("{} (Q = {})", longest.surface, longest.trials), 0.97, COLOURS[0])?;
     match (longest.t_star_s, row.t_star_upper_s) {
@@ -312,9 +293,7 @@ fn mark(
     for (seconds, width) in [(longest.t_star_s, 2), (row.t_star_upper_s, 1)] {
         let Some(x) = seconds.map(|s| 1e3 * s) else { continue };
         let style = BLACK.stroke_width(width);
-        chart
-            .draw_series([PathElement::new([(x, 0.0), (x, threshold)], style)])
-            .map_err(drawing)?;
+        chart.draw_series([PathElement::new([(x, 0.0), (x, threshold)], style)])?;
     }
     Ok(())
 }

@@ -47,9 +47,7 @@ mod report;
 pub(crate) mod simulate;
 mod trials;
 
-pub use algorithm1::{
-    Algorithm1Settings, CurvePoint, Estimate, Rule, Search, SearchOutcome, t_star,
-};
+pub use algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Rule, Search, SearchOutcome};
 pub(crate) use figure::{AccuracyCurve, figure};
 pub(crate) use need::{SAMPLES, ScanNeed};
 pub use online::{OnlineDuration, OnlineError, OnlineEstimate, OnlineSettings};

@@ -1,6 +1,5 @@
 //! From T* to what a scan must last, and what a scan of given length is worth.
 
-/// Time in seconds.
 pub type Second = f64;
 
 /// Samples that the kernel two-sample test compares (the paper's n).
@@ -16,7 +15,6 @@ pub struct ScanNeed {
     pub t_star_s: Second,
     /// Start t₀ of the sampling after the drag has begun.
     pub start_s: Second,
-    /// n, the number of samples that are compared.
     pub samples: usize,
 }
 

@@ -33,16 +33,10 @@ impl Default for OnlineSettings {
 
 /// Why samples cannot be taken.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[allow(missing_docs)] // The messages say it.
 pub enum OnlineError {
-    /// a block that is not whole frames
     #[error("{len} values are no whole frames of {channels} channels")]
-    Ragged {
-        /// values given
-        len: usize,
-        /// channels expected
-        channels: usize,
-    },
-    /// NaN or infinity
+    Ragged { len: usize, channels: usize },
     #[error("a sample is not finite; the estimate starts anew (check the cable)")]
     NotFinite,
 }

@@ -12,53 +12,35 @@ const MOMENTS: usize = 2000;
 
 /// Why T* cannot be computed.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs)] // The messages say it.
 pub enum DurationError {
-    /// too few trials
     #[error("{0} trials; expected at least {FEWEST_PAIRS} of one surface (record more)")]
     TooFewTrials(usize),
-    /// trials of different rates
     #[error("trial {trial} has {rate_hz} Hz and trial 1 has {expected_hz} Hz; expected one rate")]
     Rates {
         /// trial, counted from 1
         trial: usize,
-        /// its rate
         rate_hz: f64,
-        /// the first trial's rate
         expected_hz: f64,
     },
-    /// trials of different shapes
     #[error("trial {trial} has {channels} channels and trial 1 has {expected}")]
     Channels {
         /// trial, counted from 1
         trial: usize,
-        /// its number of channels
         channels: usize,
-        /// the first trial's
         expected: usize,
     },
-    /// recordings too short for any lag
     #[error("the shortest trial has {frames} samples; expected at least {expected}")]
-    TooShort {
-        /// its samples
-        frames: usize,
-        /// the fewest that do
-        expected: usize,
-    },
-    /// nothing changes
+    TooShort { frames: usize, expected: usize },
     #[error(
         "the source is constant: nothing moves, so there is no time after which it is independent"
     )]
     Constant,
-    /// trials mostly agree
     #[error(
         "all trials hold one and the same value {:.0} % of the time, as a metal detector does; \
          T* has no meaning here", share * 100.0
     )]
-    MostlyOneValue {
-        /// share of moments at which all trials agree
-        share: f64,
-    },
-    /// clipped
+    MostlyOneValue { share: f64 },
     #[error(
         "channel {channel} is saturated: {:.0} % of its samples lie at one end of its range; \
          lower the gain and record again", share * 100.0
@@ -66,13 +48,10 @@ pub enum DurationError {
     Saturated {
         /// channel, counted from 1
         channel: usize,
-        /// share of samples at that end
         share: f64,
     },
-    /// settings that cannot work
     #[error("{0}")]
     Settings(String),
-    /// a test that cannot be made
     #[error(transparent)]
     Hsic(#[from] HsicError),
 }
@@ -152,7 +131,6 @@ impl Trials {
         &self.series
     }
 
-    /// Number of trials.
     pub(crate) fn count(&self) -> usize {
         self.series.len()
     }
@@ -162,7 +140,6 @@ impl Trials {
         self.frames
     }
 
-    /// Number of channels.
     pub(crate) fn channels(&self) -> usize {
         self.series[0].channels()
     }

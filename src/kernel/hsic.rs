@@ -3,15 +3,14 @@
 //!
 //! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4;
 //! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a
-//! median length scale of its own, and H = I − 11ᵀ/n centres. This is the plain form, in f64, the
-//! oracle of the batches that `duration` works with.
+//! median length scale of its own, and H = I − 11ᵀ/n centres.
 
 use ndarray::{Array2, ArrayView2};
 use rand::seq::SliceRandom;
 
 use super::length_scale::length_scale_of;
+use super::pearson3::pearson3_test;
 use super::permutation_moments::{CentredMoments, permutation_moments};
-use crate::kernel::Pearson3;
 
 /// Fewest pairs that a test of independence is done with: of 4! = 24 permutations none is rarer
 /// than 1 in 24, so that nothing could be significant at 5 %.
@@ -19,19 +18,12 @@ pub const FEWEST_PAIRS: usize = 5;
 
 /// Errors of a test of independence.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs)] // The messages say it.
 pub enum HsicError {
-    /// different numbers of samples
     #[error("{x} samples on one side and {y} on the other; expected pairs")]
-    Unpaired {
-        /// samples of the first side
-        x: usize,
-        /// samples of the second side
-        y: usize,
-    },
-    /// too few samples
+    Unpaired { x: usize, y: usize },
     #[error("{0} pairs of samples; expected at least {FEWEST_PAIRS}")]
     TooFew(usize),
-    /// NaN or infinity
     #[error(
         "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
     )]
@@ -42,29 +34,18 @@ pub enum HsicError {
         channel: usize,
         /// sample, counted from 1
         sample: usize,
-        /// what stands there
         value: f64,
     },
-    /// every sample alike
     #[error(
         "side {0} is constant: its samples are all alike, so nothing can be said about dependence"
     )]
     Constant(usize),
-    /// not a valid significance level
     #[error("a significance level of {0} is not possible; expected a number between 0 and 0.5")]
     Alpha(f64),
-    /// too few permutations for the level
     #[error(
         "{permutations} permutations cannot resolve a level of {alpha}; expected at least {least}"
     )]
-    Permutations {
-        /// how many were asked for
-        permutations: usize,
-        /// significance level
-        alpha: f64,
-        /// how many are needed
-        least: usize,
-    },
+    Permutations { permutations: usize, alpha: f64, least: usize },
 }
 
 /// The way to find the threshold κ.
@@ -90,7 +71,7 @@ pub struct Dependence {
     pub sigma_x: f64,
     /// Length scale of the second side.
     pub sigma_y: f64,
-    /// HSIC_b.
+    /// HSIC_b; negative rounding errors are cut off.
     pub hsic: f64,
     /// Threshold at the level asked for; a larger HSIC_b means dependence.
     pub kappa: f64,
@@ -125,15 +106,6 @@ pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
         *value += mean - means[i] - means[j];
     }
     k
-}
-
-/// HSIC_b = tr(KHLH)/n² of paired samples of shape (n, channels), with a length scale for each
-/// side. Negative rounding errors are cut off.
-pub fn hsic_b(x: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>, sigma_x: f64, sigma_y: f64) -> f64 {
-    let n = x.nrows() as f64;
-    let k = centred(kernel_matrix(x, sigma_x));
-    let l = kernel_matrix(y, sigma_y);
-    ((&k * &l).sum() / (n * n)).max(0.0)
 }
 
 /// Position, counted from 0, of the (1 − α) quantile among `count` values sorted upwards: rank
@@ -174,7 +146,7 @@ pub fn test_independence(
         Threshold::Gamma => {
             let moments =
                 permutation_moments(n, &CentredMoments::of(&k), &CentredMoments::of(&centred(l)));
-            let (kappa, p) = Pearson3::test(&moments, hsic * n2, alpha);
+            let (kappa, p) = pearson3_test(&moments, hsic * n2, alpha);
             (kappa / n2, p)
         }
     };
@@ -191,14 +163,18 @@ pub fn permuted(
 ) -> Vec<f64> {
     let n = l.nrows();
     let n2 = (n * n) as f64;
+    let rows = |matrix: &Array2<f64>| -> Vec<Vec<f64>> {
+        matrix.rows().into_iter().map(|row| row.to_vec()).collect()
+    };
+    let (k, l) = (rows(k_centred), rows(l));
     let mut order: Vec<usize> = (0..n).collect();
     let mut null: Vec<f64> = (0..count)
         .map(|_| {
             order.shuffle(rng);
             let mut sum = 0.0;
-            for i in 0..n {
-                let (row, k) = (l.row(order[i]), k_centred.row(i));
-                let off: f64 = (0..i).map(|j| k[j] * row[order[j]]).sum();
+            for (i, k) in k.iter().enumerate() {
+                let row = &l[order[i]];
+                let off: f64 = k.iter().zip(&order[..i]).map(|(k, &j)| k * row[j]).sum();
                 sum += k[i] * row[order[i]] + 2.0 * off;
             }
             sum / n2

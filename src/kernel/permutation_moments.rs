@@ -51,9 +51,7 @@ impl CentredMoments {
 /// Mean, variance and skewness of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moments {
-    /// Expected value.
     pub mean: f64,
-    /// Variance.
     pub variance: f64,
     /// Third central moment over the variance to the power 3/2.
     pub skewness: f64,

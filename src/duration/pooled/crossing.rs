@@ -15,7 +15,6 @@ const THERE: f64 = 2.0;
 pub struct Curve {
     /// Centre of each bin, in frames.
     pub lags: Vec<f64>,
-    /// Dependence in each.
     pub sizes: Vec<Size>,
     /// Its antitonic fit.
     pub fitted: Vec<f64>,
@@ -31,7 +30,6 @@ pub struct Crossing {
 }
 
 impl Curve {
-    /// A curve and its fit.
     pub fn new(lags: Vec<f64>, sizes: Vec<Size>) -> Self {
         let fitted = antitonic(&sizes.iter().map(|s| s.value).collect::<Vec<_>>());
         Self { lags, sizes, fitted }
@@ -44,7 +42,6 @@ impl Curve {
         (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
     }
 
-    /// Upper bound of √size.
     pub fn upper(&self, bin: usize, threshold: f64) -> f64 {
         self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
     }

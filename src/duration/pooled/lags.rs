@@ -34,9 +34,7 @@ pub struct Bin {
 /// All lags, upwards, and their bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lags {
-    /// Each lag.
     pub all: Vec<Lag>,
-    /// Each bin.
     pub bins: Vec<Bin>,
 }
 

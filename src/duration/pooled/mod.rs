@@ -57,7 +57,6 @@ pub enum PooledAnswer {
 /// Dependence at one lag.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DependencePoint {
-    /// Lag in frames.
     pub lag: f64,
     /// Correlation of a Gaussian process that depends as much on its past.
     pub dependence: f64,
@@ -65,14 +64,11 @@ pub struct DependencePoint {
     pub fitted: f64,
     /// Lower end of the fit's 90 % interval.
     pub low: f64,
-    /// Upper end.
     pub high: f64,
 }
 
-/// The result of `pooled`.
 #[derive(Clone, Debug)]
 pub struct Pooled {
-    /// T*, or why there is none.
     pub answer: PooledAnswer,
     /// Longest lag that can be answered, in frames.
     pub range: f64,
