@@ -1,9 +1,9 @@
 //! Speed of the method `reference`: `cargo bench --bench reference [-- kernel sums query halving cache]`.
 //!
-//! Prints, on synthetic sample sets: time of a kernel evaluation for 1 to 4 channels on each
-//! instruction set; time of a score by each way of summing, beside f64; one whole query against 1080 trials × 8 sources × R = 10, exact and with
-//! halving; how often halving gives the same label over 500 queries; and the time to load a library
-//! of 1080 trials prepared earlier. Times are the least of several runs, and their median; on a
+//! Prints, on synthetic sample sets: time of a kernel evaluation for 1 to 4 channels; time of a score
+//! by each way of summing, beside f64; one whole query against 1080 trials × 8 sources × R = 10, exact
+//! and with halving; how often halving gives the same label over 500 queries; and the time to load a
+//! library of 1080 trials prepared earlier. Times are the least of several runs, and their median; on a
 //! machine that is shared with others, the processor time says more (Linux only).
 //!
 //! `SURFACED_BENCH_CACHE=FOLDER` keeps the prepared library there; `SURFACED_BENCH_QUERIES=N` compares
@@ -16,9 +16,7 @@ use std::time::Instant;
 
 use ndarray::Array2;
 use surfaced::dataset::synth::{self, Parameters};
-use surfaced::kernel::{
-    InstructionSet, PaddedPoints, lane_scale, lane_self_sum_with, lane_sum_with,
-};
+use surfaced::kernel::Points;
 use surfaced::library::{Entry, LibraryError, LoadTrial, Outlines};
 use surfaced::recognise::{
     QuerySet, Reference, ReferenceOptions, STAGES, SampleSet, Scratch, SumPrecision,
@@ -71,43 +69,39 @@ fn processor_s() -> Option<f64> {
 fn kernel() {
     println!("ns an evaluation, 400 × 400 samples, one core: least (median) of 400 runs");
     println!(
-        "{:<12} {:>3}  {:<18} {:<18} {:<18}",
-        "", "ch", "with others", "with far outliers", "with itself"
+        "{:>3}  {:<18} {:<18} {:<18}",
+        "ch", "with others", "with far outliers", "with itself"
     );
-    for &set in InstructionSet::available() {
-        for channels in 1..=4 {
-            // Spread out as a normal distribution is; or with one sample far away.
-            let fill = |key: usize, far: f64| {
-                let mut lanes = PaddedPoints::default();
-                lanes.fill(channels, lane_scale(1.0), |c| {
-                    (0..400).map(move |i| {
-                        let at = (i * (7 + c) + key) as f64 * 0.618_033_988_749;
-                        let x: f64 = (1..=4).map(|k| (at * f64::from(k)).fract() - 0.5).sum();
-                        if i == 17 { x * far } else { 1.7 * x }
-                    })
-                });
-                lanes
-            };
-            let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
-            let cross = |b: &PaddedPoints| {
-                timed(400, || {
-                    black_box(lane_sum_with(set, black_box(&a), black_box(b)));
+    for channels in 1..=4 {
+        // Spread out as a normal distribution is; or with one sample far away.
+        let fill = |key: usize, far: f64| {
+            let mut points = Points::<f32>::default();
+            points.fill(channels, 1.0, |c| {
+                (0..400).map(move |i| {
+                    let at = (i * (7 + c) + key) as f64 * 0.618_033_988_749;
+                    let x: f64 = (1..=4).map(|k| (at * f64::from(k)).fract() - 0.5).sum();
+                    if i == 17 { x * far } else { 1.7 * x }
                 })
-            };
-            let itself = timed(400, || {
-                black_box(lane_self_sum_with(set, black_box(&a)));
             });
-            let show = |(least, median): (f64, f64)| {
-                format!("{:.3} ({:.3})", least / 160e-6, median / 160e-6)
-            };
-            println!(
-                "{:<12} {channels:>3}  {:<18} {:<18} {:<18}",
-                format!("{set:?}"),
-                show(cross(&b)),
-                show(cross(&far)),
-                show(itself)
-            );
-        }
+            points
+        };
+        let (a, b, far) = (fill(1, 1.7), fill(2, 1.7), fill(3, 1e4));
+        let cross = |b: &Points<f32>| {
+            timed(400, || {
+                black_box(black_box(&a).sum(black_box(b)));
+            })
+        };
+        let itself = timed(400, || {
+            black_box(black_box(&a).self_sum());
+        });
+        let show =
+            |(least, median): (f64, f64)| format!("{:.3} ({:.3})", least / 160e-6, median / 160e-6);
+        println!(
+            "{channels:>3}  {:<18} {:<18} {:<18}",
+            show(cross(&b)),
+            show(cross(&far)),
+            show(itself)
+        );
     }
 }
 

@@ -8,7 +8,7 @@
 
 use multiversion::multiversion;
 
-use super::f64_sums::exp2_of_minus;
+use super::sums::exp2_of_minus;
 
 /// Half width of a cell, in length scales.
 const HALF: f64 = 0.25;

@@ -1,5 +1,5 @@
-//! The one place with intrinsics: Gaussian sums on AVX-512. Safe twin: `portable_sum` in
-//! [`super::lanes`], against which this is tested.
+//! The one place with intrinsics: Gaussian sums on AVX-512. Safe twin: `sum_f32` in
+//! [`super::sums`], against which this is tested.
 //!
 //! Per evaluation 2^(−q/16), q the squared distance: adding 1.5·2²³ rounds −q to a whole number N
 //! of sixteenths; 2^(N/16) is a table of 16 and an exponent; the rest, |f| ≤ ½ sixteenth, is a cubic,
@@ -9,7 +9,7 @@
 
 use std::arch::x86_64::*;
 
-use super::padded_points::LANES;
+use super::sums::LANES;
 
 /// Largest squared distance, in the units of this module, that needs no care: 2^(−2016/16) still is
 /// a normal number.

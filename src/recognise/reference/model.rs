@@ -144,7 +144,6 @@ struct QuerySource<'a> {
     sets: Vec<QuerySet<'a>>,
 }
 
-/// A query against a library.
 struct QueryComparison<'a> {
     sampler: &'a Sampler,
     query: &'a ReferenceQuery<'a>,

@@ -105,7 +105,6 @@ impl PreparedTrial {
         Some(Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) })
     }
 
-    /// The key of the trial.
     pub fn key(&self) -> &TrialKey {
         &self.entry.key
     }

@@ -3,10 +3,7 @@
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use crate::kernel::{
-    F64Points, LineSum, PaddedPoints, SelfMean, f64_self_sum, lane_scale, lane_self_sum,
-    length_scale,
-};
+use crate::kernel::{LineSum, Number, Points, SelfMean, length_scale};
 
 /// Sets of at most this many distinct samples (the metal detector has two) are summed over these.
 const MOST_DISTINCT: usize = 8;
@@ -77,8 +74,8 @@ struct DistinctPoints {
 /// Room for one comparison, to be used again.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
-    pub(super) lanes: PaddedPoints,
-    pub(super) in_f64: F64Points,
+    pub(super) in_f32: Points<f32>,
+    pub(super) in_f64: Points<f64>,
 }
 
 impl SampleSet {
@@ -157,11 +154,11 @@ impl SampleSet {
         if let Some(sum) = self.distinct_sum(self, sigma, &vec![0.0; self.dims()]) {
             sum
         } else if self.fits_lanes(sigma) && !self.is_clustered_at(sigma) {
-            self.fill_lanes(&mut scratch.lanes, sigma, &self.centre);
-            lane_self_sum(&scratch.lanes)
+            self.fill(&mut scratch.in_f32, sigma, &self.centre);
+            scratch.in_f32.self_sum()
         } else {
-            self.fill_f64(&mut scratch.in_f64, sigma, &self.centre);
-            f64_self_sum(&scratch.in_f64)
+            self.fill(&mut scratch.in_f64, sigma, &self.centre);
+            scratch.in_f64.self_sum()
         }
     }
 
@@ -177,21 +174,7 @@ impl SampleSet {
         self.clustered || sigma > AFAR * self.sigma
     }
 
-    pub(super) fn fill_lanes(&self, lanes: &mut PaddedPoints, sigma: f64, origin: &[f64]) {
-        let (n, dims, scale) = (self.n(), self.dims(), lane_scale(sigma));
-        match &self.values {
-            Values::Single(v) => lanes.fill(dims, scale, |c| {
-                v[c * n..(c + 1) * n].iter().map(move |&x| f64::from(x) - origin[c])
-            }),
-            Values::Double(v) => {
-                lanes.fill(dims, scale, |c| {
-                    v[c * n..(c + 1) * n].iter().map(move |&x| x - origin[c])
-                });
-            }
-        }
-    }
-
-    pub(super) fn fill_f64(&self, points: &mut F64Points, sigma: f64, origin: &[f64]) {
+    pub(super) fn fill<T: Number>(&self, points: &mut Points<T>, sigma: f64, origin: &[f64]) {
         let n = self.n();
         match &self.values {
             Values::Single(v) => points.fill(self.dims(), sigma, |c| {

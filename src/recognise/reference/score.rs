@@ -5,10 +5,7 @@ use std::sync::OnceLock;
 use ndarray::{ArrayView2, Axis};
 
 use super::sample_set::{SampleSet, Scratch};
-use crate::kernel::{
-    CrossSums, F64Points, LineSum, PaddedPoints, f64_sum, lane_sum, length_scale, mmd2_biased,
-    mmd2_from_sums,
-};
+use crate::kernel::{CrossSums, LineSum, Points, length_scale, mmd2_biased, mmd2_from_sums};
 
 /// The least score that enters a product or a logarithm.
 ///
@@ -27,9 +24,7 @@ pub fn log_score(score: f64) -> f64 {
 /// Result of comparing two sets of samples.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SampleScore {
-    /// Number of samples a side.
     pub n: usize,
-    /// Number of channels.
     pub dims: usize,
     /// Length scale of the kernel.
     pub sigma: f64,
@@ -87,7 +82,7 @@ pub struct QuerySet<'a> {
     precision: SumPrecision,
     strategy: SumStrategy,
     /// Points in f64 and Σ k(zᵢ, zⱼ), once some comparison asks for them.
-    f64_points: OnceLock<(F64Points, f64)>,
+    f64_points: OnceLock<(Points<f64>, f64)>,
 }
 
 /// The way to sum Σ k(yᵢ, zⱼ), with Σ k(zᵢ, zⱼ), which is the same for all library trials.
@@ -95,8 +90,7 @@ enum SumStrategy {
     /// One channel, expanded once.
     Line(LineSum, f64),
     /// Two to four channels, in f32.
-    Lanes(PaddedPoints, f64),
-    /// In f64.
+    Lanes(Points<f32>, f64),
     InF64,
 }
 
@@ -112,8 +106,8 @@ impl<'a> QuerySet<'a> {
             SumStrategy::Line(line, zz)
         } else if set.fits_lanes(sigma) {
             let zz = set.self_sum_at(sigma, &mut Scratch::default());
-            let mut lanes = PaddedPoints::default();
-            set.fill_lanes(&mut lanes, sigma, &set.centre);
+            let mut lanes = Points::default();
+            set.fill(&mut lanes, sigma, &set.centre);
             SumStrategy::Lanes(lanes, zz)
         } else {
             SumStrategy::InF64
@@ -167,8 +161,8 @@ impl<'a> QuerySet<'a> {
         let (yz, zz) = match &self.strategy {
             SumStrategy::Line(line, zz) => (y.sum_on_line(line, shift(0)), *zz),
             SumStrategy::Lanes(z_lanes, zz) if y.fits_lanes(sigma) && !clustered => {
-                y.fill_lanes(&mut scratch.lanes, sigma, &self.origin(shift));
-                (lane_sum(&scratch.lanes, z_lanes), *zz)
+                y.fill(&mut scratch.in_f32, sigma, &self.origin(shift));
+                (scratch.in_f32.sum(z_lanes), *zz)
             }
             SumStrategy::Lanes(..) | SumStrategy::InF64 => return None,
         };
@@ -184,10 +178,10 @@ impl<'a> QuerySet<'a> {
         let sigma = self.set.sigma;
         let (z_points, zz) = self.in_f64();
         let points = &mut scratch.in_f64;
-        y.fill_f64(points, sigma, &self.origin(shift));
-        let yz = f64_sum(points, z_points);
-        y.fill_f64(points, sigma, &y.centre);
-        CrossSums { yy: f64_sum(points, points), zz: *zz, yz }
+        y.fill(points, sigma, &self.origin(shift));
+        let yz = points.sum(z_points);
+        y.fill(points, sigma, &y.centre);
+        CrossSums { yy: points.sum(points), zz: *zz, yz }
     }
 
     /// The centre of z as the origin of the shifted y.
@@ -196,12 +190,12 @@ impl<'a> QuerySet<'a> {
     }
 
     /// The points, and zz, in f64.
-    fn in_f64(&self) -> &(F64Points, f64) {
+    fn in_f64(&self) -> &(Points<f64>, f64) {
         self.f64_points.get_or_init(|| {
-            let mut points = F64Points::default();
-            self.set.fill_f64(&mut points, self.set.sigma, &self.set.centre);
+            let mut points = Points::default();
+            self.set.fill(&mut points, self.set.sigma, &self.set.centre);
             // In the same order as y's own sum and the cross sum, so that equal roundings cancel.
-            let zz = f64_sum(&points, &points);
+            let zz = points.sum(&points);
             (points, zz)
         })
     }
