@@ -26,9 +26,10 @@ pub(crate) const COLOURS: [RGBColor; 10] = [
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type Drawn = Result<(), FigureError>;
 
-/// A drawing library's error.
-pub(crate) fn drawing(error: impl std::fmt::Display) -> FigureError {
-    FigureError(error.to_string())
+impl From<DrawingAreaErrorKind<std::io::Error>> for FigureError {
+    fn from(error: DrawingAreaErrorKind<std::io::Error>) -> Self {
+        Self(error.to_string())
+    }
 }
 
 /// A white picture of `size` in points, and what `draw` puts on it.
@@ -39,14 +40,14 @@ pub(crate) fn svg(
     let mut svg = String::new();
     {
         let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        area.fill(&WHITE).map_err(drawing)?;
+        area.fill(&WHITE)?;
         draw(&area)?;
-        area.present().map_err(drawing)?;
+        area.present()?;
     }
     Ok(svg)
 }
 
 /// Text with its upper left corner at a point.
 pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size: i32) -> Drawn {
-    area.draw(&Text::new(text.into(), at, ("sans-serif", size))).map_err(drawing)
+    Ok(area.draw(&Text::new(text.into(), at, ("sans-serif", size)))?)
 }

@@ -34,7 +34,7 @@ pub enum EvaluatedTrials<'a> {
 }
 
 impl<'a> EvaluatedTrials<'a> {
-    /// Which trial stands at an index.
+    /// The key of the trial at an index.
     pub fn key(self, index: usize) -> &'a TrialKey {
         match self {
             Self::Recordings(entries) => &entries[index].key,

@@ -1,4 +1,4 @@
-//! Which trials are queries and which are the library, fold by fold (method §3).
+//! Splits trials into queries and library, fold by fold (method §3).
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -8,14 +8,17 @@ use super::noise::{coloured, correlated, fill_normal, quantised};
 use super::parameters::Difficulty;
 use crate::seed::{normal, uniform};
 
+/// One source of one trial: what moves it, and its length in frames.
+pub(super) struct Contact<'a> {
+    pub draws: &'a Draws<'a>,
+    pub d: &'a Difficulty,
+    pub hand: &'a Hand,
+    pub frames: usize,
+    pub rate_hz: f64,
+}
+
 /// Forces on the two resistors, interleaved, as fractions of full scale.
-pub(super) fn friction(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    hand: &Hand,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn friction(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let time_s = (draws.value("friction correlation", d.friction_correlation) - hand.speed).exp();
     let common = draws.value("friction common", d.friction_common).exp() as f32;
     let swing = draws.value("friction swing", d.friction_swing).exp() as f32;
@@ -38,13 +41,7 @@ pub(super) fn friction(
 }
 
 /// Reflected infrared light, as a fraction of full scale.
-pub(super) fn reflectance(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    hand: &Hand,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn reflectance(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let time_s =
         (draws.value("reflectance correlation", d.reflectance_correlation) - hand.speed).exp();
     let level = logistic(draws.value("reflectance level", d.reflectance_level)) as f32;
@@ -62,13 +59,8 @@ pub(super) fn reflectance(
 }
 
 /// 1 while metal is felt, 0 otherwise. Always 0 unless the surface conducts.
-pub(super) fn metal(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    conducts: bool,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
+    let &Contact { draws, d, frames, rate_hz, .. } = contact;
     if !conducts {
         return vec![0.0; frames];
     }
@@ -92,7 +84,6 @@ const DRIFT_KNOTS: usize = 12;
 /// Frames over which that change is taken to be linear.
 const BLOCK: usize = 64;
 
-/// The movement of one trial.
 #[derive(Debug)]
 pub(super) struct Hand {
     /// ln of the mean force
@@ -132,7 +123,6 @@ impl Hand {
     }
 }
 
-/// Number of resonances.
 const MODES: u32 = 5;
 /// When the stylus touches the surface, in s.
 const TOUCH_S: f64 = 0.02;
@@ -140,13 +130,7 @@ const TOUCH_S: f64 = 0.02;
 const CLICK_S: f64 = 0.001;
 
 /// The sound of a tap, in full scales of the converter.
-pub(super) fn tap_sound(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    hand: &Hand,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn tap_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let rng = &mut draws.noise("tap");
     let mut samples = coloured(rng, frames, rate_hz, MICROPHONE_END_HZ, room(draws, d));
     let touch = ((TOUCH_S * rate_hz) as usize).min(frames);
@@ -183,7 +167,6 @@ fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
     }
 }
 
-/// Number of bumps in a spectrum.
 const BUMPS: u32 = 4;
 /// Width of a bump, as the standard deviation of the ln of the frequency.
 const BUMP_WIDTH: f64 = 0.25;
@@ -238,13 +221,7 @@ fn room(draws: &Draws<'_>, d: &Difficulty) -> impl Fn(f64) -> f64 + use<> {
 }
 
 /// The dragging sound, in full scales of the converter.
-pub(super) fn drag_sound(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    hand: &Hand,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn drag_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let spectrum = Spectrum::draw(draws, "sound", d.sound_slope, d.sound_bump, d.sound_centre);
     let room = room(draws, d);
     let gain = draws.value("microphone gain", d.microphone_gain).exp();
@@ -260,13 +237,7 @@ pub(super) fn drag_sound(
 }
 
 /// Acceleration along x, y and z, interleaved, in full scales of the converter.
-pub(super) fn acceleration(
-    draws: &Draws<'_>,
-    d: &Difficulty,
-    hand: &Hand,
-    frames: usize,
-    rate_hz: f64,
-) -> Vec<f32> {
+pub(super) fn acceleration(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let spectrum = Spectrum::draw(
         draws,
         "acceleration",

@@ -32,7 +32,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use contact::Hand;
+use contact::{Contact, Hand};
 use effect::Draws;
 
 use crate::library::{Entry, Library, LibraryError, LoadTrial, Outline, Outlines};
@@ -157,14 +157,15 @@ fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, Sign
         let rgb = picture::picture(draws, d, source == "ca2");
         return Image::new(Image::COLS, Image::ROWS, rgb).map(Signal::Image);
     };
+    let contact = &Contact { draws, d, hand, frames, rate_hz };
     let samples = match source {
-        "mi1" => contact::tap_sound(draws, d, hand, frames, rate_hz),
-        "mi2" => contact::drag_sound(draws, d, hand, frames, rate_hz),
-        "ac" => contact::acceleration(draws, d, hand, frames, rate_hz),
-        "fr" => contact::friction(draws, d, hand, frames, rate_hz),
-        "ir" => contact::reflectance(draws, d, hand, frames, rate_hz),
+        "mi1" => contact::tap_sound(contact),
+        "mi2" => contact::drag_sound(contact),
+        "ac" => contact::acceleration(contact),
+        "fr" => contact::friction(contact),
+        "ir" => contact::reflectance(contact),
         // The scene is LMT108's, so this is the eighth: `me`.
-        _ => contact::metal(draws, d, conducts(draws, d), frames, rate_hz),
+        _ => contact::metal(contact, conducts(draws, d)),
     };
     Series::new(rate_hz, channels, samples).map(Signal::Series)
 }
@@ -179,7 +180,6 @@ fn conducts(draws: &Draws<'_>, d: &Difficulty) -> bool {
 const SURFACES: usize = 13;
 /// Two surfaces of one material that are almost alike.
 const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.05 };
-/// The surface that the library lacks.
 const UNKNOWN: usize = 12;
 /// The scan whose acceleration is a dead line.
 const DEAD: (usize, u32) = (5, 2);
@@ -192,7 +192,7 @@ pub struct Embedded {
     /// Four trials of each surface but one by the expert, to compare with, and a trial of every
     /// surface by each of three users, to be named.
     pub library: Library,
-    /// What makes it hard, a line each, to be shown.
+    /// Its difficulties, a line each, to be shown.
     pub remarks: Vec<String>,
 }
 

@@ -11,7 +11,6 @@ use super::parameters::Difficulty;
 use crate::seed::uniform;
 use crate::trial::Image;
 
-/// Number of waves in a texture.
 const WAVES: usize = 5;
 /// Width in pixels of the flash's reflection on a mirror, and on a matt surface.
 const REFLECTION_PIXELS: (f64, f64) = (40.0, 160.0);

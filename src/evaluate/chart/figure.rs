@@ -7,7 +7,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::point::{Chart, ChartPoint, front};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing, put, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
 
 const WIDTH: u32 = 1400;
 const HEAD: u32 = 78;
@@ -116,7 +116,6 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
 
 const GREY: RGBColor = RGBColor(120, 120, 120);
 
-/// The colour of each method.
 type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
 /// Methods in their order in the chart, each with its colour.
@@ -138,7 +137,7 @@ fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
 /// Draws a point; `hollow` if it uses only some of the sources.
 fn mark(area: &Area<'_>, at: (i32, i32), colour: RGBColor, hollow: bool) -> Drawn {
     let style = if hollow { colour.stroke_width(2) } else { colour.filled() };
-    area.draw(&Circle::new(at, 5, style)).map_err(drawing)
+    Ok(area.draw(&Circle::new(at, 5, style))?)
 }
 
 /// A row that names the marks, with its upper left corner at `(x, top)`.
@@ -182,9 +181,7 @@ fn latency_panel(
     let ms = |p: &ChartPoint| p.query_ms_p50.max(1e-3);
     let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
-    let mut panel = builder(area)
-        .build_cartesian_2d((from..to).log_scale(), axis(chart, whole))
-        .map_err(drawing)?;
+    let mut panel = builder(area).build_cartesian_2d((from..to).log_scale(), axis(chart, whole))?;
     (panel.configure_mesh())
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.08))
@@ -193,17 +190,14 @@ fn latency_panel(
         .x_label_formatter(&|x| x.to_string())
         .y_label_formatter(&|y| percent(*y))
         .label_style(("sans-serif", 14))
-        .draw()
-        .map_err(drawing)?;
+        .draw()?;
     marks(area, &mut panel, chart, (from, to), whole, colours, ms)
 }
 
-/// Accuracy against scan time.
 fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
     let shown = chart.timed();
     let end = chart.points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max) * 1.06;
-    let mut panel =
-        builder(area).build_cartesian_2d(0.0..end, axis(chart, &shown)).map_err(drawing)?;
+    let mut panel = builder(area).build_cartesian_2d(0.0..end, axis(chart, &shown))?;
     (panel.configure_mesh())
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.08))
@@ -211,8 +205,7 @@ fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
         .y_desc("accuracy")
         .y_label_formatter(&|y| percent(*y))
         .label_style(("sans-serif", 14))
-        .draw()
-        .map_err(drawing)?;
+        .draw()?;
     let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
     for point in &shown {
         let line = lines.entry((&point.method, &point.setting)).or_default();
@@ -221,7 +214,7 @@ fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
     for ((method, _), mut line) in lines {
         line.sort_by(|a, b| a.0.total_cmp(&b.0));
         let style = colours[method].mix(0.6).stroke_width(1);
-        panel.draw_series(LineSeries::new(line, style)).map_err(drawing)?;
+        panel.draw_series(LineSeries::new(line, style))?;
     }
     marks(area, &mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
 }
@@ -258,7 +251,7 @@ fn controls<X: Ranged<ValueType = f64>>(
         let ends = [ends.0, ends.1].map(|end| place(area, panel, end, control.accuracy));
         for dash in (ends[0].0..ends[1].0).step_by(10) {
             let line = [(dash, ends[0].1), ((dash + 5).min(ends[1].0), ends[0].1)];
-            area.draw(&PathElement::new(line, GREY.stroke_width(1))).map_err(drawing)?;
+            area.draw(&PathElement::new(line, GREY.stroke_width(1)))?;
         }
         put(area, letter, (ends[0].0 + 4, ends[0].1 - 16), 13)?;
     }
@@ -274,16 +267,15 @@ fn bar<X: Ranged<ValueType = f64>>(
     colour: RGBColor,
 ) -> Drawn {
     let ends = [point.accuracy_low, point.accuracy_high].map(|y| place(area, panel, x, y));
-    area.draw(&PathElement::new(ends, colour.mix(0.5).stroke_width(2))).map_err(drawing)?;
+    area.draw(&PathElement::new(ends, colour.mix(0.5).stroke_width(2)))?;
     for user in &point.users {
         let (x, y) = place(area, panel, x, user.share.value());
         let tick = PathElement::new([(x - 6, y), (x + 6, y)], colour.mix(0.7).stroke_width(1));
-        area.draw(&tick).map_err(drawing)?;
+        area.draw(&tick)?;
     }
     Ok(())
 }
 
-/// Controls, front and points.
 fn marks<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &mut Panel<'_, '_, X>,
@@ -296,7 +288,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     controls(area, panel, chart, ends)?;
     let front = front(points, &x);
     let line = front.iter().map(|p| (x(p), p.accuracy));
-    panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3))).map_err(drawing)?;
+    panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3)))?;
     for point in points {
         let colour = colours[point.method.as_str()];
         bar(area, panel, point, x(point), colour)?;

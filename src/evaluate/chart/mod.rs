@@ -27,11 +27,8 @@ use crate::scene::{Scene, SourceId};
 /// The data of a chart.
 #[derive(Clone, Copy)]
 pub struct Charting<'a> {
-    /// The trials.
     pub entries: &'a [Entry],
-    /// The protocol that splits them.
     pub protocol: Protocol,
-    /// Queries and libraries.
     pub folds: &'a [Fold],
 }
 

@@ -7,11 +7,9 @@ use crate::scene::SourceId;
 /// One setting of one method, measured.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ChartPoint {
-    /// The method.
     pub method: String,
     /// The options that give this point again.
     pub setting: String,
-    /// Sources that were compared.
     pub sources: Vec<String>,
     /// The part of each query's drag that was used, in seconds; none for all of it.
     pub query_seconds: Option<f64>,
@@ -19,16 +17,13 @@ pub struct ChartPoint {
     pub accuracy: f64,
     /// Lower end of its 95 % interval, over users where there are five or more, else over queries.
     pub accuracy_low: f64,
-    /// Upper end of that interval.
     pub accuracy_high: f64,
     /// Each user's share, where queries and library are split by user.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub users: Vec<FoldAccuracy>,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
-    /// 99th percentile of that time.
     pub query_ms_p99: f64,
-    /// Number of queries.
     pub queries: usize,
     /// False: only points that `tools/peers` adds to the JSON are programs of others.
     pub peer: bool,
@@ -37,7 +32,6 @@ pub struct ChartPoint {
 }
 
 impl ChartPoint {
-    /// A point from an evaluation.
     pub fn new(
         outcome: &Outcome,
         protocol: Protocol,
@@ -103,7 +97,6 @@ pub(super) fn front<'a>(
 /// A whole chart, as JSON holds it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Chart {
-    /// The name of the data.
     pub data: String,
     /// Made by a generator, not recorded.
     pub synthetic: bool,
@@ -119,7 +112,6 @@ pub struct Chart {
     pub threads: usize,
     /// Length of a whole drag in seconds, where one is.
     pub drag_s: Option<f64>,
-    /// The measured points.
     pub points: Vec<ChartPoint>,
 }
 
@@ -129,7 +121,6 @@ impl Chart {
         self.points.iter().filter(|point| !point.control)
     }
 
-    /// The negative controls.
     pub fn controls(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| point.control)
     }

@@ -42,9 +42,7 @@ fn on_subsets() -> MethodSpec {
 /// One run of a chart.
 #[derive(Clone, Debug)]
 pub struct Charted {
-    /// The method or control.
     pub what: Comparer,
-    /// The sources.
     pub scene: Scene,
     /// The part of each query's drag that is used, in seconds; `None` for all of it.
     pub seconds: Vec<Option<f64>>,
@@ -62,7 +60,6 @@ pub enum Comparer {
 }
 
 impl Charted {
-    /// Whether it is a negative control.
     pub fn is_control(&self) -> bool {
         !matches!(self.what, Comparer::Method(_))
     }

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::report::{PaperReport, ReportRow};
-use crate::draw::{Area, Drawn, FigureError, drawing, put, svg};
+use crate::draw::{Area, Drawn, FigureError, put, svg};
 use crate::evaluate::Confusion;
 
 const OURS: RGBColor = RGBColor(0, 90, 160);
@@ -45,7 +45,7 @@ pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
         for percent in (0..=100).step_by(20) {
             let at = x(f64::from(percent));
             let line = PathElement::new([(at, 60), (at, height - 24)], BLACK.mix(0.12));
-            area.draw(&line).map_err(drawing)?;
+            area.draw(&line)?;
             put(area, percent.to_string(), (at - 8, height - 20), 12)?;
         }
         for (at, row) in shown.iter().enumerate() {
@@ -64,24 +64,24 @@ fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Dr
     put(area, row.protocol, (LEFT - 112, top + 4), 10)?;
     let ours = 100.0 * row.accuracy_mean.unwrap_or(0.0);
     let std = 100.0 * row.accuracy_std.unwrap_or(0.0);
-    let whisker = |y: i32, mean: f64, std: f64, colour: RGBColor| {
+    let whisker = |y: i32, mean: f64, std: f64, colour: RGBColor| -> Drawn {
         let line =
             PathElement::new([(x(mean - std), y), (x(mean + std), y)], colour.stroke_width(1));
-        area.draw(&line).map_err(drawing)
+        Ok(area.draw(&line)?)
     };
     let box_of = [(x(0.0), top + 2), (x(ours), top + 12)];
-    area.draw(&Rectangle::new(box_of, OURS.mix(0.6).filled())).map_err(drawing)?;
+    area.draw(&Rectangle::new(box_of, OURS.mix(0.6).filled()))?;
     whisker(top + 7, ours, std, BLACK)?;
     if let Some(published) = row.published {
         let at = x(published.accuracy);
         let mark = Rectangle::new([(at - 2, top + 1), (at + 2, top + 17)], PAPER.filled());
-        area.draw(&mark).map_err(drawing)?;
+        area.draw(&mark)?;
         whisker(top + 15, published.accuracy, published.std.unwrap_or(0.0), PAPER)?;
     }
     put(area, format!("{ours:.1}"), (WIDTH as i32 - RIGHT + 10, top + 2), 12)
 }
 
-/// Which material a surface is of: the digit after the G that opens LMT108's names.
+/// The material of a surface: the digit after the G that opens LMT108's names.
 fn material(surface: &str) -> usize {
     let digit = surface.strip_prefix('G').and_then(|rest| rest.bytes().next());
     match digit {
@@ -106,7 +106,7 @@ pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
         put(area, "Truth (rows) against answer (columns), by material", (20, 14), 18)?;
         put(area, "blue: right; orange: wrong; the darker, the more often", (20, 40), 12)?;
         let frame = Rectangle::new([(left, top), (left + side, top + side)], BLACK.mix(0.5));
-        area.draw(&frame).map_err(drawing)?;
+        area.draw(&frame)?;
         for (row, &truth) in order.iter().enumerate() {
             let y = top + cell * row as i32;
             put(area, confusion.labels[truth].as_str(), (150, y), cell.min(12))?;
@@ -119,7 +119,7 @@ pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
                     let x = left + cell * column as i32;
                     let of_cell = [(x, y), (x + cell, y + cell)];
                     let shade = colour.mix(0.25 + 0.75 * share).filled();
-                    area.draw(&Rectangle::new(of_cell, shade)).map_err(drawing)?;
+                    area.draw(&Rectangle::new(of_cell, shade))?;
                 }
             }
         }
@@ -144,12 +144,12 @@ fn groups(
         put(area, name, (10, top + offset), 11)?;
         let upright = ("sans-serif", 11).into_font().transform(FontTransform::Rotate270);
         let text = Text::new(name, (left + offset, top - 6), upright.into_text_style(area));
-        area.draw(&text).map_err(drawing)?;
+        area.draw(&text)?;
         for line in [
             [(left, top + offset), (left + side, top + offset)],
             [(left + offset, top), (left + offset, top + side)],
         ] {
-            area.draw(&PathElement::new(line, BLACK.mix(0.5))).map_err(drawing)?;
+            area.draw(&PathElement::new(line, BLACK.mix(0.5)))?;
         }
     }
     Ok(())

@@ -5,17 +5,14 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Which part of the queries: every `of`-th, from the `number`-th on, counted from 1.
+/// A part of the queries: every `of`-th, from the `number`-th on, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Shard {
-    /// Counted from 1.
     pub number: usize,
-    /// Number of shards.
     pub of: usize,
 }
 
 impl Shard {
-    /// All queries.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
     /// Whether a query, by index, belongs to it.
@@ -58,11 +55,9 @@ pub struct RowPart {
     pub missing: Vec<String>,
     /// Why it could not be run.
     pub not_run: Option<String>,
-    /// Name of each fold.
     pub folds: Vec<String>,
     /// Trials in the library of the largest fold.
     pub library_trials: usize,
-    /// Surfaces that could be the answer.
     pub labels: Vec<String>,
     /// Fold, query, nearest library trial; ascending.
     pub answers: Vec<(usize, usize, usize)>,
@@ -74,13 +69,10 @@ pub struct RowPart {
 pub struct PaperPart {
     /// 1.
     pub format: u32,
-    /// Name of the data.
     pub data: String,
-    /// Made by a generator.
     pub synthetic: bool,
     /// The settings, to show and to compare.
     pub settings: String,
-    /// Which queries.
     pub shard: Shard,
     /// Surface, user and number of every trial.
     pub trials: Vec<(String, String, u32)>,
@@ -102,24 +94,14 @@ impl PaperPart {
 /// Why shards cannot be joined.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum MergeError {
-    /// nothing to join
     #[error("no shards to join")]
     Nothing,
-    /// shards of two runs
     #[error("shard {0} is of another run than shard {1}: other data or settings")]
     Different(Shard, Shard),
-    /// one shard twice
     #[error("shard {0} is there twice")]
     Twice(Shard),
-    /// shards that are not there
     #[error("of {of} shards these are not there yet: {missing}")]
-    Missing {
-        /// how many there should be
-        of: usize,
-        /// the numbers of those that are not there
-        missing: String,
-    },
-    /// an answer that names no trial
+    Missing { of: usize, missing: String },
     #[error("shard {0} is damaged; remove its file and run it again")]
     Damaged(Shard),
 }

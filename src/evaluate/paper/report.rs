@@ -12,33 +12,23 @@ use crate::trial::TrialKey;
 pub struct ReportRow {
     /// The table of the paper; `beside` if it has none.
     pub place: &'static str,
-    /// What it is.
     pub name: String,
-    /// The way queries and library are split.
     pub protocol: &'static str,
-    /// Sources that were compared.
     pub sources: Vec<&'static str>,
-    /// Sources that the data lack.
     pub missing: Vec<String>,
-    /// Why it could not be run.
     pub not_run: Option<String>,
-    /// Mean over folds.
     pub accuracy_mean: Option<f64>,
     /// Sample standard deviation over folds.
     pub accuracy_std: Option<f64>,
     /// Lower end of the 95 % Wilson interval over queries.
     pub accuracy_low: Option<f64>,
-    /// Upper end of it.
     pub accuracy_high: Option<f64>,
     /// Mean over classes of TP/(TP+FP).
     pub precision_mean: Option<f64>,
-    /// Number of surfaces that could be the answer.
     pub classes: usize,
-    /// Number of queries.
     pub queries: usize,
     /// Trials in the library of the largest fold.
     pub library_trials: usize,
-    /// The paper's figure.
     pub published: Option<Published>,
     /// Ours minus the paper's, in points.
     pub difference_points: Option<f64>,
@@ -47,20 +37,15 @@ pub struct ReportRow {
 /// A whole run.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct PaperReport {
-    /// Name of the data.
     pub data: String,
-    /// Made by a generator.
     pub synthetic: bool,
-    /// What was set.
     pub settings: String,
-    /// Setting by setting.
     pub rows: Vec<ReportRow>,
     /// Truth against answer with all sources, expert against users.
     pub confusion: Option<Confusion>,
 }
 
 impl PaperReport {
-    /// Sums a whole run up.
     pub fn new(part: &PaperPart) -> Self {
         let keys: Vec<TrialKey> =
             part.trials.iter().map(|(s, user, number)| TrialKey::new(s, user, *number)).collect();
@@ -100,7 +85,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     sources.dedup();
     sources.retain(|source| !part.missing.iter().any(|missing| missing == source));
     let difference = |outcome: &Outcome| {
-        // What lacks sources is another setting than the paper's.
+        // Without all of its sources, it is another setting than the paper's.
         let published = row.published.filter(|_| part.missing.is_empty())?;
         Some(outcome.accuracy_mean * 100.0 - published.accuracy)
     };

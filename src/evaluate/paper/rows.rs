@@ -8,26 +8,22 @@ use crate::trial::Signal;
 /// A figure that the paper prints, in percent.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Published {
-    /// Mean accuracy.
     pub accuracy: f64,
     /// Its standard deviation over folds, if that is printed.
     pub std: Option<f64>,
-    /// Mean precision, if that is printed.
     pub precision: Option<f64>,
 }
 
 /// One setting.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Where the paper has it.
+    /// The table or text of the paper that has it.
     pub place: &'static str,
-    /// What it is; unique together with the protocol and the place.
+    /// Unique together with the protocol and the place.
     pub name: String,
-    /// The way queries and library are split.
     pub protocol: Protocol,
     /// Weights and streams.
     pub terms: Vec<(f64, SampledSource)>,
-    /// What the paper prints.
     pub published: Option<Published>,
 }
 
@@ -241,7 +237,6 @@ pub enum SampleView {
     TimeOfSerial,
     /// Bins of the amplitude spectrum, in the source's band or from 0 to 1000 Hz.
     Spectrum,
-    /// Pixels.
     Pixels(Colour),
 }
 
@@ -253,9 +248,7 @@ const BAND_HZ: (f64, f64) = (0.0, 1000.0);
 /// A source, how it is sampled, and whether the query's mean is shifted (Eq. 8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SampledSource {
-    /// The source.
     pub source: &'static str,
-    /// How it is sampled.
     pub view: SampleView,
     /// Whether the shift is done.
     pub align: bool,
@@ -274,7 +267,6 @@ pub const AS_USED: [SampledSource; 8] = [
 ];
 
 impl SampledSource {
-    /// A stream from its parts.
     pub const fn new(source: &'static str, view: SampleView, align: bool) -> Self {
         Self { source, view, align }
     }

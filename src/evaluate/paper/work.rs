@@ -44,7 +44,7 @@ pub fn work(
     Ok(part(library, &options, shard, keys, &plans, &scores))
 }
 
-/// What [`work`] would give, without the answers: enough to know a shard of the same run by.
+/// The result of [`work`] without the answers: enough to recognise a shard of the same run.
 pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> PaperPart {
     let entries = in_order(library);
     let keys = entries.iter().map(|entry| entry.key.clone()).collect();
@@ -164,7 +164,7 @@ impl PaperPlan {
     }
 }
 
-/// Which scores of a stream the settings need: for each query the protocols in which it is one,
+/// The scores of a stream that the settings need: for each query the protocols in which it is one,
 /// for each protocol its library.
 #[derive(Default)]
 struct WantedScores {

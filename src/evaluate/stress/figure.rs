@@ -3,20 +3,17 @@
 use plotters::prelude::*;
 
 use super::report::{MethodReport, StressCell, StressReport};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, drawing};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
 
 const PANEL: (u32, u32) = (300, 230);
 const COLUMNS: usize = 4;
 const TITLE: u32 = 44;
 
-/// What is drawn upwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
-    /// Share of queries named right.
     Accuracy,
     /// Share of queries of unknown surfaces that would be rejected.
     UnknownRejected,
-    /// Expected calibration error.
     CalibrationError,
 }
 
@@ -52,10 +49,7 @@ pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureE
     // One more for the legend.
     let rows = (panels + 1).div_ceil(COLUMNS);
     let size = (PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32 + TITLE);
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).map_err(drawing)?;
+    svg(size, |root| {
         let mark = if report.synthetic { " (synthetic data)" } else { "" };
         let title = format!(
             "{}{mark} · {} · {} queries · {}",
@@ -64,15 +58,12 @@ pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureE
             report.queries,
             measure.title()
         );
-        let root = root.titled(&title, ("sans-serif", 20)).map_err(drawing)?;
-        let areas = root.split_evenly((rows, COLUMNS));
+        let areas = root.titled(&title, ("sans-serif", 20))?.split_evenly((rows, COLUMNS));
         for (at, area) in areas.iter().enumerate().take(panels) {
             panel(area, &shown, at, measure)?;
         }
-        legend(&areas[panels], &shown)?;
-        root.present().map_err(drawing)?;
-    }
-    Ok(svg)
+        legend(&areas[panels], &shown)
+    })
 }
 
 fn colour(index: usize) -> RGBColor {
@@ -87,8 +78,7 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
         .caption(format!("{} ({})", axis.name, axis.axis), ("sans-serif", 14))
         .x_label_area_size(20)
         .y_label_area_size(34)
-        .build_cartesian_2d(-0.2..places + 0.2, 0.0..1.02)
-        .map_err(drawing)?;
+        .build_cartesian_2d(-0.2..places + 0.2, 0.0..1.02)?;
     let label = |x: &f64| {
         let place = x.round();
         match place as usize {
@@ -107,9 +97,8 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
         .y_labels(5)
         .y_label_formatter(&|y| format!("{:.0} %", 100.0 * y))
         .label_style(("sans-serif", 11))
-        .draw()
-        .map_err(drawing)?;
-    // Where lines coincide, the first of the legend is seen.
+        .draw()?;
+    // The first of the legend is drawn last, so that it is seen if lines coincide.
     for (index, method) in shown.iter().rev() {
         let cells = method.disturbances[at].levels.iter().map(|level| &level.cell);
         let line: Vec<(f64, f64)> = std::iter::once(&method.clean)
@@ -118,9 +107,9 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
             .filter_map(|(place, cell)| Some((place as f64, measure.of(cell)?)))
             .collect();
         let style = colour(*index).stroke_width(2);
-        chart.draw_series(LineSeries::new(line.clone(), style)).map_err(drawing)?;
+        chart.draw_series(LineSeries::new(line.clone(), style))?;
         let dots = line.into_iter().map(|at| Circle::new(at, 2, colour(*index).filled()));
-        chart.draw_series(dots).map_err(drawing)?;
+        chart.draw_series(dots)?;
     }
     Ok(())
 }
@@ -129,9 +118,8 @@ fn legend(area: &Area<'_>, shown: &[(usize, &MethodReport)]) -> Drawn {
     for (line, (index, method)) in shown.iter().enumerate() {
         let y = 24 + 20 * line as i32;
         let stroke = PathElement::new([(44, y), (74, y)], colour(*index).stroke_width(3));
-        area.draw(&stroke).map_err(drawing)?;
-        let text = Text::new(method.method.clone(), (82, y - 7), ("sans-serif", 14));
-        area.draw(&text).map_err(drawing)?;
+        area.draw(&stroke)?;
+        put(area, method.method.as_str(), (82, y - 7), 14)?;
     }
     Ok(())
 }

@@ -25,7 +25,7 @@
 //!   There a change of light alone cost more than all other sources could make up for.
 //! - Guesses while dragging leave out dead and stuck sensors, as the final answer does.
 //!
-//! What still costs accuracy: samples lost one by one and a wrong clock, which shift the pitch; noise
+//! Accuracy is still lost by samples lost one by one and a wrong clock, which shift the pitch; noise
 //! of a tenth of the sound's power; scans of half a second and less.
 
 pub(crate) mod disturb;

@@ -10,7 +10,6 @@ const LOSS: f64 = 0.05;
 /// One method under one disturbance at one level. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StressCell {
-    /// Share of queries named right.
     pub accuracy: f64,
     /// Share of queries of known surfaces that would be rejected.
     pub known_rejected: f64,
@@ -23,24 +22,18 @@ pub struct StressCell {
     pub refused: usize,
 }
 
-/// A level of a disturbance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DisturbanceLevel {
-    /// In the disturbance's unit.
     pub level: f64,
-    /// What was measured.
     #[serde(flatten)]
     pub cell: StressCell,
 }
 
-/// A disturbance, level by level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DisturbanceSeries {
-    /// The disturbance.
     pub name: String,
-    /// What its levels are, with their unit.
+    /// The quantity and unit of the levels.
     pub axis: String,
-    /// From mild to absurd.
     pub levels: Vec<DisturbanceLevel>,
     /// The first level from which on 5 points or more are lost, if any.
     pub loses_5_points_at: Option<f64>,
@@ -54,20 +47,16 @@ impl DisturbanceSeries {
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
 
-    /// Where on the axis 5 points are lost, counted from 0.
+    /// The place on the axis at which 5 points are lost, counted from 0.
     fn breaks_at(&self) -> Option<usize> {
         self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
     }
 }
 
-/// One method.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodReport {
-    /// Its name.
     pub method: String,
-    /// Without a disturbance.
     pub clean: StressCell,
-    /// With each.
     pub disturbances: Vec<DisturbanceSeries>,
 }
 
@@ -83,24 +72,18 @@ impl MethodReport {
     }
 }
 
-/// What `surfaced stress` writes as JSON.
+/// The JSON of `surfaced stress`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StressReport {
-    /// The name of the data.
     pub data: String,
-    /// Made by a generator, not recorded.
     pub synthetic: bool,
-    /// The protocol that split queries and library.
     pub protocol: String,
-    /// The sources.
     pub sources: Vec<String>,
-    /// Number of queries.
     pub queries: usize,
     /// Number of those that were also compared with a library without their surface.
     pub unknown_queries: usize,
     /// Whether sources with a dead or stuck sensor were compared all the same.
     pub keep_flawed: bool,
-    /// Method by method.
     pub methods: Vec<MethodReport>,
 }
 

@@ -21,17 +21,12 @@ const REJECTED: f64 = 0.05;
 /// Bins of the calibration error.
 const BINS: usize = 10;
 
-/// What is run.
 pub struct StressPlan<'a> {
-    /// The sources.
     pub scene: &'a Scene,
-    /// The trials.
     pub entries: &'a [Entry],
     /// Queries and libraries; see [`StressPlan::limited`].
     pub folds: &'a [Fold],
-    /// The disturbances.
     pub disturbances: &'a [Disturbance],
-    /// Seed of the disturbances.
     pub seed: u64,
     /// Compare sources with a dead or stuck sensor all the same.
     pub keep_flawed: bool,
@@ -143,7 +138,6 @@ pub fn run(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The queries of a fold, undisturbed.
 struct Queries<'a> {
     plan: &'a StressPlan<'a>,
     trials: Vec<(usize, Trial)>,
@@ -160,7 +154,7 @@ impl<'a> Queries<'a> {
         Ok(Self { plan, trials })
     }
 
-    /// What a library answers to each of them, changed.
+    /// The library's answers to all of them, after a change.
     fn answers(
         &self,
         run: &Run<'_, '_>,
@@ -245,7 +239,7 @@ fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
     let unknown: Vec<Option<NamedQuery>> = answers.iter().filter_map(|a| a.unknown).collect();
     let rejected = |named: &NamedQuery| named.margin < threshold;
     let share = |count: usize, of: usize| count as f64 / of.max(1) as f64;
-    // What cannot be compared at all is rejected, too.
+    // Queries that cannot be compared at all are rejected, too.
     let unknown_rejected =
         unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
     let refused = answers.len() - known.len();

@@ -14,12 +14,10 @@ use crate::scene::{Domain, Phase, Scene, SourceSpec};
 use crate::seed::uniform;
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// What is done to queries, or to the library.
+/// A change of queries, or of the library.
 #[derive(Clone, Copy)]
 pub enum Kind {
-    /// To each query.
     Query(fn(&mut Trial, &mut Setting<'_>)),
-    /// To the library.
     Library(LibraryChange),
 }
 
@@ -28,19 +26,16 @@ pub enum Kind {
 pub struct Disturbance {
     /// Short name, by which it is chosen.
     pub name: &'static str,
-    /// What the levels are, with their unit.
+    /// The quantity and unit of the levels.
     pub axis: &'static str,
-    /// Severities, from mild to absurd.
     pub levels: &'static [f64],
-    /// What is done.
     pub kind: Kind,
-    /// Which sources it changes.
+    /// Whether it changes a source.
     pub touches: fn(&SourceSpec) -> bool,
     /// How many sources it needs to make sense.
     pub fewest: usize,
 }
 
-/// All disturbances.
 pub fn all() -> Vec<Disturbance> {
     let query = |name, axis, levels, change, touches| Disturbance {
         name,
@@ -130,11 +125,8 @@ impl Disturbance {
     }
 }
 
-/// How a trial is disturbed.
 pub struct Setting<'a> {
-    /// How much, in the disturbance's own unit.
     pub level: f64,
-    /// What the sources are.
     pub scene: &'a Scene,
     /// Belongs to this trial, disturbance and level.
     pub rng: ChaCha8Rng,

@@ -1,4 +1,4 @@
-//! What every disturbance promises.
+//! Promises of every disturbance.
 
 use std::collections::{BTreeMap, BTreeSet};
 
