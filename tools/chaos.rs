@@ -11,8 +11,8 @@
 //! microphone, which is said; with `SURFACED_REQUIRE_SOUND=1` that is an error.
 //!
 //! 20 minutes unless said otherwise. A station lives for some ten seconds, then is ended or killed,
-//! and what it left is checked: every sample is received or counted as lost, but for what nobody can
-//! know (the tail before an unplugging or a restart, what garbage hit); every scan is answered or
+//! and what it left is checked: every sample is received or counted as lost, except those of which nobody
+//! can know (the tail before an unplugging or a restart, what garbage hit); every scan is answered or
 //! reported; every kept trial is whole; memory is bounded; an end takes under five seconds; every
 //! trial of the edited library is there once and whole, and undoing all steps gives back the
 //! beginning. The last
@@ -58,12 +58,12 @@ use sound::Sound;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// What all stations together did.
+/// The account of all stations together.
 #[derive(Default)]
 pub struct Sums {
     faults: BTreeMap<&'static str, u64>,
     violations: Vec<String>,
-    /// What struck the last station, and how many samples its stylus had taken by then.
+    /// The attacks on the last station, and how many samples its stylus had taken by then.
     story: Vec<(&'static str, u64)>,
     stylus: Samples,
     sound: Samples,
@@ -72,7 +72,7 @@ pub struct Sums {
     peak_mb: u64,
 }
 
-/// What became of the samples of a device.
+/// The account of the samples of a device.
 #[derive(Default)]
 pub struct Samples {
     sent: u64,

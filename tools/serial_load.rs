@@ -14,7 +14,7 @@ use surfaced_wire::{
 };
 
 const NAMES: [&str; STYLUS_CHANNELS] = ["acc_x", "acc_y", "acc_z", "fsr_1", "fsr_2", "ir", "metal"];
-/// What the stylus sends.
+/// The values that the stylus sends in a second.
 const VALUES_A_SECOND: f64 = 70_000.0;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

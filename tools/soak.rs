@@ -101,7 +101,7 @@ fn main() -> Result<(), Failure> {
     }
     let (early_kb, late_kb) = (early_kb.unwrap_or(0), resident_kb(run.id())?);
     let sent = fake.next.unwrap_or(0);
-    // What is on the line yet.
+    // Samples that are still on the line arrive.
     std::thread::sleep(Duration::from_secs(1));
     Command::new("kill").args(["-s", "TERM", &run.id().to_string()]).status()?;
     while run.try_wait()?.is_none() {

@@ -1,4 +1,4 @@
-//! What `tools/qemu-stylus` feeds the firmware: a scan of a trial, and a library of the others.
+//! Makes the input of the firmware for `tools/qemu-stylus`: a scan of a trial, and a library of the others.
 //!
 //! `cargo run --example stylus_recording -- OUT [--scans N] [--seconds S] [--surfaces N] [--trials N]`
 //!
@@ -52,7 +52,7 @@ fn main() -> Result<(), Failure> {
         samples.extend(scan(&entry.load()?, f64::INFINITY, noise));
         truth.push(name);
     }
-    // What rests, for as long as there is to be anything.
+    // The last sample, until the end.
     let rest = samples.last().copied().unwrap_or_default();
     samples.resize(samples.len().max((number("--seconds", 0.0) * RATE_HZ) as usize), rest);
     write(&out.join("scan.i16"), &samples)?;

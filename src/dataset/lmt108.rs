@@ -44,7 +44,7 @@ pub(super) fn is_root(listed: &[Listed]) -> bool {
 /// be called so, too.
 fn holds_recordings(folder: &Listed) -> bool {
     let mut found = FoundFiles::default();
-    // What cannot be listed here is reported where it is needed.
+    // A folder that cannot be listed here is reported when it is read.
     found.walk(folder, &mut Vec::new()).is_err()
         || !found.trials.is_empty()
         || found.passed.is_empty()

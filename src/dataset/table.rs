@@ -12,7 +12,6 @@ use crate::library::files::{self, Listed};
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, TrialKey};
 
-/// The first columns of every header.
 const NAMES: &str = "file,surface,split,trial,";
 
 /// Feature tables of some trials.

@@ -313,7 +313,6 @@ pub trait Video: Send + Sync {
     fn open(&self) -> Result<Box<dyn Frames>, OpenError>;
 }
 
-/// The frames of an open camera.
 pub trait Frames {
     /// The next frame; waits for it without limit.
     ///
@@ -328,7 +327,6 @@ pub trait Frames {
     fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
 }
 
-/// News from the reader.
 enum News {
     Opened,
     Failed(OpenError),
@@ -338,7 +336,6 @@ enum News {
     Ended(String),
 }
 
-/// A control to be set.
 struct ControlRequest {
     pub control: u32,
     pub value: i64,

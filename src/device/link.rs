@@ -196,11 +196,11 @@ pub struct Open {
 
 /// Errors that end a device.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum DeviceError {
-    /// a stop was requested while it waited; no failure
+    /// A stop was requested while it waited; this is no failure.
     #[error(transparent)]
     Stopped(#[from] Stopped),
-    /// what is wrong, and what to do
     #[error("{0}")]
     Failed(String),
 }

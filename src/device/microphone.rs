@@ -55,7 +55,6 @@ pub enum StreamError {
     Gone(String),
 }
 
-/// A sound system.
 pub trait Sound: Send {
     /// The name of the microphone that it opens.
     fn device(&self) -> String;

@@ -12,25 +12,17 @@ pub(super) const LONGEST_RETRY: Duration = Duration::from_secs(5);
 
 /// Why hardware cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum OpenError {
-    /// it is not plugged in, or has another name
     #[error("{0} is not there; plug it in, or look for its name with `surfaced devices`")]
     Absent(String),
-    /// another program has it
     #[error("{0} is in use; end the program that has it")]
     Busy(String),
-    /// the user may not use it
     #[error("permission denied on {device}; {hint}")]
-    Denied {
-        /// what may not be used
-        device: String,
-        /// what to do
-        hint: String,
-    },
-    /// it is unsuitable, so trying again is useless
+    Denied { device: String, hint: String },
+    /// It is unsuitable, so trying again is useless.
     #[error("{0}")]
     Unfit(String),
-    /// anything else that the system said
     #[error("{0}")]
     Failed(String),
 }

@@ -4,17 +4,15 @@ use serde::Serialize;
 
 use crate::spectrum::amplitude_spectrum;
 
-/// Bands of a spectrum.
 const BANDS: usize = 96;
-/// What silence is shown as, in dB; below it is nothing to see.
+/// The level that silence is shown at, in dB.
 const FLOOR_DB: f64 = -120.0;
 
-/// A spectrum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Bands {
-    /// Where the first band begins, in Hz.
+    /// The lower edge of the first band, in Hz.
     pub from_hz: f64,
-    /// Where the last band ends, in Hz; the edges between lie at equal ratios.
+    /// The upper edge of the last band, in Hz; the edges between lie at equal ratios.
     pub to_hz: f64,
     /// Amplitude of each band in dB of one unit: the root of the summed squares over channels,
     /// without each channel's mean.

@@ -8,7 +8,6 @@ use super::file::Disk;
 use super::log::{Head, LogLine, Span};
 use super::{Correction, HistoryError};
 
-/// One answer of the past.
 #[derive(Debug)]
 pub(super) struct HistoryEntry {
     pub head: Head,
@@ -20,7 +19,6 @@ pub(super) struct HistoryEntry {
     pub signals: Option<u64>,
 }
 
-/// The answer in full, as JSON.
 #[derive(Debug)]
 pub(super) enum Text {
     Here(Box<str>),
@@ -34,11 +32,11 @@ pub(super) struct HistoryState {
     pub disk: Option<Disk>,
     /// Bytes of all signals.
     pub signals: u64,
-    /// For people: what went wrong last, until it goes right again.
+    /// The last failure to write, until it works again.
     pub problem: Option<String>,
 }
 
-/// What a line changes of an entry.
+/// The change of an entry by a line.
 type Change = Box<dyn FnOnce(&mut HistoryEntry)>;
 
 impl HistoryState {
@@ -76,7 +74,7 @@ impl HistoryState {
         }
     }
 
-    /// Where the scan of a name stands, or the newest one of a number.
+    /// The index of the scan with this name, or of the newest one with this number.
     pub fn position(&self, name: &str) -> Option<usize> {
         let number: Option<u32> = name.parse().ok();
         let is = |entry: &HistoryEntry| match number {

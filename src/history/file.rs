@@ -6,18 +6,16 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock, statvfs};
 
-use super::error::HistoryError;
+use super::HistoryError;
 use super::log::Log;
 use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
 
 /// The part of the space that answers may take; the rest is for signals.
 const FOR_ANSWERS: u64 = 8;
-/// Name of the folder of scans.
 pub(super) const SCANS: &str = "scans";
-/// Where scans are set aside that the log does not know.
+/// The folder of scans that the log does not know.
 const ASIDE: &str = "aside";
-/// Name of the log.
 const LOG: &str = "answers.jsonl";
 /// The part of its disk that signals of past scans leave free: for trials, which are worth more.
 const FREE: u64 = 10;
@@ -53,17 +51,14 @@ impl Disk {
         Ok(Self { root: root.to_path_buf(), log, most_bytes: u64::MAX, _lock: None })
     }
 
-    /// Bytes that answers may take.
     pub fn for_answers(&self) -> u64 {
         self.most_bytes / FOR_ANSWERS
     }
 
-    /// The folder itself.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The folder of a scan.
     pub fn folder(&self, id: &str) -> PathBuf {
         self.root.join(SCANS).join(id)
     }
@@ -144,7 +139,7 @@ impl Disk {
     }
 }
 
-/// What a disk of `size` bytes with `free` ones lacks.
+/// The bytes that a disk of `size` bytes with `free` ones lacks.
 fn lacks(size: u64, free: u64) -> u64 {
     (size / FREE).min(MOST_FREE).saturating_sub(free)
 }

@@ -33,7 +33,7 @@ pub struct Keeper {
 /// that it is kept.
 type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
 
-/// What is noted beside the signals of a scan.
+/// Notes beside the signals of a scan.
 #[derive(Serialize)]
 struct Notes<'a> {
     why: Option<&'a Why>,

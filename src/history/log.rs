@@ -24,7 +24,7 @@ use crate::station::Answer;
 /// Longest line that is read, with its end: an answer of some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
 
-/// What is known of an answer without reading it.
+/// The part of an answer that is kept in memory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Head {
     pub id: String,
@@ -40,7 +40,7 @@ impl Head {
     }
 }
 
-/// What one line says.
+/// One line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum LogLine {
@@ -67,14 +67,13 @@ impl LogLine {
     }
 }
 
-/// Where a line stands.
+/// The place of a line, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Span {
     pub offset: u64,
     pub length: u32,
 }
 
-/// The file.
 #[derive(Debug)]
 pub(super) struct Log {
     path: PathBuf,
@@ -101,7 +100,6 @@ impl Log {
         Ok(Self { path: path.to_path_buf(), file, bytes })
     }
 
-    /// Bytes so far.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -134,7 +132,6 @@ impl Log {
         }
     }
 
-    /// Adds a line.
     pub fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
         let mut text = Vec::with_capacity(line.len() + 2);
         // After a crash the last line may have no end.
@@ -145,7 +142,7 @@ impl Log {
         text.extend_from_slice(line.as_bytes());
         text.push(b'\n');
         let written = self.file.write_all(&text);
-        // What did come to the disk counts, if not all did.
+        // A part of the line may have come to the disk, and counts.
         self.bytes = match (&written, self.file.metadata()) {
             (Err(_), Ok(about)) => about.len(),
             _ => self.bytes + text.len() as u64,
@@ -159,7 +156,6 @@ impl Log {
         self.file.read_exact_at(&mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
     }
 
-    /// A line as it stands.
     pub fn line(&self, span: Span) -> Result<String, HistoryError> {
         let mut text = vec![0; span.length as usize];
         self.file.read_exact_at(&mut text, span.offset).map_err(HistoryError::io(&self.path))?;

@@ -15,7 +15,6 @@
 mod bands;
 mod csv;
 mod entries;
-mod error;
 mod file;
 mod keeper;
 mod log;
@@ -24,7 +23,6 @@ mod view;
 
 pub(crate) use self::csv::CsvWriter;
 pub(crate) use bands::{Bands, bands};
-pub use error::HistoryError;
 pub use keeper::Keeper;
 pub(crate) use review::precision;
 pub use review::{Correction, Precision};
@@ -63,7 +61,7 @@ pub struct History {
     review: Mutex<()>,
 }
 
-/// How much is kept.
+/// The size of a history.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Extent {
     /// Answers.
@@ -74,7 +72,7 @@ pub struct Extent {
     pub bytes: u64,
     /// At most this many bytes; `None` where nothing is written to disk.
     pub most_bytes: Option<u64>,
-    /// For people: why scans are not kept, if so.
+    /// The reason why scans are not kept, if so.
     pub problem: Option<String>,
 }
 
@@ -300,7 +298,7 @@ impl History {
         precision(corrected)
     }
 
-    /// How much is kept.
+    /// Its size.
     pub fn extent(&self) -> Extent {
         let inner = &*self.lock();
         let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes());
@@ -313,12 +311,35 @@ impl History {
         }
     }
 
-    /// For people: why scans are not kept now, if so.
+    /// Notes why scans are not kept now; true if they were kept before.
     fn set_problem(&self, problem: Option<String>) -> bool {
         let inner = &mut *self.lock();
         let news = inner.problem.is_none() && problem.is_some();
         inner.problem = problem;
         news
+    }
+}
+
+/// Why scans cannot be kept, read or corrected.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
+pub enum HistoryError {
+    #[error("{}: {error}", path.display())]
+    Io { path: PathBuf, error: std::io::Error },
+    #[error("{}: another surfaced keeps its scans here", .0.display())]
+    InUse(PathBuf),
+    #[error("there is no scan {0}")]
+    NoScan(String),
+    #[error("the signals of scan {0} are no longer kept")]
+    NoSignals(String),
+    #[error(transparent)]
+    Library(#[from] crate::library::LibraryError),
+}
+
+impl HistoryError {
+    fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        |error| Self::Io { path, error }
     }
 }
 

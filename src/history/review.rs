@@ -1,4 +1,4 @@
-//! What people say of answers, and how right answers are by that.
+//! Corrections of answers by people, and the precision of answers by these.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::recognise::wilson_interval;
 
-/// What a scan truly was, as somebody says.
+/// The truth about a scan, by a person.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "was", rename_all = "lowercase")]
 pub enum Correction {
@@ -34,7 +34,7 @@ impl Correction {
 /// How right the answers of one kind are, of those that somebody corrected. Bad scans do not count.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Precision {
-    /// What was answered; `None` for unknown.
+    /// The answer; `None` for unknown.
     pub surface: Option<String>,
     /// Corrected answers.
     pub corrected: usize,

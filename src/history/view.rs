@@ -16,7 +16,7 @@ const QUALITY: u8 = 80;
 /// Samples a second from which a source can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
-/// What is drawn of a trial.
+/// A trial, small enough to draw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrialView {
     /// The sources that are series, by name.
@@ -25,18 +25,13 @@ pub struct TrialView {
     pub pictures: Vec<SourceId>,
 }
 
-/// What is drawn of a series.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SeriesView {
-    /// The source.
     pub source: SourceId,
     /// The part of the scan that it follows.
     pub phase: Phase,
-    /// Frames a second.
     pub rate_hz: f64,
-    /// Duration in seconds.
     pub duration_s: f64,
-    /// Whether it can be listened to.
     pub audible: bool,
     /// Least sample of each stretch, a list a channel.
     pub min: Vec<Vec<f32>>,
@@ -47,7 +42,6 @@ pub struct SeriesView {
 }
 
 impl TrialView {
-    /// What is drawn of a trial.
     pub fn of(trial: &Trial, scene: &Scene) -> Self {
         let mut view = Self { series: Vec::new(), pictures: Vec::new() };
         for (id, signal) in &trial.signals {

@@ -2,9 +2,9 @@
 //! unless the configuration names where to.
 //!
 //! Each output has a bounded queue and a thread of its own, so that nobody holds up the station.
-//! What cannot be delivered is tried again, ever more slowly; where the queue is full, the newest
-//! answers are dropped. [`OutputHealth`] says so once, and counts. Answers carry an `id` that stays, by which a receiver knows
-//! one that comes twice.
+//! An answer that cannot be delivered is tried again, ever more slowly; when the queue is full, the
+//! newest answers are dropped. [`OutputHealth`] reports this once, and counts. Each answer has an `id`,
+//! by which a receiver recognises one that comes twice.
 
 mod http;
 mod mqtt;
@@ -26,13 +26,13 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// How an output is, as programs and the page see it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct OutputView {
-    /// Where answers go.
+    /// The address that answers go to.
     pub output: String,
     /// Answers that wait.
     pub waiting: u64,
     /// Attempts that failed, and answers that were refused or found no room.
     pub failures: u64,
-    /// For people: why answers do not arrive now, if so.
+    /// The reason why answers do not arrive now, if so.
     pub problem: Option<String>,
 }
 
@@ -54,7 +54,7 @@ impl OutputHealth {
         Self(Arc::new(Health { output, waiting, failures, problem: Mutex::default() }))
     }
 
-    /// How it is now.
+    /// Its state now.
     pub fn view(&self) -> OutputView {
         let Health { output, waiting, failures, problem } = &*self.0;
         OutputView {
@@ -71,12 +71,10 @@ impl OutputHealth {
         std::mem::replace(&mut *problem, now)
     }
 
-    /// Answers that wait now.
     fn waits(&self, answers: usize) {
         self.0.waiting.store(answers as u64, Ordering::Relaxed);
     }
 
-    /// An attempt failed.
     fn failed(&self, why: &str) {
         self.0.failures.fetch_add(1, Ordering::Relaxed);
         if self.set_problem(Some(why.into())).is_none() {
@@ -84,7 +82,6 @@ impl OutputHealth {
         }
     }
 
-    /// An answer arrived.
     fn arrived(&self) {
         if self.set_problem(None).is_some() {
             tracing::warn!("answers reach {} again", self.0.output);

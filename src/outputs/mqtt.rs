@@ -153,7 +153,7 @@ impl Drop for MqttOutput {
 }
 
 impl MqttOutput {
-    /// What was published before goes first.
+    /// Disconnects, after all that was published before.
     fn close(&self) {
         if !self.ending.swap(true, Ordering::AcqRel) {
             let _ = self.client.try_disconnect();

@@ -18,11 +18,9 @@ use crate::trial::{Signal, Trial};
 /// One source of two trials, compared as the method `reference` does.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SourceComparison {
-    /// The source.
     pub source: SourceId,
     /// Samples drawn from each trial, n.
     pub n: usize,
-    /// Number of channels.
     pub dims: usize,
     /// Mean of the length scale over repetitions.
     pub sigma: f64,
@@ -37,25 +35,20 @@ pub struct SourceComparison {
     pub p_value: f64,
 }
 
-/// Two trials, source by source.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Comparison {
-    /// The sources that both trials have.
     pub sources: Vec<SourceComparison>,
     /// Discrepancy score (Eq. 9).
     pub ds: f64,
 }
 
-/// Settings of the test.
 #[derive(Clone, Copy, Debug)]
 pub struct TestOptions {
     /// Samples drawn from a source, n.
     pub samples: usize,
     /// Repetitions, R.
     pub repetitions: usize,
-    /// Permutations a repetition.
     pub permutations: usize,
-    /// Significance level.
     pub alpha: f64,
     /// Seed of positions and permutations.
     pub seed: u64,

@@ -81,7 +81,6 @@ impl ImageTap {
         self.reckoning.position()
     }
 
-    /// The meter of this ring.
     pub fn meter(&self) -> &Arc<Meter> {
         self.reckoning.meter()
     }

@@ -66,7 +66,6 @@ enum DetectorState {
     Drag { start: u64, quiet_at: Option<u64> },
 }
 
-/// The state machine.
 #[derive(Clone, Debug)]
 pub(crate) struct Detector {
     config: DetectorConfig,
@@ -75,12 +74,10 @@ pub(crate) struct Detector {
 }
 
 impl Detector {
-    /// Nothing detected yet.
     pub fn new(config: DetectorConfig) -> Self {
         Self { config, state: DetectorState::Quiet { tap: None }, hop: 0 }
     }
 
-    /// Its settings.
     pub fn config(&self) -> DetectorConfig {
         self.config
     }
@@ -198,7 +195,6 @@ pub enum SensorKind {
 pub struct StreamLevel {
     kind: SensorKind,
     channels: usize,
-    /// Frames of a hop.
     hop: f64,
     /// Share of the old mean that one frame leaves.
     keep: f64,

@@ -61,7 +61,6 @@ impl Group {
         self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
     }
 
-    /// The hop that holds a frame.
     pub fn hop(&self, frame: u64) -> u64 {
         (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
     }

@@ -32,7 +32,6 @@ pub(super) struct Marked {
 /// The span of one source in its stream.
 #[derive(Debug)]
 pub(super) struct SourceSpan {
-    /// Index of its stream.
     pub stream: usize,
     pub start: u64,
     pub end: Option<u64>,

@@ -33,7 +33,6 @@ struct PlacedCut {
     stream: usize,
 }
 
-/// A scan in progress.
 struct Running {
     /// The group that detected it; none if a command began it.
     lead: Option<usize>,
@@ -138,7 +137,6 @@ impl ScanDetector {
         marks
     }
 
-    /// Warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }

@@ -26,27 +26,14 @@ const REPORTS: usize = 1024;
 
 /// Errors of the start and the end of a session.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum SessionError {
-    /// two streams of one name
     #[error("two devices have a stream called {0}; rename one of them in the configuration")]
     SameStream(SourceId),
-    /// not a valid interval
     #[error("{what} = {value}; expected a positive number of seconds")]
-    Seconds {
-        /// which option
-        what: &'static str,
-        /// its value
-        value: f64,
-    },
-    /// the system gave no thread
+    Seconds { what: &'static str, value: f64 },
     #[error("cannot start the thread {name}: {error}")]
-    Thread {
-        /// its purpose
-        name: String,
-        /// what the system said
-        error: std::io::Error,
-    },
-    /// a defect of this program
+    Thread { name: String, error: std::io::Error },
     #[error("the collector panicked: {0}; please report this")]
     Collector(String),
 }
@@ -274,7 +261,6 @@ fn spawn<T: Send + 'static>(
     builder.spawn(work).map_err(|error| SessionError::Thread { name: name.into(), error })
 }
 
-/// The life of a device's thread.
 fn run(
     mut device: Box<dyn Device>,
     mut sinks: Vec<Sink>,

@@ -147,7 +147,6 @@ impl SeriesHistory {
         Self { channels, base: 0, samples: Vec::new(), missing: VecDeque::new() }
     }
 
-    /// Samples a frame.
     pub fn channels(&self) -> usize {
         self.channels
     }
@@ -157,7 +156,6 @@ impl SeriesHistory {
         self.base
     }
 
-    /// Index after the last frame.
     pub fn end(&self) -> u64 {
         self.base + (self.samples.len() / self.channels) as u64
     }
@@ -227,7 +225,6 @@ impl SeriesHistory {
     }
 }
 
-/// The latest pictures of a camera.
 #[derive(Debug, Default)]
 pub struct ImageHistory {
     images: VecDeque<(u64, Arc<Image>)>,
@@ -235,7 +232,6 @@ pub struct ImageHistory {
 }
 
 impl ImageHistory {
-    /// Index after the last picture.
     pub fn end(&self) -> u64 {
         self.end
     }
@@ -245,7 +241,6 @@ impl ImageHistory {
         self.images.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
     }
 
-    /// The latest picture and its index.
     pub fn latest(&self) -> Option<&(u64, Arc<Image>)> {
         self.images.back()
     }

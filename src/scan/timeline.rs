@@ -55,7 +55,6 @@ impl Timeline {
         self.begin + Duration::from_secs_f64(at_s)
     }
 
-    /// Whether a stream's data arrive.
     pub fn alive(&self, stream: usize, now_s: ClockSecond) -> bool {
         now_s - self.streams[stream].at_s <= SILENT_S
     }

@@ -25,7 +25,7 @@ pub struct Daemon {
     /// While set, nobody reads its lines of JSON.
     pub stalled: Arc<AtomicBool>,
     lines: Arc<Mutex<Vec<Value>>>,
-    /// What it says to people, line by line, and when.
+    /// Its lines on stderr, each with its time.
     said: Arc<Mutex<Vec<(Instant, String)>>>,
     readers: Vec<JoinHandle<()>>,
 }
@@ -57,7 +57,7 @@ impl Daemon {
         Ok(Self { child, stalled, lines, said, readers: vec![json, text] })
     }
 
-    /// Where it serves.
+    /// The address that it serves at.
     pub fn address(&mut self) -> Result<SocketAddr, Failure> {
         let begin = Instant::now();
         while begin.elapsed() < HANGS && self.child.try_wait()?.is_none() {
@@ -66,7 +66,7 @@ impl Daemon {
             }
             std::thread::sleep(Duration::from_millis(20));
         }
-        // What it said last may still be on its way.
+        // Its last lines may still be on their way.
         std::thread::sleep(Duration::from_millis(500));
         Err(format!("it does not serve: {}", self.said()).into())
     }

@@ -33,7 +33,7 @@ const HEADER: usize = 44;
 /// Past scans that are reviewed.
 const SCANS: u32 = 6;
 
-/// What all of them work on.
+/// The library that all of them work on.
 struct Edited<'a> {
     program: &'a str,
     root: PathBuf,

@@ -11,12 +11,12 @@ use crate::disk::Disk;
 use crate::scripted::{Noise, Sample, scan};
 use crate::stylus::Fake;
 
-/// What may be lost without a trace when a line breaks: what was under way, in samples.
+/// The samples that may be lost without a trace when a line breaks: those under way.
 const TAIL: u64 = 4000;
 /// Samples of a frame.
 const FRAME: u64 = 32;
 
-/// What the stylus samples, again and again: a scan of each surface.
+/// The samples of the stylus, again and again: a scan of each surface.
 pub struct Tape(Arc<Vec<Sample>>);
 
 impl Tape {
@@ -38,7 +38,7 @@ pub struct Line<'a> {
     put: Arc<AtomicU64>,
     /// Samples that were taken and not put on the line.
     skipped: u64,
-    /// What nobody can know whether it was lost.
+    /// Samples of which nobody can know whether they were lost.
     pub unknowable: u64,
     /// Samples that were lost last, and how many had been put on the line by then.
     lost: (u64, u64),
@@ -83,7 +83,7 @@ impl<'a> Line<'a> {
         true
     }
 
-    /// What it sampled last waits in it, and comes late.
+    /// Holds the line up: the latest samples wait in the stylus, and come late.
     pub fn stall(&mut self, dice: &mut Dice) {
         std::thread::sleep(Duration::from_secs_f64(dice.between(0.05, 1.5)));
     }

@@ -39,7 +39,7 @@ const ROUGH: [&str; 4] = ["garbage", "hellos", "unplugged", "restarted"];
 /// Faults of the sound server.
 const LOUD: [&str; 2] = ["sound server stalls", "sound server dies"];
 
-/// What a station needs.
+/// The needs of a station.
 pub struct Round<'a> {
     pub program: &'a str,
     pub dir: &'a Path,
@@ -206,7 +206,7 @@ impl Life<'_> {
         let under_way = if quiet { 0 } else { UNDER_WAY };
         let unknowable = line.unknowable + line.lost_at_the_end() + under_way;
         let samples = Samples { sent, received, lost, unknowable };
-        // Where the line was sound, no loss is invented either.
+        // On a sound line, no loss is invented either.
         let invented = line.unknowable == 0 && received + lost > sent;
         if !sums.stylus.add(&samples) || received > sent || invented {
             sums.violations.push(format!("the stylus's {}: {said}", samples.json("samples")));

@@ -15,10 +15,10 @@ use crate::{Failure, Samples};
 
 /// Samples a second.
 const RATE_HZ: f64 = 44_100.0;
-/// What is in buffers, and how long a stream may be silent before its state says so, in seconds.
+/// Sound in buffers, and the time that a stream may be silent before its state says so, in seconds.
 const SLACK_S: f64 = 1.5;
-/// How much more than the time since its opening a stream may seem to give, in seconds: delays that
-/// are no losses, and the clock of another process.
+/// The most by which a stream may seem to give more than the time since its opening, in seconds: delays
+/// that are no losses, and the clock of another process.
 const AHEAD_S: f64 = 0.5;
 /// Length of what is played, in seconds: longer than a station lives.
 const PLAYED_S: usize = 120;
@@ -109,9 +109,9 @@ impl Sound {
         Ok(())
     }
 
-    /// What became of the samples of a station's microphone until `ended`, as far as the station's
-    /// own words let one know; and the most that there can have been of them: a stream that is
-    /// opened may hold sound back until its server works.
+    /// The account of the samples of a station's microphone until `ended`, as far as the station's
+    /// own words show it; and the most that there can have been: a stream that is opened may hold
+    /// sound back until its server works.
     pub fn account(
         &self,
         daemon: &Daemon,
@@ -122,7 +122,7 @@ impl Sound {
         let states = daemon.states("microphone");
         let streams = |(_, state): &(Instant, String)| state == "streaming";
         let since = states.iter().find(|state| streams(state)).map_or(ended, |(since, _)| *since);
-        // What it misses is counted once sound arrives again.
+        // Missing sound is counted once sound arrives again.
         let last = states.iter().rposition(streams);
         let silent = last.and_then(|at| states.get(at + 1)).map_or(ended, |(since, _)| *since);
         let samples =

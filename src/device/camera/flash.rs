@@ -55,9 +55,7 @@ impl Shutter {
 /// The light in which a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameLight {
-    /// Without flash.
     Plain,
-    /// With flash.
     Flash,
     /// While the light changed; useless.
     Between,

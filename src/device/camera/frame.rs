@@ -28,22 +28,17 @@ pub enum FrameFormat {
 /// A frame as it came from the camera. `bytes` may continue after the picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// Its coding.
     pub format: FrameFormat,
     /// Width in pixels, as the camera promised.
     pub width: usize,
-    /// Height in pixels.
     pub height: usize,
-    /// The data.
     pub bytes: Vec<u8>,
 }
 
 /// A picture of any size: three bytes a pixel, row by row, no gaps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rgb {
-    /// Width in pixels.
     pub width: usize,
-    /// Height in pixels.
     pub height: usize,
     /// width × height × 3 bytes.
     pub bytes: Vec<u8>,
@@ -52,18 +47,10 @@ pub struct Rgb {
 /// Errors of decoding a frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// a transfer that was cut short
     #[error("a frame of {got} bytes; expected {expected}")]
-    Short {
-        /// bytes that came
-        got: usize,
-        /// bytes that the size requires
-        expected: usize,
-    },
-    /// a width that cannot be coded
+    Short { got: usize, expected: usize },
     #[error("a YUYV frame {0} pixels wide; expected an even width")]
     OddWidth(usize),
-    /// a damaged JPEG
     #[error("a damaged MJPEG frame: {0}")]
     Jpeg(String),
 }

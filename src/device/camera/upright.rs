@@ -12,9 +12,7 @@ pub struct Region {
     pub left: f64,
     /// Distance from the upper edge.
     pub top: f64,
-    /// Its width.
     pub width: f64,
-    /// Its height.
     pub height: f64,
 }
 

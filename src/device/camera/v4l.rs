@@ -23,7 +23,6 @@ const CODINGS: [Coding; 4] = [Coding::RAWRGB, Coding::RAWBGR, Coding::YUYV, Codi
 /// Frames a second that suffice; more cost work and light.
 const RATE_HZ: u32 = 30;
 
-/// A camera of V4L2.
 #[derive(Clone, Debug)]
 pub struct V4l {
     id: String,

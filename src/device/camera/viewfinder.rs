@@ -17,7 +17,6 @@ const QUALITY: u8 = 80;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FlashState {
-    /// There is none.
     None,
     Off,
     On,
@@ -32,7 +31,6 @@ pub struct CameraView {
     pub source: SourceId,
     /// The region that is compared, of the picture turned upright; `None` before the first picture.
     pub region: Option<Region>,
-    /// Its light.
     pub flash: FlashState,
 }
 
@@ -66,7 +64,6 @@ impl Viewfinder {
         self.lock().picture = Some((Arc::new(picture), turn));
     }
 
-    /// Notes the state of the light.
     pub fn light(&self, flash: FlashState) {
         self.lock().flash = flash;
     }
@@ -76,7 +73,6 @@ impl Viewfinder {
         &self.source
     }
 
-    /// The view of the camera now.
     pub fn view(&self) -> CameraView {
         let sight = self.lock();
         let region = sight.picture.as_ref().map(|(rgb, turn)| region(rgb, *turn));

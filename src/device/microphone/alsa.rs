@@ -32,7 +32,6 @@ impl Pcm for U24 {
     }
 }
 
-/// A microphone of ALSA.
 #[derive(Clone, Debug)]
 pub struct Alsa {
     id: String,

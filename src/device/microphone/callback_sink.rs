@@ -23,7 +23,6 @@ pub struct CallbackSink {
 pub struct Broken(Arc<AtomicU64>);
 
 impl Broken {
-    /// Their number so far.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }

@@ -3,7 +3,6 @@
 /// The level of a microphone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SoundLevel {
-    /// The level is good.
     Normal,
     /// Nothing at all: not even the noise that every microphone has.
     Silent,

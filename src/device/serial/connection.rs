@@ -166,7 +166,6 @@ impl Connection<'_> {
         }
     }
 
-    /// Stops the stylus, if it answers.
     fn stop_stylus(&mut self, buffer: &mut [u8]) {
         let until = Instant::now() + STOP_TIMEOUT;
         let mut sent_at: Option<Instant> = None;

@@ -31,11 +31,9 @@ pub enum Value {
 /// A stream to be made of the stylus's channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
-    /// Its name.
     pub id: SourceId,
     /// Names of its channels in the stylus's table, in the stream's order; at least one.
     pub channels: Vec<String>,
-    /// The unit of its values.
     pub value: Value,
 }
 
@@ -52,12 +50,11 @@ pub enum IntakeEvent<'a> {
     Missing {
         /// number of the stream among those wanted
         stream: usize,
-        /// how many
         frames: u64,
     },
     /// A stylus that can be used has introduced itself.
     Hello {
-        /// for people: serial number and firmware
+        /// serial number and firmware
         who: String,
         /// streams that it has no channels for
         lacking: Vec<SourceId>,
@@ -69,7 +66,7 @@ pub enum IntakeEvent<'a> {
     /// The index restarted: the stylus was reset, or the line lost it for long.
     Restarted,
     Status(Status),
-    /// A frame was damaged, or of a format that is not known.
+    /// A frame was damaged, or has an unknown format.
     Damaged(DecodeError),
 }
 
@@ -95,7 +92,6 @@ pub struct Unused {
     pub damaged: u64,
     /// Samples that came before a hello that describes them.
     pub unknown: u64,
-    /// Restarts of the index.
     pub restarts: u64,
 }
 
@@ -137,7 +133,6 @@ impl Intake {
         }
     }
 
-    /// Counts of unused input so far.
     pub fn unused(&self) -> Unused {
         self.unused
     }

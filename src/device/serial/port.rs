@@ -41,7 +41,6 @@ pub enum Selector {
     /// The only FTDI chip that is plugged in.
     #[default]
     Auto,
-    /// A USB device.
     Usb {
         vendor: u16,
         product: u16,

@@ -12,7 +12,7 @@ const SHRINKAGE: f64 = 0.1;
 /// Keeps the logarithm of a distance finite.
 const FLOOR: f64 = 1e-12;
 
-/// What "near" means.
+/// The distance of two trials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Distance {
     /// Of standardised features.
@@ -25,7 +25,6 @@ pub enum Distance {
 /// k nearest neighbours; k is chosen by leaving trials of the library out.
 #[derive(Clone, Copy, Debug)]
 pub struct Neighbours {
-    /// Which distance.
     pub distance: Distance,
 }
 

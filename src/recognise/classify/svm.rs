@@ -19,7 +19,6 @@ const PARTS: usize = 3;
 /// Violation of the optimality conditions that is let pass, as libsvm's.
 const TOLERANCE: f64 = 1e-3;
 
-/// The support vector machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Svm;
 

@@ -1,4 +1,4 @@
-//! What every comparison classifier promises.
+//! Promises of every comparison classifier.
 
 use super::*;
 use crate::recognise::features::SourceFeatures;
@@ -49,7 +49,7 @@ fn check<C: Classifier>(classifier: C) {
     turned.reverse();
     let again = method.fit(turned, &shape).unwrap();
     assert_eq!(model.rank(&held[1]).unwrap(), again.rank(&held[1]).unwrap());
-    // What is far beyond anything in the library still has an answer, with finite scores.
+    // A trial far beyond anything in the library still has an answer, with finite scores.
     let far = of("x", "a", 3, vec![1e30, -1e30, 0.0]);
     let ranking = model.rank(&far).unwrap();
     assert!(ranking.ranked.iter().all(|r| r.score.is_finite()), "{}", method.name());

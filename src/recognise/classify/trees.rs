@@ -15,9 +15,7 @@ use super::naive_bayes::matrix;
 use super::{Classifier, Scores, TrainingSet};
 use crate::seed;
 
-/// Trees of a forest.
 const TREES: u64 = 200;
-/// Rounds of boosting.
 const ROUNDS: u64 = 50;
 /// Levels of a boosted tree beyond those that a leaf a surface needs.
 const SPARE_LEVELS: u32 = 2;
@@ -41,7 +39,6 @@ pub struct RandomForest {
 /// trained on trials drawn by weight, and just deep enough to have a leaf for every surface.
 #[derive(Clone, Copy, Debug)]
 pub struct AdaBoost {
-    /// Seed of the draws.
     pub seed: u64,
 }
 

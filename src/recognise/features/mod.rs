@@ -10,13 +10,80 @@
 //!
 //! Nothing here knows of other trials.
 
-mod colour;
 pub(crate) mod picture_statistics;
 pub(crate) mod series_statistics;
-mod vector;
 pub(super) mod windowed_frames;
 
-pub use colour::hsv;
-pub use vector::FeatureVector;
+use std::collections::BTreeMap;
 
-pub(crate) use vector::SourceFeatures;
+use rayon::prelude::*;
+
+use crate::recognise::checks::check_signal;
+use crate::recognise::error::RecogniseError;
+use crate::scene::{Scene, SourceId, SourceSpec};
+use crate::trial::{Signal, Trial, TrialKey};
+
+/// Features of one source of one trial.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct SourceFeatures {
+    /// The values, in the order that the documentation of this module gives.
+    pub values: Vec<f64>,
+    /// The recording's rate in Hz; 0 for pictures, and where only the features are known.
+    pub rate_hz: f64,
+}
+
+/// Features of a trial, source by source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureVector {
+    pub key: TrialKey,
+    pub sources: BTreeMap<SourceId, SourceFeatures>,
+}
+
+impl FeatureVector {
+    /// The features of those sources of a trial that the scene describes.
+    ///
+    /// # Errors
+    /// If a source is of another kind, or has another number of channels, than the scene says.
+    pub fn new(key: &TrialKey, trial: &Trial, scene: &Scene) -> Result<Self, RecogniseError> {
+        let known: Vec<(&SourceSpec, &Signal)> = (trial.signals.iter())
+            .filter_map(|(id, signal)| Some((scene.get(id.as_str())?, signal)))
+            .collect();
+        let features = |(spec, signal): (&SourceSpec, &Signal)| {
+            check_signal(spec, signal, key)?;
+            let features = match signal {
+                Signal::Image(image) => {
+                    SourceFeatures { values: picture_statistics::features(image), rate_hz: 0.0 }
+                }
+                Signal::Series(series) => SourceFeatures {
+                    values: series_statistics::features(series, &spec.domain),
+                    rate_hz: series.rate_hz(),
+                },
+            };
+            Ok((spec.id.clone(), features))
+        };
+        let sources = known.into_par_iter().map(features).collect::<Result<_, RecogniseError>>()?;
+        Ok(Self { key: key.clone(), sources })
+    }
+}
+
+/// Hue (in turns, 0 to below 1), saturation and value (0 to 1) of 8-bit red, green and blue.
+///
+/// Grey has hue 0 and saturation 0, black also value 0 (Smith 1978, "Color gamut transform
+/// pairs", as MATLAB's `rgb2hsv`).
+pub fn hsv(rgb: [u8; 3]) -> [f64; 3] {
+    let [r, g, b] = rgb.map(|x| f64::from(x) / 255.0);
+    let max = r.max(g).max(b);
+    let min = r.min(g).min(b);
+    let span = max - min;
+    if span == 0.0 {
+        return [0.0, 0.0, max];
+    }
+    let sixths = if max == r {
+        (g - b) / span
+    } else if max == g {
+        2.0 + (b - r) / span
+    } else {
+        4.0 + (r - g) / span
+    };
+    [(sixths / 6.0).rem_euclid(1.0), span / max, max]
+}

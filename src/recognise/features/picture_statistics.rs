@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use super::colour::hsv;
+use super::hsv;
 use crate::trial::Image;
 
-/// What is computed of a picture: [`COLOURS`], then [`TEXTURES`] at each of [`STEPS`].
+/// Number of features: [`COLOURS`], then [`TEXTURES`] at each of [`STEPS`].
 #[cfg_attr(not(test), expect(dead_code, reason = "says what the numbers are"))]
 pub const FEATURES: usize = COLOURS.len() + STEPS.len() * TEXTURES.len();
 
@@ -30,7 +30,6 @@ pub const STEPS: [usize; 4] = [1, 3, 9, 27];
 /// Grey levels of a co-occurrence matrix.
 const LEVELS: usize = 16;
 
-/// The features of a picture.
 pub fn features(image: &Image) -> Vec<f64> {
     let mut grey = Vec::with_capacity(Image::ROWS * Image::COLS);
     let mut columns: [Vec<f64>; 5] = Default::default();
@@ -123,7 +122,7 @@ impl Texture {
         let contrast = contrast / pairs;
         let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
         for (i, j) in (0..LEVELS).flat_map(|i| (0..LEVELS).map(move |j| (i, j))) {
-            // Which of two neighbours comes first means nothing.
+            // The order of two neighbours means nothing.
             let count = counts[i][j] + counts[j][i];
             if count > 0 {
                 let p = f64::from(count) / (2.0 * pairs);

@@ -4,7 +4,7 @@ use super::windowed_frames::{FrameView, VIEWS, ViewFrames};
 use crate::scene::Domain;
 use crate::trial::Series;
 
-/// What is computed in time, channel by channel. Scale-free ratios and levels are logarithms, so
+/// The features in time, channel by channel. Scale-free ratios and levels are logarithms, so
 /// that their distributions have no long tails.
 pub const MOMENTS: [&str; 11] = [
     "mean",

@@ -30,9 +30,7 @@ const FRAMES_A_TASK: usize = 64;
 pub struct FrameView {
     /// Samples a frame, L: a power of two.
     pub points: usize,
-    /// Sample rate in Hz.
     pub rate_hz: f64,
-    /// Number of channels.
     pub channels: usize,
     /// Bins where bands begin; the last is where the last band ends.
     pub edges: Vec<usize>,
@@ -126,7 +124,6 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
 /// Frames of one view: `width` values each, one after the other.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct ViewFrames {
-    /// How they were made.
     pub view: FrameView,
     /// A, shape (frames, width).
     pub values: Vec<f32>,
@@ -179,7 +176,6 @@ impl ViewFrames {
         self.extend(&padded);
     }
 
-    /// Number of frames.
     pub fn frames(&self) -> usize {
         self.values.len() / self.view.width()
     }
