@@ -127,7 +127,8 @@ impl Device for Stylus {
                         light_sent_at: None,
                         status: None,
                         refused: None,
-                        errors: LinkErrors::new(now),
+                        errors: LinkErrors::default(),
+                        reported_at: now,
                     };
                     let end = connection.run();
                     connection.errors.report(link);

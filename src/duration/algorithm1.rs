@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::trials::{DurationError, Trials};
-use crate::kernel::{PERMUTATIONS, Threshold, quantile_index, test_independence};
+use crate::kernel::{PERMUTATIONS, Threshold, quantile, test_independence};
 use crate::seed;
 
 /// The upper bound CB+ of HSIC.
@@ -230,19 +230,18 @@ impl<'a> Search<'a> {
         let mut rng = seed::rng(seed, &[b"duration", &lag.to_le_bytes()]);
         let starts: Vec<usize> = (0..draws).map(|_| below(&mut rng, self.starts)).collect();
         let test = |(draw, start)| self.test(lag, draw, start);
-        let (mut hsic, kappa): (Vec<f64>, Vec<f64>) =
+        let (hsic, kappa): (Vec<f64>, Vec<f64>) =
             starts.into_par_iter().enumerate().map(test).unzip();
         let count = draws as f64;
         let mean = hsic.iter().sum::<f64>() / count;
         let variance = hsic.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (count - 1.0);
         let half = self.student * (variance / count).sqrt();
-        hsic.sort_unstable_by(f64::total_cmp);
         let point = CurvePoint {
             lag,
             hsic_mean: mean,
             hsic_low: mean - half,
             hsic_high: mean + half,
-            hsic_quantile: hsic[quantile_index(draws, alpha)],
+            hsic_quantile: quantile(hsic, alpha),
             kappa: kappa.iter().sum::<f64>() / count,
         };
         self.curve.insert(lag, point);

@@ -5,7 +5,7 @@
 //! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a
 //! median length scale of its own, and H = I − 11ᵀ/n centres.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2, CowArray, Ix2};
 use rand::seq::SliceRandom;
 
 use super::length_scale::length_scale_of;
@@ -108,10 +108,15 @@ pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
     k
 }
 
-/// Position, counted from 0, of the (1 − α) quantile among `count` values sorted upwards: rank
-/// round((1 − α)·count), as the authors' program takes it.
-pub fn quantile_index(count: usize, alpha: f64) -> usize {
-    (((1.0 - alpha) * count as f64).round() as usize).clamp(1, count.max(1)) - 1
+/// The (1 − α) quantile of some values: that of rank round((1 − α)·count), as the authors' program
+/// takes it.
+///
+/// # Panics
+/// If there are none.
+pub fn quantile(mut values: Vec<f64>, alpha: f64) -> f64 {
+    let count = values.len();
+    let rank = (((1.0 - alpha) * count as f64).round() as usize).clamp(1, count);
+    *values.select_nth_unstable_by(rank - 1, f64::total_cmp).1
 }
 
 /// Tests whether paired samples of shape (n, channels) depend on each other.
@@ -141,7 +146,7 @@ pub fn test_independence(
             let null = permuted(&k, &l, count, rng);
             // A permutation that leaves everything in place must count as "as large".
             let as_large = null.iter().filter(|&&v| v >= hsic * (1.0 - 1e-12)).count();
-            (null[quantile_index(count, alpha)], (1 + as_large) as f64 / (1 + count) as f64)
+            (quantile(null, alpha), (1 + as_large) as f64 / (1 + count) as f64)
         }
         Threshold::Gamma => {
             let moments =
@@ -153,8 +158,8 @@ pub fn test_independence(
     Ok(Dependence { n, sigma_x, sigma_y, hsic, kappa, p_value })
 }
 
-/// HSIC_b of `count` random permutations of one side, sorted upwards, from the centred kernel
-/// matrix of one side and the plain one of the other. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
+/// HSIC_b of `count` random permutations of one side, from the centred kernel matrix of one side and
+/// the plain one of the other. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
 pub fn permuted(
     k_centred: &Array2<f64>,
     l: &Array2<f64>,
@@ -163,25 +168,26 @@ pub fn permuted(
 ) -> Vec<f64> {
     let n = l.nrows();
     let n2 = (n * n) as f64;
-    let rows = |matrix: &Array2<f64>| -> Vec<Vec<f64>> {
-        matrix.rows().into_iter().map(|row| row.to_vec()).collect()
-    };
-    let (k, l) = (rows(k_centred), rows(l));
+    let (k, l) = (k_centred.as_standard_layout(), l.as_standard_layout());
+    let (k, l) = (slices(&k), slices(&l));
     let mut order: Vec<usize> = (0..n).collect();
-    let mut null: Vec<f64> = (0..count)
-        .map(|_| {
-            order.shuffle(rng);
-            let mut sum = 0.0;
-            for (i, k) in k.iter().enumerate() {
-                let row = &l[order[i]];
-                let off: f64 = k.iter().zip(&order[..i]).map(|(k, &j)| k * row[j]).sum();
-                sum += k[i] * row[order[i]] + 2.0 * off;
-            }
-            sum / n2
-        })
-        .collect();
-    null.sort_unstable_by(f64::total_cmp);
-    null
+    let permute = |_| {
+        order.shuffle(rng);
+        let mut sum = 0.0;
+        for (i, k) in k.iter().enumerate() {
+            let row = l[order[i]];
+            let off: f64 = k.iter().zip(&order[..i]).map(|(k, &j)| k * row[j]).sum();
+            sum += k[i] * row[order[i]] + 2.0 * off;
+        }
+        sum / n2
+    };
+    (0..count).map(permute).collect()
+}
+
+/// The rows of a matrix of the standard layout.
+fn slices<'a>(matrix: &'a CowArray<'_, f64, Ix2>) -> Vec<&'a [f64]> {
+    let row = |row: ArrayView1<'a, f64>| row.to_slice().expect("a row of the standard layout");
+    matrix.rows().into_iter().map(row).collect()
 }
 
 fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {

@@ -9,6 +9,8 @@
 use ndarray::{Array2, ArrayView2};
 use rand::{Rng, RngExt};
 
+use super::hsic::quantile;
+
 /// Σᵢⱼ exp(−‖aᵢ − bⱼ‖² / (2σ²)) over samples of shape (n, channels) and (m, channels).
 pub fn kernel_sum(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>, sigma: f64) -> f64 {
     debug_assert_eq!(a.ncols(), b.ncols());
@@ -100,19 +102,17 @@ pub fn pair_test(
         (rows.sum::<f64>() / (n * n) as f64).max(0.0)
     };
     let mmd2 = form(&vec![1.0; n]);
-    let mut swapped: Vec<f64> = (0..permutations)
+    let swapped: Vec<f64> = (0..permutations)
         .map(|_| {
             let signs: Vec<f64> =
                 (0..n).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect();
             form(&signs)
         })
         .collect();
-    swapped.sort_by(f64::total_cmp);
-    let rank = ((1.0 - alpha) * permutations as f64).round() as usize;
     let reached = swapped.iter().filter(|&&x| x >= mmd2).count();
     PairTest {
         mmd2,
-        kappa: swapped[rank.clamp(1, permutations) - 1],
+        kappa: quantile(swapped, alpha),
         p_value: (reached + 1) as f64 / (permutations + 1) as f64,
     }
 }

@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array2, Axis};
-
 use super::error::RecogniseError;
 use super::reference::{
-    DomainSamples, PreparedTrial, SampledSource, keyed_positions, log_score, score_samples,
-    shared_sources,
+    DomainSamples, PreparedTrial, SampledSource, aligned, keyed_positions, log_score,
+    score_samples, shared_sources,
 };
 use crate::kernel::pair_test;
 use crate::library::Entry;
@@ -106,7 +104,7 @@ fn compare_source(
         let at = keyed_positions(&spec.id, z.extent(), samples, seed, repetition, None);
         let (z, y) = (z.at(&at), y.at(&at));
         let result = score_samples(z.view(), y.view(), spec.align_mean, spec.sigma);
-        let z = if spec.align_mean { aligned(z, &y) } else { z };
+        let z = if spec.align_mean { aligned(z.view(), y.view()) } else { z };
         let key = [spec.id.as_str().as_bytes(), b"permute", &repetition.to_le_bytes()];
         let mut rng = seed::rng(seed, &key);
         let test = pair_test(
@@ -132,12 +130,4 @@ fn compare_source(
         kappa,
         p_value: (2.0 * p_mean).min(1.0),
     }
-}
-
-/// z shifted to the mean of y (Eq. 8).
-fn aligned(mut z: Array2<f64>, y: &Array2<f64>) -> Array2<f64> {
-    if let (Some(of_y), Some(of_z)) = (y.mean_axis(Axis(0)), z.mean_axis(Axis(0))) {
-        z += &(of_y - of_z);
-    }
-    z
 }

@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 
 use ndarray::Array2;
-use surfaced::kernel::{
-    Threshold, centred, kernel_matrix, permuted, quantile_index, test_independence,
-};
+use surfaced::kernel::{Threshold, centred, kernel_matrix, permuted, quantile, test_independence};
 use surfaced::seed;
 
 struct Case {
@@ -70,7 +68,7 @@ fn kappa_by_permutations_lies_within_three_standard_deviations() {
         let (mean, sd) = (case.want[3], case.want[4]);
         let mut sum = 0.0;
         for _ in 0..100 {
-            let kappa = permuted(&k, &l, 100, &mut rng)[quantile_index(100, 0.05)];
+            let kappa = quantile(permuted(&k, &l, 100, &mut rng), 0.05);
             // A hundred draws: the largest of them may lie further out than three.
             assert!((kappa - mean).abs() < 5.0 * sd, "case {}: {kappa} {mean}", case.name);
             sum += kappa;
@@ -97,7 +95,7 @@ fn kappa_by_gamma_agrees_with_20_000_permutations() {
         let mut rng = seed::rng(3, &[case.name.as_bytes()]);
         let k = centred(kernel_matrix(case.x.view(), case.want[0]));
         let l = kernel_matrix(case.y.view(), case.want[1]);
-        let want = permuted(&k, &l, 20_000, &mut rng)[quantile_index(20_000, 0.05)];
+        let want = quantile(permuted(&k, &l, 20_000, &mut rng), 0.05);
         let (x, y) = (case.x.view(), case.y.view());
         let got = test_independence(x, y, 0.05, Threshold::Gamma, &mut rng).unwrap().kappa;
         println!("case {} n {}: {:+.2} %", case.name, case.x.nrows(), 100.0 * (got / want - 1.0));

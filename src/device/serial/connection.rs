@@ -45,6 +45,8 @@ pub(super) struct Connection<'a> {
     pub status: Option<Status>,
     pub refused: Option<String>,
     pub errors: LinkErrors,
+    /// When they were last reported.
+    pub reported_at: Instant,
 }
 
 impl Connection<'_> {
@@ -77,8 +79,9 @@ impl Connection<'_> {
                 return ConnectionEnd::Lost(format!("{}; reopening the line", self.why_silent()));
             }
             self.update_light(now);
-            if now - self.errors.since >= REPORT_EVERY {
+            if now - self.reported_at >= REPORT_EVERY {
                 self.errors.report(self.link);
+                self.reported_at = now;
             }
         }
     }
@@ -192,8 +195,8 @@ impl Connection<'_> {
 }
 
 /// Errors of the line that were not reported yet.
+#[derive(Default)]
 pub(super) struct LinkErrors {
-    since: Instant,
     damaged: u64,
     gaps: u64,
     /// Frames of the longest gap.
@@ -208,21 +211,6 @@ pub(super) struct LinkErrors {
 }
 
 impl LinkErrors {
-    pub fn new(since: Instant) -> Self {
-        Self {
-            since,
-            damaged: 0,
-            gaps: 0,
-            missing: 0,
-            restarts: 0,
-            overflowed: 0,
-            overruns: 0,
-            dropped: 0,
-            hellos: 0,
-            last_hello: None,
-        }
-    }
-
     /// Adds the losses that the stylus reports since its last status; its counts begin at its start.
     fn stylus(&mut self, old: Option<&Status>, new: &Status) {
         let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
@@ -255,7 +243,7 @@ impl LinkErrors {
         if !parts.is_empty() {
             link.warn(parts.join(", "));
         }
-        *self = Self::new(Instant::now());
+        *self = Self::default();
     }
 }
 
@@ -269,7 +257,7 @@ mod tests {
     fn errors_of_the_line_are_summed_up_whatever_their_number() {
         let (send, reports) = crossbeam_channel::unbounded();
         let link = DeviceLink::new(0, Stop::default(), send);
-        let mut errors = LinkErrors::new(Instant::now());
+        let mut errors = LinkErrors::default();
         (0..200_000).for_each(|n| errors.hello(format!("hello {n}")));
         let status = |overruns| Status { overruns, ..Status::default() };
         for _ in 0..3 {

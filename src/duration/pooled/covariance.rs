@@ -15,6 +15,7 @@ const BLOCKS: usize = 20;
 /// Means of f(s)·f(s + t)ᵀ over the starts s of each block, for each lag t.
 #[derive(Clone, Debug)]
 pub struct Covariances {
+    /// Number of features.
     pub features: usize,
     /// Number of blocks, at least 20.
     pub blocks: usize,
@@ -61,7 +62,7 @@ struct Block<'a> {
     mean: &'a mut [f64],
 }
 
-/// Every `stride`-th frame of each trial.
+/// Every `stride`-th frame of each trial. Zeros at the end fill a register, as [`dots`] may read on.
 struct Grid {
     stride: usize,
     frames: usize,
@@ -70,13 +71,22 @@ struct Grid {
 
 impl Grid {
     fn new(features: &Features) -> Self {
-        Self { stride: 1, frames: features.frames, columns: features.columns.clone() }
+        let padded = |column: &Vec<f32>| [column.as_slice(), &[0.0; LANES]].concat();
+        Self {
+            stride: 1,
+            frames: features.frames,
+            columns: features.columns.iter().map(padded).collect(),
+        }
     }
 
     fn coarsen(&mut self) {
         for column in &mut self.columns {
-            let trials = column.chunks_exact(self.frames);
-            *column = trials.flat_map(|trial| trial.iter().step_by(2)).copied().collect();
+            let frames = column.len() - LANES;
+            *column = (column[..frames].chunks_exact(self.frames))
+                .flat_map(|trial| trial.iter().step_by(2))
+                .chain(&[0.0; LANES])
+                .copied()
+                .collect();
         }
         self.stride *= 2;
         self.frames = self.frames.div_ceil(2);
@@ -94,15 +104,13 @@ impl Grid {
     /// they are in the cache.
     fn fill(&self, trial: usize, blocks: &mut [Block]) {
         let longest = blocks.iter().map(|block| block.starts.len()).max().unwrap_or(0);
+        let mut lanes = vec![[0.0; LANES]; self.columns.len() * self.columns.len()];
         for from in (0..longest).step_by(TILE) {
             for Block { lag, starts, mean } in &mut *blocks {
-                if from >= starts.len() {
-                    continue;
-                }
-                let frames = TILE.min(starts.len() - from);
+                let frames = starts.len().min(from + TILE).saturating_sub(from);
                 let earlier = trial * self.frames + starts.start + from;
                 let at = (earlier, earlier + *lag);
-                add_products(&self.columns, at, frames, mean);
+                add_products(&self.columns, at, frames, &mut lanes, mean);
             }
         }
         for Block { starts, mean, .. } in blocks {
@@ -112,17 +120,58 @@ impl Grid {
     }
 }
 
-/// Adds Σ f(earlier + s)·f(later + s)ᵀ over s < frames.
+/// Adds Σ f(earlier + s)·f(later + s)ᵀ over s < frames; `lanes` is for the sums on the way.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 fn add_products(
     columns: &[Vec<f32>],
     (earlier, later): (usize, usize),
     frames: usize,
+    lanes: &mut [F32Lanes],
     out: &mut [f64],
 ) {
-    let pairs = columns.iter().flat_map(|x| columns.iter().map(move |y| (x, y)));
-    for (sum, (x, y)) in out.iter_mut().zip(pairs) {
-        *sum += f64::from(dot(&x[earlier..earlier + frames], &y[later..later + frames]));
+    if frames == 0 {
+        return;
+    }
+    let frames = &Length::of(frames);
+    for first in (0..columns.len()).step_by(COLUMNS) {
+        match &columns[first..] {
+            [x, y, z, ..] => {
+                let b = [&x[later..], &y[later..], &z[later..]];
+                rows(columns, earlier, first, b, frames, lanes);
+            }
+            [x, y] => rows(columns, earlier, first, [&x[later..], &y[later..]], frames, lanes),
+            [x] => rows(columns, earlier, first, [&x[later..]], frames, lanes),
+            [] => {}
+        }
+    }
+    for (sum, lanes) in out.iter_mut().zip(&*lanes) {
+        *sum += f64::from(total(lanes));
+    }
+}
+
+/// The sums of some columns, from column `first` on.
+#[inline(always)]
+fn rows<const B: usize>(
+    columns: &[Vec<f32>],
+    earlier: usize,
+    first: usize,
+    b: [&[f32]; B],
+    frames: &Length,
+    lanes: &mut [F32Lanes],
+) {
+    let count = columns.len();
+    let (pairs, rest) = columns.as_chunks::<ROWS>();
+    for (pair, [x, y]) in pairs.iter().enumerate() {
+        let products = dots([&x[earlier..], &y[earlier..]], b, frames);
+        for (i, products) in products.iter().enumerate() {
+            let at = (pair * ROWS + i) * count + first;
+            lanes[at..at + B].copy_from_slice(products);
+        }
+    }
+    for x in rest {
+        let [products] = dots([&x[earlier..]], b, frames);
+        let at = (count - 1) * count + first;
+        lanes[at..at + B].copy_from_slice(&products);
     }
 }
 
@@ -180,30 +229,111 @@ pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariance
 }
 
 /// f32 in a register of AVX-512, in two of AVX2 and in four of NEON.
-const LANES: usize = 16;
+pub(super) const LANES: usize = 16;
+pub(super) type F32Lanes = [f32; LANES];
 
-/// Σ a·b, in four registers of sums, as an addition takes four cycles; not fused, so that every machine
-/// gives the same bits.
-#[inline(always)]
+/// Rows of a tile of products that are made at once.
+pub(super) const ROWS: usize = 2;
+/// Its columns: with more of them, the sums would not fit into the registers of AVX2 and of NEON.
+pub(super) const COLUMNS: usize = 3;
+
+/// Σ a·b, in four registers of sums, as an addition takes four cycles.
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    const STEP: usize = 4 * LANES;
-    let mut sums = [0.0f32; STEP];
-    let (a, a_rest) = a.as_chunks::<STEP>();
-    let (b, b_rest) = b.as_chunks::<STEP>();
+    let mut sums = [[0.0f32; LANES]; 4];
+    let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
+    let (b, b_rest) = b.as_chunks::<{ 4 * LANES }>();
     for (a, b) in a.iter().zip(b) {
-        for lane in 0..STEP {
-            sums[lane] += a[lane] * b[lane];
+        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
+        for part in 0..4 {
+            sums[part] = plus_product(sums[part], &a[part], &b[part]);
         }
     }
+    let [first, second, third, fourth] = sums;
     let rest: f32 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
-    // By halves: each step is one addition of registers.
-    let mut width = STEP / 2;
-    while width > 0 {
-        let (low, high) = sums.split_at_mut(width);
-        low.iter_mut().zip(high).for_each(|(low, high)| *low += *high);
-        width /= 2;
+    (total(&first) + total(&second)) + (total(&third) + total(&fourth)) + rest
+}
+
+/// The number of values in a sum, at least one.
+#[derive(Clone, Copy)]
+pub(super) struct Length {
+    /// Whole registers before the last one.
+    last: usize,
+    /// 1 for each value of the last register that counts, 0 for the others.
+    counts: F32Lanes,
+}
+
+impl Length {
+    /// # Panics
+    /// If it is 0.
+    #[inline(always)]
+    pub(super) fn of(values: usize) -> Self {
+        let last = (values - 1) / LANES;
+        let mut counts = [0.0; LANES];
+        counts[..values - last * LANES].fill(1.0);
+        Self { last, counts }
     }
-    sums[0] + rest
+}
+
+/// Σ a·b of each of some a and each of some b over their first values, lane by lane: each value that
+/// is loaded serves several products. Of what lies behind, as much as fills the last register is
+/// read too, and does not count.
+///
+/// # Panics
+/// If a slice is shorter than that.
+#[inline(always)]
+pub(super) fn dots<const A: usize, const B: usize>(
+    a: [&[f32]; A],
+    b: [&[f32]; B],
+    Length { last, counts }: &Length,
+) -> [[F32Lanes; B]; A] {
+    let last = *last;
+    let a = a.map(|a| &a.as_chunks::<LANES>().0[..=last]);
+    let b = b.map(|b| &b.as_chunks::<LANES>().0[..=last]);
+    let mut sums = [[[0.0f32; LANES]; B]; A];
+    for at in 0..last {
+        sums = plus_products(sums, a.map(|a| a[at]), b.map(|b| b[at]));
+    }
+    let mut counted = [[0.0; LANES]; A];
+    for i in 0..A {
+        counted[i] = plus_product([0.0; LANES], &a[i][last], counts);
+    }
+    plus_products(sums, counted, b.map(|b| b[last]))
+}
+
+#[inline(always)]
+fn plus_products<const A: usize, const B: usize>(
+    mut sums: [[F32Lanes; B]; A],
+    a: [F32Lanes; A],
+    b: [F32Lanes; B],
+) -> [[F32Lanes; B]; A] {
+    for i in 0..A {
+        for j in 0..B {
+            sums[i][j] = plus_product(sums[i][j], &a[i], &b[j]);
+        }
+    }
+    sums
+}
+
+/// Not fused, so that every machine gives the same bits.
+#[inline(always)]
+fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
+    for lane in 0..LANES {
+        sum[lane] += a[lane] * b[lane];
+    }
+    sum
+}
+
+/// The sum of the lanes, by halves: each step is one addition of registers.
+#[inline(always)]
+pub(super) fn total(sum: &F32Lanes) -> f32 {
+    let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
+    for lane in 0..8 {
+        eight[lane] = sum[lane] + sum[lane + 8];
+    }
+    for lane in 0..4 {
+        four[lane] = eight[lane] + eight[lane + 4];
+    }
+    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 #[cfg(test)]
@@ -282,17 +412,24 @@ mod tests {
         (0..200).map(|i| ((i * 37 + seed * 101) % 89) as f32 / 89.0 - 0.5).collect()
     }
 
+    fn plain_dot(a: &[f32], b: &[f32], length: usize) -> f64 {
+        a[..length].iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
+    }
+
     #[test]
-    fn products_in_lanes_are_those_made_one_by_one_and_end_where_they_should() {
-        let columns = [0, 1, 2].map(column);
+    fn products_made_at_once_are_those_made_one_by_one_and_end_where_they_should() {
+        let columns = [0, 1, 2, 3, 4].map(column);
+        let [a, b, c, d, e] = columns.each_ref().map(Vec::as_slice);
         for length in [1, 2, 15, 16, 17, 31, 32, 64, 90, 176] {
-            let mut got = [0.0; 9];
-            add_products(&columns, (0, 7), length, &mut got);
-            for (i, got) in got.into_iter().enumerate() {
-                let pairs = columns[i / 3][..length].iter().zip(&columns[i % 3][7..]);
-                let want: f64 = pairs.map(|(x, y)| f64::from(*x) * f64::from(*y)).sum();
-                assert!((got - want).abs() < 1e-4, "{length}: {got} {want}");
+            let got = dots([a, b], [&c[7..], &d[7..], &e[7..]], &Length::of(length));
+            for (x, row) in [a, b].iter().zip(&got) {
+                for (y, lanes) in [c, d, e].iter().zip(row) {
+                    let want = plain_dot(x, &y[7..], length);
+                    assert!((f64::from(total(lanes)) - want).abs() < 1e-4, "{length}");
+                }
             }
+            let alone = f64::from(dot(&a[..length], &b[..length]));
+            assert!((alone - plain_dot(a, b, length)).abs() < 1e-4, "{length}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! T* of recordings, at the rate that they need.
 
 use super::features::Samples;
-use super::{Pooled, PooledAnswer, pooled};
+use super::{PooledAnswer, pooled};
 use crate::trial::Series;
 
 /// The smallest dependence that counts: that of a Gaussian process with this correlation.
@@ -84,43 +84,17 @@ pub fn at_needed_rate(
 ) -> Option<PooledEstimate> {
     let rate_hz = series.first()?.rate_hz();
     let mut step = (series.len() * frames).div_ceil(values);
-    let mut found = pooled(&Samples::every(step, 0..frames, series), correlation)?;
+    let found = pooled(&Samples::every(step, 0..frames, series), correlation, step, rate_hz)?;
     if let PooledAnswer::Found { t_star, .. } = found.answer
-        && t_star < RESOLUTION
+        && t_star < RESOLUTION * step as f64
         && step > 1
     {
-        step = ((step as f64 * t_star / RESOLUTION) as usize).max(1);
+        step = ((t_star / RESOLUTION) as usize).max(1);
         let kept = frames.min(values * step / series.len());
         let samples = Samples::every(step, frames - kept..frames, series);
-        found = pooled(&samples, correlation).unwrap_or(found);
+        return pooled(&samples, correlation, step, rate_hz).or(Some(found));
     }
-    Some(in_samples(found, step, rate_hz))
-}
-
-fn in_samples(found: Pooled, step: usize, rate_hz: f64) -> PooledEstimate {
-    let scale = step as f64;
-    let answer = match found.answer {
-        PooledAnswer::Found { t_star, upper } => {
-            PooledAnswer::Found { t_star: scale * t_star, upper: scale * upper }
-        }
-        other => other,
-    };
-    let dependence = |p: super::DependencePoint| PooledDependence {
-        lag_samples: scale * p.lag,
-        lag_s: scale * p.lag / rate_hz,
-        dependence: p.dependence,
-        fitted: p.fitted,
-        low: p.low,
-        high: p.high,
-    };
-    PooledEstimate {
-        answer,
-        step,
-        range: scale * found.range,
-        inflation: found.inflation.map(|frames| scale * frames),
-        lasting_share: found.lasting,
-        curve: found.curve.into_iter().map(dependence).collect(),
-    }
+    Some(found)
 }
 
 #[cfg(test)]

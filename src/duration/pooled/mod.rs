@@ -32,7 +32,7 @@ const BEYOND: f64 = 1.5;
 /// Repetitions of the correction for the trials' means: it needs T*, and T* needs it.
 const CORRECTIONS: usize = 3;
 
-/// The result, in frames.
+/// T* in samples, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PooledAnswer {
     /// T* and its upper bound.
@@ -54,36 +54,15 @@ pub enum PooledAnswer {
     },
 }
 
-/// Dependence at one lag.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DependencePoint {
-    pub lag: f64,
-    /// Correlation of a Gaussian process that depends as much on its past.
-    pub dependence: f64,
-    /// The same of the fit that never rises.
-    pub fitted: f64,
-    /// Lower end of the fit's 90 % interval.
-    pub low: f64,
-    pub high: f64,
-}
-
-#[derive(Clone, Debug)]
-pub struct Pooled {
-    pub answer: PooledAnswer,
-    /// Longest lag that can be answered, in frames.
-    pub range: f64,
-    /// Frames that are worth one independent sample, where there is a T*.
-    pub inflation: Option<f64>,
-    /// Share of the variance that differs between trials for good, at least 0; none for one trial.
-    pub lasting: Option<f64>,
-    /// Dependence over the lags, for the two channels that decide.
-    pub curve: Vec<DependencePoint>,
-}
-
-/// T* of trials, for a threshold on the correlation of a Gaussian process; none if nothing changes
-/// in any of them, or if they are too short for a lag.
-pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
-    let features = features(samples);
+/// T* of trials of which every `step`-th sample is looked at, for a threshold on the correlation of a
+/// Gaussian process; none if nothing changes in any of them, or if they are too short for a lag.
+fn pooled(
+    samples: &Samples,
+    correlation: f64,
+    step: usize,
+    rate_hz: f64,
+) -> Option<PooledEstimate> {
+    let (features, scale) = (features(samples), step as f64);
     let lags = lags(samples.trials, samples.frames);
     if features.columns.is_empty() || lags.bins.len() < 2 {
         return None;
@@ -118,16 +97,23 @@ pub fn pooled(samples: &Samples, correlation: f64) -> Option<Pooled> {
     let answer = found.answer(threshold, range, longest as f64, samples.trials);
     let inflation = match (&answer, &found.corrected) {
         (PooledAnswer::Found { .. }, Some(corrected)) => {
-            Some(size::inflation(corrected, &features, &lags.all, found.reach(longest)))
+            Some(scale * size::inflation(corrected, &features, &lags.all, found.reach(longest)))
         }
         _ => None,
     };
-    Some(Pooled {
+    let answer = match answer {
+        PooledAnswer::Found { t_star, upper } => {
+            PooledAnswer::Found { t_star: scale * t_star, upper: scale * upper }
+        }
+        other => other,
+    };
+    Some(PooledEstimate {
         answer,
-        range,
+        step,
+        range: scale * range,
         inflation,
-        lasting: lasting(&features, &variance),
-        curve: found.points(threshold),
+        lasting_share: lasting(&features, &variance),
+        curve: found.points(threshold, scale, rate_hz),
     })
 }
 
@@ -185,15 +171,16 @@ impl PairCurves {
         ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
     }
 
-    fn points(&self, threshold: f64) -> Vec<DependencePoint> {
+    fn points(&self, threshold: f64, scale: f64, rate_hz: f64) -> Vec<PooledDependence> {
         let Some(curve) = self.curves.get(self.worst) else { return Vec::new() };
         let correlation = |root: f64| size::as_correlation(root.max(0.0).powi(2));
         (0..curve.lags.len())
             .map(|bin| {
                 let root = curve.fitted[bin].max(0.0).sqrt();
                 let half_width = curve.half_width(bin, threshold);
-                DependencePoint {
-                    lag: curve.lags[bin],
+                PooledDependence {
+                    lag_samples: scale * curve.lags[bin],
+                    lag_s: scale * curve.lags[bin] / rate_hz,
                     dependence: size::as_correlation(curve.sizes[bin].value),
                     fitted: correlation(root),
                     low: correlation(root - half_width),

@@ -22,6 +22,7 @@ pub(super) use prepared_trial::{SampledSource, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
 pub use sampling::image_grid;
 pub(super) use sampling::keyed_positions;
+pub(super) use score::aligned;
 pub use score::{QuerySet, SumPrecision, log_score, score_samples};
 
 use std::sync::Arc;

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use ndarray::{ArrayView2, Axis};
+use ndarray::{Array2, ArrayView2, Axis};
 
 use super::sample_set::{SampleSet, Scratch};
 use crate::kernel::{CrossSums, LineSum, Points, length_scale, mmd2_biased, mmd2_from_sums};
@@ -45,14 +45,20 @@ pub fn score_samples(
     align_mean: bool,
     sigma: Option<f64>,
 ) -> SampleScore {
-    let mut z = z.to_owned();
-    if align_mean && let (Some(of_y), Some(of_z)) = (y.mean_axis(Axis(0)), z.mean_axis(Axis(0))) {
-        z += &(of_y - of_z);
-    }
+    let z = if align_mean { aligned(z, y) } else { z.to_owned() };
     let sigma = sigma.unwrap_or_else(|| length_scale(z.view()));
     let mmd2 = mmd2_biased(y, z.view(), sigma);
     let n = y.nrows().min(z.nrows());
     SampleScore { n, dims: z.ncols(), sigma, mmd2, score: n as f64 * mmd2 }
+}
+
+/// z shifted to the mean of y (Eq. 8).
+pub fn aligned(z: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>) -> Array2<f64> {
+    let mut z = z.to_owned();
+    if let (Some(of_y), Some(of_z)) = (y.mean_axis(Axis(0)), z.mean_axis(Axis(0))) {
+        z += &(of_y - of_z);
+    }
+    z
 }
 
 /// The precision of kernel sums.
@@ -204,7 +210,6 @@ impl<'a> QuerySet<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::Array2;
     use proptest::prelude::*;
 
     fn samples(n: usize, dims: usize, values: &[f64]) -> Array2<f64> {
