@@ -4,7 +4,7 @@ mod lmt108;
 pub mod synth;
 pub(crate) mod table;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::library::files::{self, Listed};
 use crate::library::recording::{self, DESCRIPTION};
@@ -19,14 +19,24 @@ pub(crate) fn is_layout_name(name: &str) -> bool {
 /// Whether a folder holds the database, in one of its own forms, here or one folder further down:
 /// trials in the recording format would not be read there.
 pub(crate) fn is_foreign(path: &Path) -> bool {
-    let is_root = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
-    let listed = files::list(path).unwrap_or_default();
-    is_root(&listed)
-        || !listed.iter().any(|item| item.name == DESCRIPTION)
-            && listed
-                .iter()
-                .filter(|item| item.is_dir && !item.is_hidden())
-                .any(|item| is_root(&files::list(&item.path).unwrap_or_default()))
+    !copies(path, files::list(path).unwrap_or_default()).is_empty()
+}
+
+/// The copies of the database in a folder, each with its content: the folder itself, or else the folders
+/// in it.
+fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
+    let is_copy = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
+    if is_copy(&listed) {
+        return vec![(path.to_path_buf(), listed)];
+    }
+    // A folder that describes itself is taken at its word.
+    if listed.iter().any(|item| item.name == DESCRIPTION) {
+        return Vec::new();
+    }
+    let folders = listed.into_iter().filter(|item| item.is_dir && !item.is_hidden());
+    // A folder that cannot be listed is reported when it is read.
+    let inner = folders.map(|item| (files::list(&item.path).unwrap_or_default(), item.path));
+    inner.filter(|(inner, _)| is_copy(inner)).map(|(inner, path)| (path, inner)).collect()
 }
 
 /// Opens the recordings of a folder, in any form: finds out their form, then reads them with it.
@@ -54,54 +64,22 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     if path.is_file() && Listed::file(path).is_some_and(|item| item.is_series()) {
         return recording::open_file(path, defaults);
     }
-    let listed = files::list(path)?;
-    if let Some(library) = open_lmt108(path, &listed, defaults) {
-        return library;
-    }
-    // A folder that describes itself is taken at its word.
-    if !listed.iter().any(|item| item.name == DESCRIPTION) {
-        let mut found = Vec::new();
-        for item in listed.iter().filter(|item| item.is_dir && !item.is_hidden()) {
-            // A folder that cannot be listed is reported when it is read.
-            let inner = files::list(&item.path).unwrap_or_default();
-            if lmt108::is_root(&inner) || is_processed(&inner) {
-                found.push((item, inner));
-            }
+    match copies(path, files::list(path)?).as_slice() {
+        [] => recording::open_usable(path, defaults),
+        [(path, listed)] if lmt108::is_root(listed) => lmt108::open(path, listed, defaults),
+        [(path, _)] => {
+            let problem = "LMT108 in its authors' processed form (MATLAB files); convert it with \
+                           `tools/python/from_mat FOLDER LIBRARY`, and name that library";
+            Err(LibraryError::file(path, problem))
         }
-        match found.as_slice() {
-            [] => {}
-            [(item, inner)] => {
-                if let Some(library) = open_lmt108(&item.path, inner, defaults) {
-                    return library;
-                }
-            }
-            [(a, _), (b, _), ..] => {
-                return Err(LibraryError::file(
-                    path,
-                    format!(
-                        "more than one copy of the LMT108 database (`{}`, `{}`); name one of them",
-                        a.name, b.name
-                    ),
-                ));
-            }
+        [(a, _), (b, _), ..] => {
+            let [a, b] = [a, b].map(|copy| copy.file_name().unwrap_or_default().display());
+            let problem = format!(
+                "more than one copy of the LMT108 database (`{a}`, `{b}`); name one of them"
+            );
+            Err(LibraryError::file(path, problem))
         }
     }
-    recording::open_usable(path, defaults)
-}
-
-fn open_lmt108(
-    path: &Path,
-    listed: &[Listed],
-    defaults: &Scene,
-) -> Option<Result<Opened, LibraryError>> {
-    if lmt108::is_root(listed) {
-        return Some(lmt108::open(path, listed, defaults));
-    }
-    is_processed(listed).then(|| {
-        let problem = "LMT108 in its authors' processed form (MATLAB files); convert it with \
-                       `tools/python/from_mat FOLDER LIBRARY`, and name that library";
-        Err(LibraryError::file(path, problem))
-    })
 }
 
 /// Folders of the authors' processed form of LMT108.

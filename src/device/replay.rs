@@ -14,7 +14,7 @@ use super::{
     Begin, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind, StreamSpec,
 };
 use crate::library::{Entry, LibraryError};
-use crate::ring::{SeriesSink, Sink, Stopped};
+use crate::ring::{Sink, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial};
 
@@ -27,7 +27,9 @@ pub struct Replay {
     specs: Vec<SourceSpec>,
     entries: Vec<Entry>,
     speed: Speed,
+    /// Pushed at a time, in seconds of the recording.
     chunk_s: f64,
+    /// Silence after each trial, in seconds of the recording.
     pause_s: f64,
     synthetic: bool,
 }
@@ -125,17 +127,7 @@ impl Device for Replay {
                 }
             };
             link.state(DeviceState::Streaming, "");
-            let player = Player {
-                specs: &self.specs,
-                speed: self.speed,
-                chunk_s: self.chunk_s,
-                pause_s: self.pause_s,
-                synthetic: self.synthetic,
-                sinks,
-                link,
-                due: Instant::now(),
-            };
-            player.play(trial)?;
+            Player { replay: self, sinks, link, due: Instant::now() }.play(trial)?;
         }
         Ok(())
     }
@@ -213,17 +205,11 @@ impl FromStr for Speed {
 
 /// One trial on its way into the rings.
 struct Player<'a> {
-    pub specs: &'a [SourceSpec],
-    pub speed: Speed,
-    /// Pushed at a time, in seconds of the recording.
-    pub chunk_s: f64,
-    /// Silence after the trial, in seconds of the recording.
-    pub pause_s: f64,
-    pub synthetic: bool,
-    pub sinks: &'a mut [Sink],
-    pub link: &'a DeviceLink,
+    replay: &'a Replay,
+    sinks: &'a mut [Sink],
+    link: &'a DeviceLink,
     /// The moment until which the recording was played, at the set speed.
-    pub due: Instant,
+    due: Instant,
 }
 
 /// A series on its way.
@@ -241,12 +227,12 @@ impl Player<'_> {
     /// # Errors
     /// If a stop was requested.
     pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
-        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.synthetic };
+        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
         self.link.mark(Mark::Begin(begin));
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
             let mut tracks = Vec::new();
-            for index in 0..self.specs.len() {
-                let spec = &self.specs[index];
+            for index in 0..self.replay.specs.len() {
+                let spec = &self.replay.specs[index];
                 let signal = match spec.phase == phase {
                     true => trial.signals.remove(&spec.id),
                     false => None,
@@ -267,8 +253,8 @@ impl Player<'_> {
             self.series(tracks)?;
         }
         self.link.mark(Mark::End { at: Instant::now() });
-        if let Speed::RealTime(factor) = self.speed {
-            let pause = Duration::from_secs_f64(self.pause_s / factor);
+        if let Speed::RealTime(factor) = self.replay.speed {
+            let pause = Duration::from_secs_f64(self.replay.pause_s / factor);
             if !self.link.sleep_until(self.due + pause) {
                 return Err(Stopped.into());
             }
@@ -288,21 +274,21 @@ impl Player<'_> {
     }
 
     fn open(&self, index: usize, start: u64, rate_hz: f64, channels: usize) {
-        let spec = &self.specs[index];
+        let spec = &self.replay.specs[index];
         let (source, stream) = (spec.id.clone(), spec.id.clone());
         let open = Open { source, stream, start, phase: spec.phase, rate_hz, channels };
         self.link.mark(Mark::Open(open));
     }
 
     fn close(&self, index: usize) {
-        let source = self.specs[index].id.clone();
+        let source = self.replay.specs[index].id.clone();
         self.link.mark(Mark::Close { source, end: self.sinks[index].position() });
     }
 
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
-            if self.speed == Speed::Max {
+            if self.replay.speed == Speed::Max {
                 sink.push_waiting(image.into(), self.link.stop())?;
             } else {
                 sink.push(image.into());
@@ -322,8 +308,8 @@ impl Player<'_> {
         let mut step = 0_u32;
         while !tracks.is_empty() {
             step += 1;
-            let played_s = f64::from(step) * self.chunk_s;
-            if let Speed::RealTime(factor) = self.speed {
+            let played_s = f64::from(step) * self.replay.chunk_s;
+            if let Speed::RealTime(factor) = self.replay.speed {
                 let longest =
                     tracks.iter().map(|track| track.series.duration_s()).fold(0.0, f64::max);
                 self.due = from + Duration::from_secs_f64(played_s.min(longest) / factor);
@@ -368,8 +354,7 @@ impl Player<'_> {
     fn push_frames(&mut self, index: usize, samples: &[f32]) -> Result<(), Stopped> {
         let stop = self.link.stop();
         let Some(sink) = self.sinks[index].series() else { return Ok(()) };
-        let sink: &mut SeriesSink = sink;
-        match self.speed {
+        match self.replay.speed {
             Speed::Max => sink.push_waiting(samples, stop),
             Speed::RealTime(_) => {
                 sink.push(samples);

@@ -76,7 +76,7 @@ impl EnrolmentOutcome {
             Some(Fold { library, ..fold.clone() })
         };
         let folds: Vec<Fold> = run.on().folds.iter().filter_map(without).collect();
-        let without = run.measure_by(&folds)?.outcome;
+        let without = run.measure_by(&folds, &[run.on().query_seconds])?.swap_remove(0).outcome;
         Ok(Self {
             trials: count,
             accuracy: with.outcome.share.value(),

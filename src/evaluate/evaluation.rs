@@ -244,30 +244,16 @@ impl<'a> Run<'a, '_> {
     /// # Errors
     /// If a trial cannot be read or compared.
     pub fn measure(&self) -> Result<Measured, EvaluateError> {
-        self.measure_by(self.on.folds)
-    }
-
-    /// As [`Run::measure`], by other folds, whose libraries are parts of those that were prepared.
-    ///
-    /// # Errors
-    /// As there.
-    pub(crate) fn measure_by(&self, folds: &[Fold]) -> Result<Measured, EvaluateError> {
         // One length of queries, one result.
-        Ok(self.measure_each(folds, &[self.on.query_seconds])?.swap_remove(0))
+        Ok(self.measure_by(self.on.folds, &[self.on.query_seconds])?.swap_remove(0))
     }
 
-    /// As [`Run::measure`], for several lengths of queries; the model of a fold serves all of them.
+    /// As [`Run::measure`], by folds whose libraries are parts of those that were prepared, for each of
+    /// several lengths of queries; the model of a fold serves all of them.
     ///
     /// # Errors
     /// As there.
-    pub(crate) fn measure_lengths(
-        &self,
-        seconds: &[Option<f64>],
-    ) -> Result<Vec<Measured>, EvaluateError> {
-        self.measure_each(self.on.folds, seconds)
-    }
-
-    fn measure_each(
+    pub(crate) fn measure_by(
         &self,
         folds: &[Fold],
         lengths: &[Option<f64>],

@@ -26,26 +26,13 @@ pub struct Loudness {
 impl Loudness {
     /// The control for a scene. `None` if no source has a spectrum.
     pub fn new(scene: &Scene) -> Option<Self> {
-        let ids: Vec<SourceId> =
-            scene.sources().filter(|s| has_spectrum(s)).map(|s| s.id.clone()).collect();
+        let spectra = scene.sources().filter(|spec| matches!(spec.domain, Domain::Spectrum { .. }));
+        let ids: Vec<SourceId> = spectra.map(|spec| spec.id.clone()).collect();
         // These are the scene's own sources, so this cannot fail.
         let scene = scene.clone().only(&ids).ok()?;
         (!ids.is_empty()).then_some(Self { scene })
     }
 
-    /// The sources with a spectrum.
-    pub fn sources(&self) -> impl Iterator<Item = &SourceId> {
-        self.scene.sources().map(|spec| &spec.id)
-    }
-}
-
-fn has_spectrum(spec: &crate::scene::SourceSpec) -> bool {
-    matches!(spec.domain, Domain::Spectrum { .. })
-}
-
-const NAME: &str = "control";
-
-impl Loudness {
     /// The level of each source, as its one feature.
     fn levels(&self, entry: &Entry, trial: &Trial) -> Prepared {
         let level = |(id, signal): (&SourceId, &Signal)| {
@@ -57,7 +44,14 @@ impl Loudness {
         let sources = trial.signals.iter().filter_map(level).collect();
         Prepared::Features(Arc::new(FeatureVector { key: entry.key.clone(), sources }))
     }
+
+    /// The sources with a spectrum.
+    pub fn sources(&self) -> impl Iterator<Item = &SourceId> {
+        self.scene.sources().map(|spec| &spec.id)
+    }
 }
+
+const NAME: &str = "control";
 
 impl Method for Loudness {
     fn name(&self) -> &'static str {

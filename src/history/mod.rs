@@ -12,7 +12,6 @@
 //! [`Keeper`] listens to a station and writes; [`History`] is read by what shows it. Nothing here
 //! knows of the network.
 
-mod bands;
 mod csv;
 mod entries;
 mod file;
@@ -22,11 +21,10 @@ mod review;
 mod view;
 
 pub(crate) use self::csv::CsvWriter;
-pub(crate) use bands::{Bands, bands};
 pub use keeper::Keeper;
 pub(crate) use review::precision;
 pub use review::{Correction, Precision};
-pub(crate) use view::{four_digits, jpeg};
+pub(crate) use view::{Bands, bands, four_digits, jpeg};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};

@@ -124,14 +124,9 @@ impl Poster {
                 Ok(status) => self.health.failed(&format!("{status}; they are tried again")),
                 Err(error) => self.health.failed(&format!("{error}; they are tried again")),
             }
-            let mut left = self.back_off.next();
-            while left > Duration::ZERO {
-                if self.ending.load(Ordering::Acquire) {
-                    return;
-                }
-                let step = left.min(Duration::from_millis(100));
-                std::thread::sleep(step);
-                left -= step;
+            self.back_off.wait(&self.ending);
+            if self.ending.load(Ordering::Acquire) {
+                return;
             }
         }
     }

@@ -12,7 +12,7 @@ mod mqtt;
 pub use http::HttpOutput;
 pub use mqtt::MqttOutput;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -106,6 +106,16 @@ impl BackOff {
         let now = self.0;
         self.0 = (now * 2).min(Self::LONGEST);
         now
+    }
+
+    /// Waits until the next attempt is due, or until the end.
+    fn wait(&mut self, ending: &AtomicBool) {
+        let mut left = self.next();
+        while left > Duration::ZERO && !ending.load(Ordering::Acquire) {
+            let step = left.min(Duration::from_millis(100));
+            std::thread::sleep(step);
+            left -= step;
+        }
     }
 
     /// It worked: the next failure is the first again.

@@ -118,12 +118,7 @@ fn keep_connected(
             Err(_) if stop.load(Ordering::Acquire) => return,
             Err(error) => {
                 health.failed(&format!("{error}; they are tried again"));
-                let mut left = back_off.next();
-                while left > Duration::ZERO && !stop.load(Ordering::Acquire) {
-                    let step = left.min(Duration::from_millis(100));
-                    std::thread::sleep(step);
-                    left -= step;
-                }
+                back_off.wait(stop);
             }
         }
     }

@@ -60,11 +60,6 @@ impl ImageSink {
         Ok(())
     }
 
-    /// Counts images that the camera took but that never arrived here.
-    pub fn skip(&mut self, images: u64) {
-        self.ledger.lose(images);
-    }
-
     fn enter(&mut self, image: Arc<Image>) -> Result<(), Arc<Image>> {
         if self.ring.is_full() || !self.ledger.settle() {
             return Err(image);

@@ -6,22 +6,14 @@ use crate::seed;
 
 /// Errors of data that cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
+#[allow(missing_docs)] // The messages say it.
 pub enum SignalError {
-    /// no samples
     #[error("it holds no samples; record again, or remove the file")]
     Empty,
-    /// data that do not fill whole frames
     #[error("{len} values do not divide into {channels} channels")]
-    Ragged {
-        /// number of values
-        len: usize,
-        /// number of channels
-        channels: usize,
-    },
-    /// a rate that is no rate
+    Ragged { len: usize, channels: usize },
     #[error("a sample rate of {0} Hz is not possible; expected a positive number")]
     Rate(f64),
-    /// NaN or infinity among the samples
     #[error(
         "channel {channel} is {value} at sample {frame}; expected finite numbers \
          (a broken cable gives such values: check the connector)"
@@ -31,19 +23,12 @@ pub enum SignalError {
         channel: usize,
         /// frame, counted from 1
         frame: usize,
-        /// what stands there
         value: f32,
     },
-    /// an image of another shape
     #[error(
         "the image is {width}×{height} pixels; expected 320 wide and 480 high, or that turned by 90°"
     )]
-    ImageSize {
-        /// width in pixels
-        width: usize,
-        /// height in pixels
-        height: usize,
-    },
+    ImageSize { width: usize, height: usize },
 }
 
 /// Data of one source.

@@ -51,7 +51,7 @@ pub fn measure(
         },
     };
     let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
-    let measured = run.measure_lengths(&charted.seconds)?;
+    let measured = run.measure_by(on.folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
         ChartPoint::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
     };

@@ -60,9 +60,7 @@ impl ChartPoint {
             control,
         }
     }
-}
 
-impl ChartPoint {
     /// The method, with its options where the setting says more than its name.
     pub fn name(&self) -> String {
         let options = self.setting.trim_start_matches("--method ");

@@ -97,14 +97,16 @@ pub fn run(
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
         let models = Models::fit(&run, plan, fold, &fold.library)?;
-        let queries = Queries::load(&run, plan, fold)?;
-        clean.extend(queries.answers(&run, &models, Trial::clone));
+        let load = |&query: &usize| Ok((query, run.recording(query)?));
+        let queries = fold.queries.par_iter().map(load);
+        let queries: Vec<(usize, Trial)> = queries.collect::<Result<_, RecogniseError>>()?;
+        clean.extend(answers(&run, plan, &models, &queries, Trial::clone));
         // Level by level, so that a library that has to be cut to the length of disturbed queries
         // is cut once for all of them.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
                 of_level.extend(match d.kind {
-                    Kind::Query(change) => queries.answers(&run, &models, |raw| {
+                    Kind::Query(change) => answers(&run, plan, &models, &queries, |raw| {
                         let (mut trial, key) = (raw.clone(), raw.key.to_string());
                         let rng = seed::rng(
                             plan.seed,
@@ -127,7 +129,7 @@ pub fn run(
                         let folds = std::slice::from_ref(&all);
                         let changed = plan.evaluation(&entries, folds).prepare(method)?;
                         let models = Models::fit(&changed, plan, fold, &all.library)?;
-                        queries.answers(&changed, &models, Trial::clone)
+                        answers(&changed, plan, &models, &queries, Trial::clone)
                     }
                 });
                 done += 1;
@@ -138,33 +140,16 @@ pub fn run(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-struct Queries<'a> {
-    plan: &'a StressPlan<'a>,
-    trials: Vec<(usize, Trial)>,
-}
-
-impl<'a> Queries<'a> {
-    fn load(
-        run: &Run<'_, '_>,
-        plan: &'a StressPlan<'a>,
-        fold: &Fold,
-    ) -> Result<Self, RecogniseError> {
-        let load = |&query: &usize| Ok((query, run.recording(query)?));
-        let trials = fold.queries.par_iter().map(load).collect::<Result<_, RecogniseError>>()?;
-        Ok(Self { plan, trials })
-    }
-
-    /// The library's answers to all of them, after a change.
-    fn answers(
-        &self,
-        run: &Run<'_, '_>,
-        models: &Models,
-        change: impl Fn(&Trial) -> Trial + Sync,
-    ) -> Vec<StressAnswer> {
-        let answer =
-            |(query, raw): &(usize, Trial)| models.answer(run, self.plan, *query, change(raw));
-        self.trials.par_iter().map(answer).collect()
-    }
+/// The library's answers to some queries, each with its index, after a change.
+fn answers(
+    run: &Run<'_, '_>,
+    plan: &StressPlan<'_>,
+    models: &Models,
+    queries: &[(usize, Trial)],
+    change: impl Fn(&Trial) -> Trial + Sync,
+) -> Vec<StressAnswer> {
+    let answer = |(query, raw): &(usize, Trial)| models.answer(run, plan, *query, change(raw));
+    queries.par_iter().map(answer).collect()
 }
 
 /// A model of the library, and one without the surfaces that are to be unknown.
