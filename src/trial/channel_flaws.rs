@@ -240,14 +240,19 @@ mod tests {
         let sine = |i: i32| (i as f32 * 0.01).sin();
         assert_eq!(one_channel((0..10_000).map(sine)), []);
         let clipped = one_channel((0..10_000).map(|i| sine(i).clamp(-0.7, 0.7)));
-        assert!(matches!(clipped[..], [Flaw::Saturated { channel: 1, value: 0.7, share }] if share > 0.3));
+        assert!(
+            matches!(clipped[..], [Flaw::Saturated { channel: 1, value: 0.7, share }] if share > 0.3)
+        );
     }
 
     #[test]
     fn a_limit_counts_wherever_it_is_reached_first_and_no_value_that_is_passed_later() {
         let ramp = |i: i32| (i % 50) as f32;
         let begins_high = (0..1000).map(|i| if i < 100 { 49.0 } else { ramp(i) });
-        assert_eq!(one_channel(begins_high), [Flaw::Saturated { channel: 1, value: 49.0, share: 0.1 }]);
+        assert_eq!(
+            one_channel(begins_high),
+            [Flaw::Saturated { channel: 1, value: 49.0, share: 0.1 }]
+        );
         let rests_below = (0..1000).map(|i| if i < 100 { 40.0 } else { ramp(i) });
         assert_eq!(one_channel(rests_below), []);
     }

@@ -151,7 +151,8 @@ def check(browser, station, shots):
     browser.run("document.querySelector('#scans tr.unknown button').click()")
     browser.wait("the scan", lambda: browser.run("return document.getElementById('scan').dataset.shown"))
     about = browser.text("#scan-about")
-    assert browser.text("#scan-title") == "unknown" and "matches none of your 2 surfaces (p = " in about, about
+    assert browser.text("#scan-title") == "unknown" and "closest: " in about, about
+    assert "differs too much from" in browser.text("#scan-body section"), "unknown, with its reason"
     close(browser, "scan")
 
     open_newest(browser, station)

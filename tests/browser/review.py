@@ -20,7 +20,7 @@ from webdriver import Browser
 
 # Seconds that each synthetic scan lasts.
 DRAG = "1.5"
-WIDTHS = (1280, 360)
+WIDTHS = (1920, 1280, 360)
 
 
 def mislabelled(surfaced, folder):
