@@ -292,7 +292,8 @@ impl State {
         };
         // By name, the stylus is the last of the devices.
         if let Some(DeviceView { device, .. }) = self.devices.iter().rfind(gone) {
-            let mut name = device.chars();
+            // A port may follow its kind.
+            let mut name = device.split(' ').next().unwrap_or(device).chars();
             let first =
                 name.next().map_or_else(String::new, |first| first.to_uppercase().collect());
             let text = format!("{first}{} disconnected: plug it in", name.as_str());
@@ -363,12 +364,13 @@ mod tests {
             state.advice.clone()
         };
         assert_eq!(is("camera", DeviceState::Absent).device.as_deref(), Some("camera"));
-        assert_eq!(is("stylus", DeviceState::Streaming).what, AdviceKind::Tap);
+        assert_eq!(is("stylus /dev/ttyUSB0", DeviceState::Streaming).what, AdviceKind::Tap);
         is("microphone", DeviceState::Streaming);
-        let lost = is("stylus", DeviceState::Lost);
-        assert_eq!((lost.what, lost.device.as_deref()), (AdviceKind::Wait, Some("stylus")));
+        let lost = is("stylus /dev/ttyUSB0", DeviceState::Lost);
+        assert_eq!(lost.what, AdviceKind::Wait);
+        assert_eq!(lost.device.as_deref(), Some("stylus /dev/ttyUSB0"));
         assert_eq!(lost.text, "Stylus disconnected: plug it in");
-        assert_eq!(is("stylus", DeviceState::Streaming).device, None);
+        assert_eq!(is("stylus /dev/ttyUSB0", DeviceState::Streaming).device, None);
     }
 
     #[test]

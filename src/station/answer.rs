@@ -97,6 +97,9 @@ impl AnswerState {
     }
 }
 
+/// Share of a scan from which on a channel that rests is dead.
+const DEAD: f64 = 0.9;
+
 /// Damage of a scan: its signals are not those of the surface alone.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Damage {
@@ -114,23 +117,23 @@ impl Damage {
         flaws: &[Flaw],
         moves: impl Fn(usize) -> bool,
     ) -> Option<Self> {
-        let share = |flaw: &Flaw| match flaw {
-            Flaw::Constant { .. } | Flaw::Stuck { .. } => f64::INFINITY,
-            Flaw::Saturated { share, .. } => *share,
+        // Whether it is dead, and the share of the scan for which it is so.
+        let weight = |flaw: &Flaw| match flaw {
+            Flaw::Constant { .. } => (true, 1.0),
+            Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
+            Flaw::Saturated { share, .. } => (false, *share),
         };
-        let found =
-            flaws.iter().filter(|flaw| share(flaw).is_finite() || moves(flaw.channel() - 1));
-        let text = match found.max_by(|a, b| share(a).total_cmp(&share(b)))? {
-            Flaw::Constant { value: 0.0, .. } => "dead, check the cable".into(),
-            Flaw::Constant { value, .. } => format!("stuck at {value}, check the cable"),
-            Flaw::Stuck { value, share, .. } => {
-                let percent = 100.0 * share;
-                format!("stuck at {value} for the last {percent:.0} %, check the cable")
+        let found = flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1));
+        let order = |a: &&Flaw, b: &&Flaw| {
+            let ((a, of_a), (b, of_b)) = (weight(a), weight(b));
+            a.cmp(&b).then(of_a.total_cmp(&of_b))
+        };
+        let text = match weight(found.max_by(order)?) {
+            (true, DEAD..) => "dead, check the cable".into(),
+            (true, share) => {
+                format!("dead for {:.0} % of the scan, check the cable", 100.0 * share)
             }
-            Flaw::Saturated { value: 0.0, share, .. } => {
-                format!("at zero for {:.0} % of the time, check the cable", 100.0 * share)
-            }
-            Flaw::Saturated { share, .. } => format!(
+            (false, share) => format!(
                 "clipped in {:.0} % of its samples, lower the gain or press less",
                 100.0 * share
             ),
@@ -228,10 +231,12 @@ mod tests {
         let text = |flaws: &[Flaw]| of(flaws).unwrap().text;
         let (dead, rests) = ([1, 3].map(|channel| Flaw::Constant { channel, value: 0.0 })).into();
         let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
-        assert_eq!(text(&[clipped(2, 0.1), dead]), "dead, check the cable");
+        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
+        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
+        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
         let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
         assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
-        assert_eq!(of(&[rests]), None, "it rests in the library, too");
+        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
     }
 
     #[test]

@@ -10,9 +10,11 @@ export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.
 // capital letters. Hyphens and spaces are the browser's.
 const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
 
+// The parts of a name that stay in one line.
+export const parts = (text) => printable(text).split(JOINTS);
+
 function write(element, text) {
-  const parts = printable(text).split(JOINTS);
-  element.replaceChildren(...parts.flatMap((part, at) => (at ? [document.createElement("wbr"), part] : [part])));
+  element.replaceChildren(...parts(text).flatMap((part, at) => (at ? [document.createElement("wbr"), part] : [part])));
 }
 
 export function make(tag, text, className) {

@@ -2,7 +2,7 @@
 // it the name, how sure it is, and what is damaged.
 
 import { certainty, damageOf, probabilities } from "./answer.js";
-import { $, clock, damageLines, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
+import { $, clock, damageLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
 
 const WORDS = { named: "Named", nearest: "Nearest surface", unsure: "Unsure", unnamed: "No answer", damaged: "Damaged" };
 
@@ -46,20 +46,40 @@ function answered(answer, surfaces) {
   return { kind, word, name, label, damage, sure: certainty(answer), id: answer.id, runners: unknown ? [] : runners(answer) };
 }
 
-function idle({ advice, reading, devices }) {
-  const words = { ended: "The station has ended", wait: reading ? "Reading the library" : "Waiting for the devices", enroll: "Three steps" };
+function idle({ advice, reading }) {
+  const words = { ended: "The station has ended", wait: reading ? "Reading the library" : "Waiting for the devices" };
   const word = words[advice.do] ?? "Ready";
-  const plugged = devices.some(({ state }) => state === "streaming");
-  return { kind: "idle", word, name: word === "Ready" ? "tap, then drag" : "", steps: advice.do === "enroll" && { plugged } };
+  return { kind: "idle", word, name: word === "Ready" ? "tap, then drag" : "" };
 }
 
+// A station that has too few surfaces to name anything, or none.
+export function isEmpty({ library, enrolls, enrolling, advice, devices }) {
+  const lost = devices.some(({ device, state }) => device === advice.device && state === "lost");
+  return enrolls && !enrolling && !lost && library?.problem && library.surfaces.length < 2;
+}
+
+const steps = ({ devices }) => ({
+  kind: "idle", word: "Three steps", steps: { plugged: devices.some(({ state }) => state === "streaming") },
+});
+
+// The scan that was in progress last: it stays until its answer is there, or for this long.
+const ANSWER_WITHIN_MS = 1500;
+let last = null;
+
 // `answer` is the last one of this session, or null.
-export function stateOf(state, answer) {
-  if (!state.finished && state.advice.device) return disconnected(state);
-  if (state.phase !== null) return dragging(state);
-  if (state.enrolling && !state.finished) return { ...idle(state), word: "Tap, then drag", name: state.enrolling.surface, steps: false };
-  if (answer && state.advice.do !== "enroll") return answered(answer, state.library?.surfaces.length ?? 0);
-  return idle(state);
+function stateOf(state, answer) {
+  if (state.phase !== null) {
+    const { scan } = state;
+    last = { scan, shown: dragging(state), until: Date.now() + ANSWER_WITHIN_MS };
+    return last.shown;
+  }
+  if (last && !state.enrolling && (answer?.scan ?? 0) < last.scan && Date.now() < last.until) return last.shown;
+  if (!state.finished) {
+    if (isEmpty(state)) return steps(state);
+    if (state.advice.device) return disconnected(state);
+    if (state.enrolling) return { ...idle(state), word: "Tap, then drag", name: state.enrolling.surface };
+  }
+  return answer ? answered(answer, state.library?.surfaces.length ?? 0) : idle(state);
 }
 
 function runner([name, share, text]) {
@@ -73,7 +93,7 @@ function runner([name, share, text]) {
   return item;
 }
 
-const longest = (text) => Math.max(4, ...text.split(/[\s_/-]+/u).map((word) => word.length));
+const longest = (name) => Math.max(4, ...parts(name).flatMap((part) => part.split(/[\s-]/)).map((word) => word.length));
 
 export function showNow(state, answer) {
   const { kind, word, name = "", sure = "", label = "", damage = [], done, id, steps, ...now } = stateOf(state, answer);
@@ -83,7 +103,7 @@ export function showNow(state, answer) {
   say("word", word);
   say("name", name);
   $("name").dataset.faint = String(Boolean(now.faint));
-  // The longest word fits the screen of the kiosk.
+  // Its longest word fits the line.
   $("name").style.setProperty("--longest", Math.min(longest(name), 24));
   say("sure", sure);
   say("answer-label", label);

@@ -7,7 +7,7 @@ import { $, ask, clock, fill, hide, make, many, printable, say } from "./dom.js"
 import { devices, losses, show, spectrum, trace } from "./draw.js";
 import * as enrol from "./enrol.js";
 import * as history from "./history.js";
-import { showNow } from "./now.js";
+import { isEmpty, showNow } from "./now.js";
 import { follow as followAddress } from "./route.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
@@ -50,11 +50,10 @@ function showDevices() {
 function showLibrary() {
   const { library } = state;
   const surfaces = library?.surfaces ?? [];
-  const name = library && `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}`;
+  const name = surfaces.length > 0 && `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}`;
   say("library-name", [name, state.reading ? "reading the library …" : ""].filter(Boolean).join(" · "));
   $("reload").disabled = state.reading || state.finished;
-  // An empty station shows its three steps instead.
-  const problem = surfaces.length > 0 || !state.enrolls ? library?.problem : null;
+  const problem = isEmpty(state) ? null : library?.problem;
   hide("library-problem", !problem);
   say("library-problem", problem ?? "");
   fill("surfaces", surfaces.map(({ surface, trials }) => {
@@ -71,8 +70,11 @@ function showLibrary() {
 }
 
 function showWarnings() {
-  hide("warnings-box", state.warnings.length === 0);
-  fill("warnings", state.warnings.slice(0, 20).map(({ unix_ms, text }) => {
+  // An empty station shows its three steps instead.
+  const known = isEmpty(state) ? state.library.problem : null;
+  const warnings = state.warnings.filter(({ text }) => text !== known);
+  hide("warnings-box", warnings.length === 0);
+  fill("warnings", warnings.slice(0, 20).map(({ unix_ms, text }) => {
     const item = make("li");
     item.append(make("time", clock(unix_ms)), make("span", text));
     return item;
