@@ -15,8 +15,8 @@ use crate::trial::{Series, Signal, flaws};
 /// A source that has been at rest for this long, in seconds of drag, is not judged.
 const RESTS_S: f64 = 1.0;
 
-/// Drag of a trial, in seconds, where no library says more: ten looks.
-const FIRST_S: f64 = 10.0 * LOOK_S;
+/// Least drag of a trial, in seconds: ten looks.
+const LEAST_S: f64 = 10.0 * LOOK_S;
 
 /// The purpose of a scan in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,7 +55,7 @@ impl TrialNeed {
         if let Purpose::Keep(by_t_star) = purpose {
             let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
-            let least_s = Some(news.needed_s.unwrap_or(FIRST_S));
+            let least_s = Some(news.needed_s.unwrap_or(LEAST_S).max(LEAST_S));
             news.needed_s = self.needed_s(progress.scan_s, least_s);
             // A name is not what such a scan is for.
             settled = false;
@@ -101,7 +101,7 @@ impl TrialNeed {
 }
 
 /// Why a scan is no good trial, a line each: it is spoiled, shorter than the scan time of the library
-/// that `by` compares with, or damaged. `by_t_star` are the sources of which it must hold enough
+/// that `by` compares with or than ten looks, or damaged. `by_t_star` are the sources of which it must hold enough
 /// independent samples.
 pub(super) fn faults(
     scan: &Scan,
@@ -113,7 +113,8 @@ pub(super) fn faults(
     if scan.lost_samples > 0 && faults.is_empty() {
         faults.push(format!("{} samples were lost in it", scan.lost_samples));
     }
-    let needed_s = by.and_then(|by| by.needed_s(scan.truth.as_ref())).unwrap_or(FIRST_S);
+    let needed_s =
+        by.and_then(|by| by.needed_s(scan.truth.as_ref())).unwrap_or(LEAST_S).max(LEAST_S);
     if scan.scan_s < needed_s - 0.5 * LOOK_S {
         faults.push(format!("{:.1} s is too short, drag for {needed_s:.1} s", scan.scan_s));
     }

@@ -175,7 +175,7 @@ def kiosk(stage, trial, surface):
         assert round(size[0]) == width and round(size[1]) >= height and all(inside), (size, inside, width, height)
     browser.resize(1280, 1000)
     shown = browser.run("return [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && e.innerText?.trim()"
-                        " && !e.children.length && !e.closest('.hidden')).map(e => e.id)")
+                        " && !e.children.length && !e.closest('.hidden, header')).map(e => e.id)")
     assert set(shown) <= {"word", "name", "sure", ""}, shown
     stage.seen("kiosk")
     browser.keys(ESCAPE)
