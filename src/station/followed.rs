@@ -58,7 +58,7 @@ impl Followed {
         if let Some((by, follower)) = &self.follower
             && progress.scan_s >= DAMAGE_AFTER_S
         {
-            news.damage = by.damage_so_far(truth, &**follower);
+            news.damage = by.damage_so_far(truth, follower);
         }
         news.needed_s = by.and_then(|by| by.needed_s(truth));
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
