@@ -177,7 +177,8 @@ impl Recogniser {
     /// Whether a channel of a source, counted from 0, moves in the library; `truth` as in
     /// [`Scan::truth`].
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
-        self.models[self.model(truth)].moves(id, channel)
+        let embedding = self.models[self.model(truth)].clone().embedding();
+        embedding.is_none_or(|embedding| embedding.moves(id, channel))
     }
 
     /// The damage of a scan in progress.
@@ -241,10 +242,7 @@ impl Recogniser {
     /// a text for each of these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
-        let embedding = model.clone().embedding();
-        let moves = |id: &SourceId, channel: usize| {
-            embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
-        };
+        let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
         let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
