@@ -138,7 +138,7 @@ def check(browser, station, shots):
     browser.resize(1280, 1000)
     browser.open(station.url + "/")
     browser.wait("scans", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 2, 90)
-    browser.wait("a name on the page", lambda: any(name in browser.text("#name") for name in LONG), 60)
+    browser.wait("a name on the page", lambda: any(name in browser.text("#now") for name in LONG), 60)
 
     by_keyboard_alone(browser, station)
     browser.wait("precision", lambda: browser.run("return !document.getElementById('precision-box').hidden"))

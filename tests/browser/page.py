@@ -192,7 +192,7 @@ def check(browser, station, shots):
     console = browser.log("browser")
     assert not console, f"the console stays empty: {console}"
     # Chromium's own first tab is made of chrome: pages.
-    elsewhere = [url for url in requests(browser) if not url.startswith((station.url, "data:", "chrome:"))]
+    elsewhere = [url for url in requests(browser) if not url.startswith((station.url, "data:", "chrome"))]
     assert not elsewhere, f"nothing is asked of others: {elsewhere}"
 
 

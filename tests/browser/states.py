@@ -125,8 +125,8 @@ def damaged(stage, trial):
     assert "acceleration: clipped in" in browser.text("#damage") and "lower the gain" in browser.text("#damage")
     dead = lambda sample: sample[:5] + [0, sample[6]]
     said, answer = stage.play(scan_of(trial, change=dead))
-    assert "ir" in [d["source"] for d in answer["damage"]], answer["damage"]
-    assert "infrared: " in browser.text("#damage"), browser.text("#damage")
+    assert answer["damage"] == [{"source": "ir", "text": "dead, check the cable"}], answer["damage"]
+    assert browser.text("#damage") == "infrared: dead, check the cable", browser.text("#damage")
     assert browser.run("return document.querySelectorAll('#scans .badge.bad').length") == 2
     assert "2 damaged" in browser.text("#counts"), browser.text("#counts")
     stage.seen("damaged")

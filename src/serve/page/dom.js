@@ -26,7 +26,7 @@ export function make(tag, text, className) {
 
 // Rounded down near 1: nothing is more certain than it is.
 export const percent = (share) =>
-  `${share > 0.995 && share < 1 ? (Math.floor(share * 1000) / 10).toFixed(1) : (share * 100).toFixed(0)} %`;
+  `${share > 0.995 && share < 1 ? (Math.floor(share * 1000) / 10).toFixed(1) : (share * 100).toFixed(0)}\u00a0%`;
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
