@@ -150,7 +150,7 @@ def dialogues(stage, trial, surface):
                 "return document.activeElement === document.querySelector(arguments[0])", opener))
         browser.run("history.forward()")
         browser.wait("it again", lambda: is_open(dialog) and hash_() == link)
-        browser.open(url + "/favicon.svg")
+        browser.open("about:blank")
         browser.open(url + "/" + link)
         browser.wait("the link", lambda: is_open(dialog))
         if dialog == "scan":
@@ -258,6 +258,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         folder = Path(folder)
         empty(surfaced, browser, folder, shots)
+        # A refused token and a station that has ended are in the console.
+        browser.log("browser")
         made, library = folder / "made", folder / "library"
         run(surfaced, "synth", made, "--surfaces", "4", "--trials", "12", "--users", "0", "--seconds", "1.5")
         *surfaces, strange = sorted(path.name for path in made.iterdir() if path.is_dir())
@@ -284,7 +286,7 @@ def main():
             kiosk(stage, played[surfaces[0]][1], surfaces[0])
             enrolment(stage, played[strange])
             disconnected(stage)
-            console = [entry for entry in browser.log("browser") if "401" not in entry["message"]]
+            console = browser.log("browser")
             assert not console, f"the console stays empty: {console}"
         finally:
             stage.stylus.unplug()
