@@ -250,6 +250,7 @@ def empty(surfaced, browser, folder, shots):
         browser.wait("the first step done", lambda: browser.run("return document.getElementById('step-plug').dataset.done") == "true")
         stylus.unplug()
     finally:
+        browser.open("about:blank")
         station.end()
 
 
@@ -258,7 +259,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         folder = Path(folder)
         empty(surfaced, browser, folder, shots)
-        # A refused token and a station that has ended are in the console.
+        # A refused token is in the console.
         browser.log("browser")
         made, library = folder / "made", folder / "library"
         run(surfaced, "synth", made, "--surfaces", "4", "--trials", "12", "--users", "0", "--seconds", "1.5")
