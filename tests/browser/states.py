@@ -237,7 +237,7 @@ def empty(surfaced, browser, folder, shots):
         stage.seen("token")
         browser.type("input", "wrong")
         browser.click("button")
-        browser.wait("the refusal", lambda: "This token is not right." in browser.text("body"))
+        browser.wait("the refusal", lambda: "This token is not right." in (browser.text("body") or ""))
         stage.seen("token-wrong")
         browser.type("input", TOKEN)
         browser.click("button")
