@@ -33,6 +33,7 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
         lost_samples: 0,
         sources: Vec::new(),
         spoiled: Vec::new(),
+        damage: Vec::new(),
         needed_s: None,
         remarks: Vec::new(),
     }

@@ -50,6 +50,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
             post(|State(hub): Shared| async move { send(&hub, "reload", Command::Reload) }),
         )
         .route("/enroll", post(enroll))
+        .route("/enroll/keep", post(keep_refused))
         .route(
             "/enroll/end",
             post(|State(hub): Shared| async move { send(&hub, "enroll/end", Command::EndEnroll) }),
@@ -101,6 +102,13 @@ async fn enroll(
     send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
 }
 
+async fn keep_refused(
+    State(hub): Shared,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Response, Problem> {
+    send(&hub, "enroll/keep", order::keep_refused(&body?).map_err(Problem::Bad)?)
+}
+
 /// The description of all paths, for programs.
 async fn open_api() -> Response {
     ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
@@ -134,7 +142,7 @@ async fn health(State(hub): Shared) -> Response {
 }
 
 /// (path, content type, text) of each file.
-const FILES: [(&str, &str, &str); 14] = [
+const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -142,7 +150,9 @@ const FILES: [(&str, &str, &str); 14] = [
     ("/dom.js", "text/javascript; charset=utf-8", include_str!("page/dom.js")),
     ("/answer.js", "text/javascript; charset=utf-8", include_str!("page/answer.js")),
     ("/history.js", "text/javascript; charset=utf-8", include_str!("page/history.js")),
-    ("/precision.js", "text/javascript; charset=utf-8", include_str!("page/precision.js")),
+    ("/now.js", "text/javascript; charset=utf-8", include_str!("page/now.js")),
+    ("/enrol.js", "text/javascript; charset=utf-8", include_str!("page/enrol.js")),
+    ("/route.js", "text/javascript; charset=utf-8", include_str!("page/route.js")),
     ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),
     ("/shelf.js", "text/javascript; charset=utf-8", include_str!("page/shelf.js")),
     ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),

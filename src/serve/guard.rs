@@ -8,13 +8,13 @@ use std::time::Instant;
 
 use axum::extract::{Request, State};
 use axum::http::header::{
-    AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, COOKIE, HOST, HeaderName, HeaderValue,
-    LOCATION, ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, X_CONTENT_TYPE_OPTIONS,
-    X_FRAME_OPTIONS,
+    ACCEPT, AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, COOKIE, HOST, HeaderName,
+    HeaderValue, LOCATION, ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::Next;
-use axum::response::{AppendHeaders, IntoResponse, Response};
+use axum::response::{AppendHeaders, Html, IntoResponse, Response};
 use rand::TryRng;
 use rand::rngs::SysRng;
 
@@ -32,9 +32,16 @@ const MOST_SESSIONS: usize = 1024;
 /// Refusals a minute that are logged one by one.
 const LOGGED: u32 = 10;
 
+/// Paths that need no token: they reveal nothing, and the form for the token is made of them.
+const OPEN: [&str; 3] = ["/healthz", "/style.css", "/favicon.svg"];
+
+/// The form for the token, with the place of a problem.
+const TOKEN_FORM: &str = include_str!("page/token.html");
+const PROBLEM_PLACE: &str = "<!-- problem -->";
+
 /// The page needs its own files only; no other page may frame it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
-                      media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; \
+                      media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'self'; \
                       frame-ancestors 'none'";
 
 const HEADERS: [(HeaderName, &str); 6] = [
@@ -148,12 +155,16 @@ impl Guard {
         let host = text(headers, &HOST).unwrap_or_default();
         let in_address = in_address(request);
         let given = bearer(headers).or_else(|| cookie(headers, TOKEN_COOKIE)).or(in_address);
+        let is_open = OPEN.contains(&request.uri().path());
         match (&self.settings.token, given) {
             (Some(token), Some(given)) => {
                 let given = in_address.unwrap_or(given);
                 let session = cookie(headers, SESSION_COOKIE);
                 let session = session.and_then(|text| u128::from_str_radix(text, 16).ok());
-                self.budgets().try_token((token, given), (address, session))?;
+                match self.budgets().try_token((token, given), (address, session)) {
+                    Err(Problem::Token) if is_open => {}
+                    tried => tried?,
+                }
                 if in_address.is_some() {
                     return Ok(Some(self.enter(token, client)));
                 }
@@ -162,14 +173,14 @@ impl Guard {
                 if !self.budgets().strangers.admit(address, Instant::now()) {
                     return Err(Problem::TooOften);
                 }
-                if token.is_some() {
-                    return Err(Problem::Token);
-                }
                 // A name that a stranger's DNS points at this machine is refused. With a
                 // token, any name may stand for this machine, and the stranger does not know the
                 // token.
-                if !is_loopback(host) {
-                    return Err(Problem::Host(host.into()));
+                match token {
+                    Some(_) if is_open => {}
+                    Some(_) => return Err(Problem::Token),
+                    None if is_loopback(host) => {}
+                    None => return Err(Problem::Host(host.into())),
                 }
             }
         }
@@ -200,12 +211,25 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     let settings = &guard.settings;
     let client = Client::of(&request, &settings.proxies, settings.address.ip());
     let (method, path) = (request.method().clone(), request.uri().path().to_string());
+    let in_browser = text(request.headers(), &ACCEPT).is_some_and(|all| all.contains("text/html"));
+    let has_form = settings.token.is_some() && in_browser && method == Method::GET && path == "/";
+    let is_tried = in_address(&request).is_some();
     guard.hub.lock().metrics.requests += 1;
     let mut response = match guard.check(&request, client) {
         Ok(Some(answer)) => answer,
         Ok(None) => tokio::time::timeout(settings.limits.request, next.run(request))
             .await
             .unwrap_or_else(|_| Problem::Slow.into_response()),
+        Err(problem) if has_form => {
+            let text = match &problem {
+                Problem::Token if is_tried => "This token is not right.".to_string(),
+                Problem::Token => String::new(),
+                other => other.to_string(),
+            };
+            let mut form = Html(TOKEN_FORM.replace(PROBLEM_PLACE, &text)).into_response();
+            *form.status_mut() = problem.into_response().status();
+            form
+        }
         Err(problem) => problem.into_response(),
     };
     let status = response.status();

@@ -304,7 +304,8 @@ impl Hub {
     /// # Errors
     /// If it has ended, is busy with the orders before, or cannot do that.
     pub fn order(&self, order: Command) -> Result<(), Undelivered> {
-        let enrolls = matches!(order, Command::Enroll { .. } | Command::EndEnroll);
+        let enrolls =
+            matches!(order, Command::Enroll { .. } | Command::KeepRefused(_) | Command::EndEnroll);
         let inner = self.lock();
         if inner.state.finished {
             return Err(Undelivered::Ended);

@@ -1,16 +1,16 @@
-//! Which labels the network may bring in: those that read the same everywhere.
+//! Labels that the network may bring in: they read the same everywhere.
 
 use crate::trial::normal;
 
 /// Longest label in characters.
 const LONGEST: usize = 80;
-/// What a label may hold beside letters, digits and spaces.
+/// The characters that a label may hold beside letters, digits and spaces.
 const MARKS: &str = "_-.,()+'%#";
 
 /// A label of a surface or a user as it is to be used, without spaces around it.
 ///
 /// # Errors
-/// For people: what is wrong with it. `what` names the field.
+/// If it is not valid, with the reason. `what` names the field.
 pub(super) fn check(what: &str, label: &str) -> Result<String, String> {
     let label = &*normal(label.trim());
     if label.is_empty() {

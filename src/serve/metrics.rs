@@ -67,7 +67,7 @@ pub struct Elsewhere<'a> {
     pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
-    /// Where answers go.
+    /// The outputs that answers go to.
     pub outputs: &'a [OutputView],
     /// Of answers that somebody corrected.
     pub precision: &'a [Precision],

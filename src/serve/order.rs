@@ -1,4 +1,4 @@
-//! What a program may ask the station to do, and how it says so.
+//! The bodies of requests to enrol.
 
 use axum::body::Bytes;
 use serde::Deserialize;
@@ -9,6 +9,24 @@ use crate::trial::EXPERT;
 
 /// Most trials of one order.
 const MOST_TRIALS: u32 = 1000;
+
+/// The body of a request to keep a refused scan.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KeepRefused {
+    scan: u32,
+}
+
+/// The order in the body of a request to keep a refused scan.
+///
+/// # Errors
+/// If it is not valid, with the reason.
+pub fn keep_refused(body: &Bytes) -> Result<Command, String> {
+    let read = serde_json::from_slice(body);
+    let KeepRefused { scan } =
+        read.map_err(|error| format!("{error}; expected {{\"scan\": 7}}"))?;
+    Ok(Command::KeepRefused(scan))
+}
 
 /// The body of a request to enrol.
 #[derive(Deserialize)]
@@ -27,7 +45,7 @@ fn one() -> u32 {
 /// The order in the body of a request to enrol.
 ///
 /// # Errors
-/// For people: what is wrong with it.
+/// If it is not valid, with the reason.
 pub fn enroll(body: &Bytes) -> Result<Command, String> {
     let Enroll { surface, user, trials } = serde_json::from_slice(body).map_err(|error| {
         format!("{error}; expected {{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}}")

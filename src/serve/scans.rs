@@ -1,4 +1,4 @@
-//! Past scans for programs and the page: the list, one of them, its files, and what people say of it.
+//! Past scans for programs and the page: the list, one of them, its files, and its correction.
 
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ const USUAL: usize = 100;
 /// Most scans of one answer.
 const MOST: usize = 1000;
 
-/// What is below `/api/v1`.
+/// The paths of scans below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))
@@ -199,7 +199,7 @@ async fn file(
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
-/// What a camera sees now: the latest picture of a stream as it is compared, or the whole of it.
+/// The latest picture of a camera: the region that is compared, or all of it.
 async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
     let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
@@ -231,7 +231,7 @@ async fn history(State(hub): Shared) -> Json<HistoryView> {
     Json(HistoryView { extent, precision })
 }
 
-/// What a scan was, as somebody says; nothing takes a correction back.
+/// A correction of a scan; an empty one takes the last one back.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Was {

@@ -39,7 +39,7 @@ pub struct Settings {
     pub history: Arc<History>,
     /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
-    /// Where answers go, and whether they arrive.
+    /// The outputs that answers go to, and whether they arrive.
     pub outputs: Vec<OutputHealth>,
 }
 

@@ -27,8 +27,10 @@ pub struct Advice {
     /// For programs.
     #[serde(rename = "do")]
     pub what: AdviceKind,
-    /// How much longer to drag, in seconds, where that is known.
+    /// Seconds that the drag should still last, if known.
     pub more_s: Option<f64>,
+    /// The device to plug in, if one is disconnected.
+    pub device: Option<String>,
     /// The same in a few words.
     pub text: String,
 }
@@ -118,6 +120,8 @@ pub struct SessionCounts {
     pub unnamed: u64,
     /// Those that should not be trusted.
     pub spoiled: u64,
+    /// Those that are spoiled, or whose sources are damaged.
+    pub damaged: u64,
     /// Scans that were kept for the library.
     pub enrolled: u64,
     /// Frames and pictures that were lost within scans.
@@ -166,7 +170,8 @@ pub struct State {
 impl State {
     /// Nothing is known yet.
     pub fn new() -> Self {
-        let advice = Advice { what: AdviceKind::Wait, more_s: None, text: "wait".into() };
+        let advice =
+            Advice { what: AdviceKind::Wait, more_s: None, device: None, text: "wait".into() };
         let mut state = Self {
             api: 1,
             version: env!("CARGO_PKG_VERSION"),
@@ -254,6 +259,7 @@ impl State {
             AnswerState::Unknown => counts.unknown += 1,
         }
         self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
+        self.counts.damaged += u64::from(!answer.damage.is_empty());
         self.counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
     }
@@ -265,7 +271,7 @@ impl State {
     }
 
     fn advise(&self) -> Advice {
-        let say = |what, text: &str| Advice { what, more_s: None, text: text.into() };
+        let say = |what, text: &str| Advice { what, more_s: None, device: None, text: text.into() };
         if self.finished {
             return say(AdviceKind::Ended, "the station has ended");
         }
@@ -277,17 +283,25 @@ impl State {
         if self.reading && self.library.is_none() {
             return say(AdviceKind::Wait, "reading the library");
         }
-        if !self.devices.iter().any(|device| device.state == DeviceState::Streaming) {
-            // By name, the stylus is the last of the devices.
-            let gone = |device: &&DeviceView| {
-                matches!(device.state, DeviceState::Absent | DeviceState::Lost)
-            };
-            return match self.devices.iter().rfind(gone) {
-                Some(DeviceView { device, .. }) => {
-                    say(AdviceKind::Wait, &format!("{device} disconnected: plug it in"))
-                }
-                None => say(AdviceKind::Wait, "wait for the devices"),
-            };
+        let streams = self.devices.iter().any(|device| device.state == DeviceState::Streaming);
+        // A device that never came is missed only where no other one streams.
+        let gone = |device: &&DeviceView| match device.state {
+            DeviceState::Lost => true,
+            DeviceState::Absent => !streams,
+            _ => false,
+        };
+        // By name, the stylus is the last of the devices.
+        if let Some(DeviceView { device, .. }) = self.devices.iter().rfind(gone) {
+            // A port may follow its kind.
+            let mut name = device.split(' ').next().unwrap_or(device).chars();
+            let first =
+                name.next().map_or_else(String::new, |first| first.to_uppercase().collect());
+            let text = format!("{first}{} disconnected: plug it in", name.as_str());
+            let device = Some(device.clone());
+            return Advice { what: AdviceKind::Wait, more_s: None, device, text };
+        }
+        if !streams {
+            return say(AdviceKind::Wait, "wait for the devices");
         }
         let cannot = self.library.as_ref().is_some_and(|library| library.problem.is_some());
         if cannot && self.enrolling.is_none() {
@@ -297,10 +311,11 @@ impl State {
     }
 
     fn advise_drag(&self) -> Advice {
-        let drag = |more_s, text| Advice { what: AdviceKind::Drag, more_s, text };
+        let drag = |more_s, text| Advice { what: AdviceKind::Drag, more_s, device: None, text };
         let Some(guess) = &self.guess else { return drag(None, "drag".into()) };
         if guess.enough {
-            return Advice { what: AdviceKind::Lift, more_s: None, text: "lift".into() };
+            let text = "lift".into();
+            return Advice { what: AdviceKind::Lift, more_s: None, device: None, text };
         }
         match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
             Some(more_s) => {
@@ -338,6 +353,24 @@ mod tests {
         assert_eq!(advice(guess(true, None, false)).what, AdviceKind::Drag, "no rule to rely on");
         assert_eq!(advice(guess(true, Some(3.0), true)).what, AdviceKind::Lift);
         assert_eq!(advice(guess(false, None, false)).text, "drag");
+    }
+
+    #[test]
+    fn a_device_that_was_lost_is_to_be_plugged_in_whatever_else_streams() {
+        let mut state = State::new();
+        let mut is = |device: &str, is| {
+            let (device, detail) = (device.into(), String::new());
+            state.take(&StationEvent::Device { device, state: is, detail });
+            state.advice.clone()
+        };
+        assert_eq!(is("camera", DeviceState::Absent).device.as_deref(), Some("camera"));
+        assert_eq!(is("stylus /dev/ttyUSB0", DeviceState::Streaming).what, AdviceKind::Tap);
+        is("microphone", DeviceState::Streaming);
+        let lost = is("stylus /dev/ttyUSB0", DeviceState::Lost);
+        assert_eq!(lost.what, AdviceKind::Wait);
+        assert_eq!(lost.device.as_deref(), Some("stylus /dev/ttyUSB0"));
+        assert_eq!(lost.text, "Stylus disconnected: plug it in");
+        assert_eq!(is("stylus /dev/ttyUSB0", DeviceState::Streaming).device, None);
     }
 
     #[test]

@@ -81,16 +81,27 @@ struct ChannelLimits {
     run: usize,
     /// Samples between the limits that were unlike the one before; a switch has none.
     between: usize,
+    /// Samples of late in runs of at least [`RUN`], at the limits and between them; where values are
+    /// coarse or repeated, they rest everywhere.
+    rested: [f32; 2],
 }
 
 /// This many samples in a row at a limit are clipped.
 const RUN: usize = 3;
+/// Share of that memory that a sample leaves: it lasts some thousand samples.
+const MEMORY: f32 = 1.0 - 1.0 / 4096.0;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
 
 impl ChannelLimits {
-    const NEW: Self =
-        Self { low: f32::INFINITY, high: f32::NEG_INFINITY, last: f32::NAN, run: 0, between: 0 };
+    const NEW: Self = Self {
+        low: f32::INFINITY,
+        high: f32::NEG_INFINITY,
+        last: f32::NAN,
+        run: 0,
+        between: 0,
+        rested: [0.0; 2],
+    };
 
     /// Takes the next sample; true if it rests at a limit.
     fn add(&mut self, x: f32) -> bool {
@@ -99,8 +110,12 @@ impl ChannelLimits {
         let at_limit = x <= self.low || x >= self.high;
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
         self.between = self.between.saturating_add(usize::from(!at_limit && self.run == 1));
+        let rests = self.run >= RUN;
+        self.rested = self.rested.map(|rested| rested * MEMORY);
+        self.rested[usize::from(!at_limit)] += f32::from(u8::from(rests));
+        let outstanding = self.rested[0] > self.rested[1] && self.between >= FEWEST_BETWEEN;
         // Zero is a sensor at rest.
-        at_limit && x != 0.0 && self.run >= RUN && self.between >= FEWEST_BETWEEN
+        at_limit && x != 0.0 && rests && outstanding
     }
 }
 
@@ -274,6 +289,10 @@ mod tests {
         assert!(clipped.streams[0].clipped.len() > 20);
         let mut tracer = Tracer::default();
         assert!(tracer.add(&fresh(0, (0..1000).map(sine).collect())).streams[0].clipped.is_empty());
+        let coarse = |i: usize| ((i as f32 * 12.9898).sin() * 43_758.547).fract() * 3.0;
+        let mut tracer = Tracer::default();
+        let noise = tracer.add(&fresh(0, (0..9000).map(|i| coarse(i / 2).round()).collect()));
+        assert!(noise.streams[0].clipped.is_empty(), "{:?}", noise.streams[0].clipped);
         let mut tracer = Tracer::default();
         let switch = (0..1000).map(|i| f32::from(u8::from(i % 100 > 50))).collect();
         assert!(tracer.add(&fresh(0, switch)).streams[0].clipped.is_empty());

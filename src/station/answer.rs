@@ -11,6 +11,7 @@ use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
+use crate::trial::Flaw;
 
 /// A scan that has ended, and its name: one line of JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -59,6 +60,8 @@ pub struct Answer {
     pub sources: Vec<SourceId>,
     /// Reasons why the scan should not be trusted, a line each.
     pub spoiled: Vec<String>,
+    /// These, and the damage of its sources.
+    pub damage: Vec<Damage>,
     /// How long the drag should have lasted, in seconds, where that is known.
     pub needed_s: Option<f64>,
     /// Imperfections of the scan.
@@ -91,6 +94,51 @@ impl AnswerState {
             Self::Unknown => "unknown",
             Self::Unnamed => "unnamed",
         }
+    }
+}
+
+/// Share of a scan from which on a channel that rests is dead.
+const DEAD: f64 = 0.9;
+
+/// Damage of a scan: its signals are not those of the surface alone.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Damage {
+    /// The source; `None` for damage of the whole scan.
+    pub source: Option<SourceId>,
+    /// The damage, and what to do.
+    pub text: String,
+}
+
+impl Damage {
+    /// The damage of a source by the flaws of its channels: a dead one, or else the one that is
+    /// clipped most. A channel, counted from 0, that does not move in the library may rest.
+    pub(super) fn of_source(
+        source: &SourceId,
+        flaws: &[Flaw],
+        moves: impl Fn(usize) -> bool,
+    ) -> Option<Self> {
+        // Whether it is dead, and the share of the scan for which it is so.
+        let weight = |flaw: &Flaw| match flaw {
+            Flaw::Constant { .. } => (true, 1.0),
+            Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
+            Flaw::Saturated { share, .. } => (false, *share),
+        };
+        let found = flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1));
+        let order = |a: &&Flaw, b: &&Flaw| {
+            let ((a, of_a), (b, of_b)) = (weight(a), weight(b));
+            a.cmp(&b).then(of_a.total_cmp(&of_b))
+        };
+        let text = match weight(found.max_by(order)?) {
+            (true, DEAD..) => "dead, check the cable".into(),
+            (true, share) => {
+                format!("dead for {:.0} % of the scan, check the cable", 100.0 * share)
+            }
+            (false, share) => format!(
+                "clipped in {:.0} % of its samples, lower the gain or press less",
+                100.0 * share
+            ),
+        };
+        Some(Self { source: Some(source.clone()), text })
     }
 }
 
@@ -148,12 +196,15 @@ impl Answer {
             lost_samples: scan.lost_samples,
             sources: Vec::new(),
             spoiled: scan.spoiled.clone(),
+            damage: (scan.spoiled.iter())
+                .map(|why| Damage { source: None, text: why.clone() })
+                .collect(),
             needed_s: None,
             remarks: Vec::new(),
         }
     }
 
-    /// How much longer the drag should have been, in seconds, if so.
+    /// Seconds that the drag was too short, if it was.
     pub(crate) fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
     }
@@ -172,6 +223,21 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
+
+    #[test]
+    fn damage_says_what_to_do_about_the_worst_channel() {
+        let source = SourceId::new("ir").unwrap();
+        let of = |flaws: &[Flaw]| Damage::of_source(&source, flaws, |channel| channel != 2);
+        let text = |flaws: &[Flaw]| of(flaws).unwrap().text;
+        let (dead, rests) = ([1, 3].map(|channel| Flaw::Constant { channel, value: 0.0 })).into();
+        let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
+        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
+        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
+        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
+        let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
+        assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
+        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
+    }
 
     #[test]
     fn an_answer_is_named_by_its_moment_and_scan() {

@@ -2,6 +2,7 @@
 
 use super::answer::AnswerState;
 use super::recogniser::Verdict;
+use crate::recognise::Rejection;
 use crate::scan::Scan;
 
 /// Probability below which the first surface is no more likely than all others together.
@@ -17,6 +18,22 @@ pub(super) struct NamedScan<'a> {
     pub scan: &'a Scan,
     /// When the answer was settled, if it was.
     pub settled_s: Option<f64>,
+}
+
+/// The state of a scan in progress whose first surface has this probability; `None` as long as it
+/// cannot be told from an unknown surface.
+pub(super) fn so_far(
+    p_value: Option<f64>,
+    rejection: Option<&Rejection>,
+    probability: f64,
+) -> Option<AnswerState> {
+    match (p_value, rejection) {
+        (None, Some(_)) => None,
+        (Some(p), Some(rejection)) if rejection.rejects(p) => Some(AnswerState::Unknown),
+        _ if probability < EVEN => Some(AnswerState::Unsure),
+        (_, Some(_)) => Some(AnswerState::Named),
+        (_, None) => Some(AnswerState::Nearest),
+    }
 }
 
 /// The state of an answer, and the reasons, a line each.
@@ -99,7 +116,8 @@ mod tests {
         };
         let rejection = threshold.then(|| Rejection::usual(99, true).unwrap());
         let (left_out, lacking, remarks) = (Vec::new(), Vec::new(), Vec::new());
-        Verdict { ranking, rejection, left_out, lacking, needed_s: Some(0.9), remarks }
+        let (needed_s, damage) = (Some(0.9), Vec::new());
+        Verdict { ranking, rejection, left_out, lacking, needed_s, remarks, damage }
     }
 
     fn scan(scan_s: f64) -> Scan {
@@ -109,6 +127,16 @@ mod tests {
     fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {
         let (state, reasons) = judge(&NamedScan { verdict, scan: &scan(scan_s), settled_s });
         (state, reasons.join("\n"))
+    }
+
+    #[test]
+    fn a_guess_follows_the_rule_of_answers_from_its_first_p_value() {
+        use AnswerState::{Named, Nearest, Unknown, Unsure};
+        let rejection = Rejection::usual(99).unwrap();
+        let of = |p| so_far(p, Some(&rejection), 0.97);
+        assert_eq!([of(None), of(Some(0.004)), of(Some(0.4))], [None, Some(Unknown), Some(Named)]);
+        assert_eq!(so_far(Some(0.4), Some(&rejection), 0.4), Some(Unsure));
+        assert_eq!(so_far(None, None, 0.97), Some(Nearest));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use super::answer::{Answer, AnsweredScan, Unnamed};
+use super::answer::{Answer, AnswerState, AnsweredScan, Damage, Unnamed};
 use super::recogniser::LibraryState;
 use crate::device::DeviceState;
 use crate::scan::{StreamMeter, Totals, Trace};
@@ -30,8 +30,13 @@ pub struct Guess {
     pub scan: u32,
     /// Seconds of drag so far.
     pub scan_s: f64,
+    /// Whether the first surface would stand if the scan ended now, by the rule of answers; `None`
+    /// as long as it cannot be told from an unknown surface.
+    pub state: Option<AnswerState>,
     /// The most probable surfaces, at most five; empty as long as there is nothing to say.
     pub named: Vec<SurfaceProbability>,
+    /// Damage of its sources so far.
+    pub damage: Vec<Damage>,
     /// The answer will not change any more, to the stated error.
     pub settled: bool,
     /// How long the drag should last, in seconds, where that is known: to be named, or, where it is
@@ -45,7 +50,9 @@ pub struct Guess {
 impl Guess {
     /// A scan of which nothing can be said yet.
     pub fn nothing(scan: u32, scan_s: f64) -> Self {
-        Self { scan, scan_s, named: Vec::new(), settled: false, needed_s: None, enough: false }
+        let (named, damage) = (Vec::new(), Vec::new());
+        let (state, settled, needed_s, enough) = (None, false, None, false);
+        Self { scan, scan_s, state, named, damage, settled, needed_s, enough }
     }
 }
 
@@ -81,6 +88,21 @@ pub struct Enrolling {
     pub user: String,
     /// The number of scans to come; `None` for every scan until the station ends.
     pub wanted: Option<u32>,
+    /// The number of trials that were ordered; `None` likewise.
+    pub trials: Option<u32>,
+    /// How many of them were kept.
+    pub kept: u32,
+    /// The last scan, if it was refused.
+    pub refused: Option<RefusedScan>,
+}
+
+/// A scan that is not good enough for a trial, and can be kept anyway until the next one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RefusedScan {
+    /// Its number.
+    pub scan: u32,
+    /// Reasons, a line each.
+    pub reasons: Vec<String>,
 }
 
 /// Outcomes of a scan that was to be kept.
@@ -174,6 +196,8 @@ pub enum Command {
         /// how many
         trials: u32,
     },
+    /// Keep this scan, which was refused last, as a trial anyway.
+    KeepRefused(u32),
     /// End the order in force, unless it is the station's own, from the next scan to begin on.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
@@ -181,8 +205,7 @@ pub enum Command {
     /// Read the library and the plan again, without dropping a sample.
     Reload,
     /// End the scan in progress, name it, and stop the station, within 5 s. A scan that is not
-    /// named by
-    /// then is reported.
+    /// named by then is reported.
     Quit,
 }
 

@@ -10,6 +10,9 @@ use crate::recognise::{Follower, FreshFrames, GuessSoFar, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
 
+/// Drag after which damage is visible, in seconds.
+const DAMAGE_AFTER_S: f64 = 0.5;
+
 /// The scan in progress, as far as it was followed.
 #[derive(Default)]
 pub(super) struct Followed {
@@ -50,6 +53,12 @@ impl Followed {
             let name = |(surface, probability)| SurfaceProbability { surface, probability };
             news.named = named.map(name).collect();
             news.settled = guess.settled.is_some();
+            news.state = by.and_then(|by| by.state_so_far(truth, guess));
+        }
+        if let Some((by, follower)) = &self.follower
+            && progress.scan_s >= DAMAGE_AFTER_S
+        {
+            news.damage = by.damage_so_far(truth, follower);
         }
         news.needed_s = by.and_then(|by| by.needed_s(truth));
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);

@@ -20,10 +20,10 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Unnamed};
+pub use answer::{Answer, AnswerState, AnsweredScan, Damage, Unnamed};
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, StationEvent,
+    Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan, StationEvent,
     SurfaceProbability,
 };
 pub use orders::Keep;

@@ -3,7 +3,7 @@
 //! An order covers the scans that begin after it was given; a scan in progress belongs to the order
 //! before. The station's own order, given before it runs, covers what no other order does.
 
-use super::event::{Enrolled, EnrolledOutcome, Enrolling};
+use super::event::{Enrolled, EnrolledOutcome, Enrolling, RefusedScan};
 
 /// An order to keep scans.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,8 +33,12 @@ pub(super) struct Enrolment {
 #[derive(Debug)]
 struct Order {
     enrolment: Enrolment,
-    /// Trials still to be kept; `None` for every scan.
-    wanted: Option<u32>,
+    /// Trials to keep; `None` for every scan.
+    trials: Option<u32>,
+    /// Trials that were kept.
+    kept: u32,
+    /// The last scan, if it was refused.
+    refused: Option<RefusedScan>,
     /// Scans that are being written.
     under_way: u32,
     /// The first scan that it covers.
@@ -47,12 +51,17 @@ impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
         let Keep { surface, user, trials, good_only } = keep;
         let enrolment = Enrolment { order, surface, user, good_only };
-        Self { enrolment, wanted: trials, under_way: 0, from, until: None }
+        Self { enrolment, trials, kept: 0, refused: None, under_way: 0, from, until: None }
+    }
+
+    /// Trials still to be kept; `None` for every scan.
+    fn wanted(&self) -> Option<u32> {
+        self.trials.map(|trials| trials.saturating_sub(self.kept))
     }
 
     /// The number of scans to come; `None` for every scan.
     fn to_come(&self) -> Option<u32> {
-        self.wanted.map(|wanted| wanted.saturating_sub(self.under_way))
+        self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
     }
 
     fn covers(&self, scan: u32) -> bool {
@@ -62,7 +71,7 @@ impl Order {
     /// Whether it can still become anything.
     fn is_over(&self) -> bool {
         let covers_none = self.until.is_some_and(|until| until <= self.from);
-        self.wanted == Some(0) || covers_none && self.under_way == 0
+        self.wanted() == Some(0) || covers_none && self.under_way == 0
     }
 }
 
@@ -127,15 +136,27 @@ impl Orders {
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
             order.under_way = order.under_way.saturating_sub(u32::from(ended));
-            let kept = u32::from(enrolled.outcome == EnrolledOutcome::Kept);
-            order.wanted = order.wanted.map(|wanted| wanted.saturating_sub(kept));
+            order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
+            let refused = enrolled.outcome == EnrolledOutcome::Refused;
+            let reasons = || enrolled.remarks.clone();
+            order.refused =
+                refused.then(|| RefusedScan { scan: enrolled.scan, reasons: reasons() });
             enrolled.wanted = match order.until {
-                None => order.wanted.unwrap_or(u32::MAX),
+                None => order.wanted().unwrap_or(u32::MAX),
                 Some(_) => 0,
             };
         }
         self.forget();
         enrolled
+    }
+
+    /// The enrolment of a scan that was refused last, and is to be kept anyway.
+    pub fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
+        let mut all = self.given.iter_mut().chain(&mut self.own);
+        let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
+        order.refused = None;
+        order.under_way += 1;
+        Some(order.enrolment.clone())
     }
 
     /// The enrolment of the next scan.
@@ -144,7 +165,9 @@ impl Orders {
         let open = |order: &&Order| order.to_come() != Some(0);
         let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
         let Enrolment { surface, user, .. } = order.enrolment.clone();
-        Some(Enrolling { surface, user, wanted: order.to_come() })
+        let (wanted, refused) = (order.to_come(), order.refused.clone());
+        let (trials, kept) = (order.trials, order.kept);
+        Some(Enrolling { surface, user, wanted, trials, kept, refused })
     }
 
     fn forget(&mut self) {
@@ -225,6 +248,22 @@ mod tests {
         assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Waiting)).wanted, 1);
         assert_eq!((in_force(&orders), label(orders.claim(3))), (None, None));
         assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 0);
+    }
+
+    #[test]
+    fn a_refused_scan_can_be_kept_anyway_until_the_next_one() {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(2)), 1);
+        let oak = orders.claim(1).unwrap();
+        orders.count(&oak, became(&oak, EnrolledOutcome::Refused));
+        assert_eq!(orders.in_force().unwrap().refused.map(|refused| refused.scan), Some(1));
+        assert_eq!(orders.keep_refused(2), None, "another scan");
+        assert_eq!(orders.keep_refused(1).as_ref(), Some(&oak));
+        assert_eq!(orders.keep_refused(1), None, "once");
+        assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 1);
+        let now = orders.in_force().unwrap();
+        assert_eq!((now.trials, now.kept, now.refused), (Some(2), 1, None));
     }
 
     #[test]

@@ -5,11 +5,13 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::answer::{AnswerState, Damage};
+use super::certainty::so_far;
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    FollowOptions, Follower, Goal, LOOK_S, Model, Prepared, Ranking, RecogniseError, Rejection,
-    RejectionError, ScanTime, Settling, without_flawed,
+    FollowOptions, Follower, Goal, GuessSoFar, LOOK_S, Model, Prepared, Ranking, RecogniseError,
+    Rejection, RejectionError, ScanTime, Settling, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
@@ -30,6 +32,8 @@ pub struct Verdict {
     pub needed_s: Option<f64>,
     /// Imperfections of the scan.
     pub remarks: Vec<Remark>,
+    /// Damage of its sources.
+    pub damage: Vec<Damage>,
 }
 
 impl Verdict {
@@ -146,23 +150,70 @@ impl Recogniser {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
 
-    /// Flaws of the scan's channels, and that it is short; `known` as in [`Ranked`].
-    fn remarks(&self, scan: &Scan, ranking: &Ranking, known: &FlawsBySource) -> Vec<Remark> {
-        let mut remarks = Vec::new();
-        for (id, signal) in &scan.trial.signals {
-            // A source with a fixed length scale is a switch, and rests most of the time.
-            if let Signal::Series(series) = signal
-                && self.scene.get(id.as_str()).is_none_or(|spec| spec.sigma.is_none())
-            {
-                let left_out =
-                    if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-                let found = known.get(id).cloned().unwrap_or_else(|| flaws(series));
-                remarks.extend(found.iter().map(|flaw| Remark {
-                    kind: RemarkKind::Flaw,
-                    source: Some(id.clone()),
-                    text: format!("{id}: {flaw}{left_out}"),
-                }));
+    /// Whether a source is a switch, which rests most of the time: its length scale is fixed.
+    fn is_switch(&self, id: &SourceId) -> bool {
+        self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
+    }
+
+    /// The flaws of all series of a scan, except of switches; `known` as in [`Ranked`].
+    fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> FlawsBySource {
+        known.retain(|id, _| !self.is_switch(id));
+        for (id, signal) in scan.trial.signals.iter().filter(|(id, _)| !self.is_switch(id)) {
+            if let Signal::Series(series) = signal {
+                known.entry(id.clone()).or_insert_with(|| flaws(series));
             }
+        }
+        known
+    }
+
+    /// The damage of sources by their flaws; `truth` as in [`Scan::truth`].
+    fn damage(&self, truth: Option<&TrialKey>, flaws: &FlawsBySource) -> Vec<Damage> {
+        let of = |(id, found): (&SourceId, &Vec<Flaw>)| {
+            Damage::of_source(id, found, |channel| self.moves(truth, id, channel))
+        };
+        flaws.iter().filter_map(of).collect()
+    }
+
+    /// Whether a channel of a source, counted from 0, moves in the library; `truth` as in
+    /// [`Scan::truth`].
+    pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
+        let embedding = self.models[self.model(truth)].clone().embedding();
+        embedding.is_none_or(|embedding| embedding.moves(id, channel))
+    }
+
+    /// The damage of a scan in progress.
+    pub(super) fn damage_so_far(
+        &self,
+        truth: Option<&TrialKey>,
+        follower: &Follower,
+    ) -> Vec<Damage> {
+        let sources = self.library.sources.iter().filter(|id| !self.is_switch(id));
+        let found = sources.filter_map(|id| Some((id.clone(), follower.flaws(id)?))).collect();
+        self.damage(truth, &found)
+    }
+
+    /// The state of a scan in progress, by the rule of answers; `None` as long as it cannot be told
+    /// from an unknown surface.
+    pub(super) fn state_so_far(
+        &self,
+        truth: Option<&TrialKey>,
+        guess: &GuessSoFar,
+    ) -> Option<AnswerState> {
+        let (_, probability) = guess.named.first()?;
+        so_far(guess.p_value, self.following[self.model(truth)].rejection.as_ref(), *probability)
+    }
+
+    /// Flaws of the scan's channels, and that it is short.
+    fn remarks(&self, scan: &Scan, ranking: &Ranking, flaws: &FlawsBySource) -> Vec<Remark> {
+        let mut remarks = Vec::new();
+        for (id, found) in flaws {
+            let left_out =
+                if ranking.sources.contains(id) { "" } else { "; the source is left out" };
+            remarks.extend(found.iter().map(|flaw| Remark {
+                kind: RemarkKind::Flaw,
+                source: Some(id.clone()),
+                text: format!("{id}: {flaw}{left_out}"),
+            }));
         }
         let needed_s = self.needed_s(scan.truth.as_ref());
         remarks.extend(needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S).map(|needed_s| {
@@ -191,10 +242,7 @@ impl Recogniser {
     /// a text for each of these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
-        let embedding = model.clone().embedding();
-        let moves = |id: &SourceId, channel: usize| {
-            embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
-        };
+        let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
         let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
@@ -227,11 +275,13 @@ impl Recogniser {
         let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
         let needed_s = self.needed_s(scan.truth.as_ref());
+        let flaws = self.flaws(scan, flaws);
+        let damage = self.damage(scan.truth.as_ref(), &flaws);
         let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
         let is_lacking = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
         let lacking = self.library.sources.iter().filter(is_lacking).cloned().collect();
-        Verdict { needed_s, rejection, left_out, lacking, remarks, ranking }
+        Verdict { needed_s, rejection, left_out, lacking, remarks, damage, ranking }
     }
 
     /// Sources of a scan that the library has and that were not compared, with reasons.

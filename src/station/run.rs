@@ -236,6 +236,16 @@ impl<'a> StationRun<'a> {
             Command::Enroll { surface, user, trials } => {
                 self.enroll(Keep { surface, user, trials: Some(trials), good_only: true });
             }
+            Command::KeepRefused(scan) => {
+                match (self.orders.keep_refused(scan), &mut self.recording) {
+                    (Some(enrolment), Some(recording)) => recording.keep_refused(scan, enrolment),
+                    _ => self.warn(format!(
+                        "scan {scan} was not kept: only the scan that was refused last can be; \
+                         repeat it"
+                    )),
+                }
+                self.report_order();
+            }
             Command::EndEnroll => {
                 self.orders.end(self.session.next_scan());
                 self.report_order();

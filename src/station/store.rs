@@ -59,9 +59,16 @@ pub(super) struct StoredScan {
 /// A scan, the enrolment that it belongs to, and the recogniser for it.
 type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
 
+/// Work of the thread.
+enum Task {
+    Store(ToStore),
+    /// Store the scan of this number, which was refused last.
+    KeepRefused(u32),
+}
+
 /// The thread, and its two ends.
 pub(super) struct RecordingThread {
-    scans: Sender<ToStore>,
+    scans: Sender<Task>,
     pub stored: Receiver<StoredScan>,
     /// Dropped at the end, when there is no time left for reading the library.
     working: Sender<Infallible>,
@@ -79,8 +86,7 @@ impl RecordingThread {
         let (scans, to_store) = unbounded();
         let (send, stored) = unbounded();
         let (working, ending) = bounded(0);
-        let (waiting, next) = (VecDeque::new(), Numbers::new());
-        let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
+        let mut writer = StoreWriter::new(store, send, ending);
         let run = move || writer.run(&to_store);
         std::thread::Builder::new().name("record".into()).spawn(run)?;
         Ok(Self { scans, stored, working, under_way: BTreeMap::new() })
@@ -90,7 +96,14 @@ impl RecordingThread {
     pub fn store(&mut self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         self.under_way.insert(scan.number, enrolment.clone());
         // Fails only if the thread has panicked; then the end reports the scan as lost.
-        let _ = self.scans.send((scan, enrolment, by));
+        let _ = self.scans.send(Task::Store((scan, enrolment, by)));
+    }
+
+    /// Stores the scan that was refused last, if it is this one.
+    pub fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
+        self.under_way.insert(scan, enrolment);
+        // As in `store`.
+        let _ = self.scans.send(Task::KeepRefused(scan));
     }
 
     /// Notes the outcome of a scan.
@@ -145,6 +158,8 @@ struct WaitingScan {
 struct StoreWriter {
     store: ScanStore,
     waiting: VecDeque<WaitingScan>,
+    /// The scan that was refused last.
+    refused: Option<WaitingScan>,
     /// The next numbers when the library was last read.
     next: Numbers,
     /// Whether that was for the scan at hand.
@@ -155,15 +170,24 @@ struct StoreWriter {
 }
 
 impl StoreWriter {
+    fn new(store: ScanStore, send: Sender<StoredScan>, ending: Receiver<Infallible>) -> Self {
+        let (waiting, refused, next) = (VecDeque::new(), None, Numbers::new());
+        Self { store, waiting, refused, next, current: false, send, ending }
+    }
+
     /// Stores scans until there will be no more.
-    fn run(&mut self, scans: &Receiver<ToStore>) {
+    fn run(&mut self, scans: &Receiver<Task>) {
         loop {
             let next = match self.waiting.is_empty() {
                 true => scans.recv().map_err(|_| RecvTimeoutError::Disconnected),
                 false => scans.recv_timeout(RETRY),
             };
             match next {
-                Ok(scan) => self.accept(scan),
+                Ok(Task::Store(scan)) => self.accept(scan),
+                Ok(Task::KeepRefused(scan)) => {
+                    let refused = self.refused.take_if(|refused| refused.scan.number == scan);
+                    refused.into_iter().for_each(|refused| self.keep(refused));
+                }
                 Err(RecvTimeoutError::Timeout) => self.retry(),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -182,12 +206,19 @@ impl StoreWriter {
 
     /// Stores a new scan, unless it is refused.
     fn accept(&mut self, (scan, enrolment, by): ToStore) {
-        let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star);
+        let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star, by.as_deref());
         let refused = enrolment.good_only && !remarks.is_empty();
-        let mut new = WaitingScan { scan, enrolment, by, remarks };
+        let new = WaitingScan { scan, enrolment, by, remarks };
         if refused {
-            return self.report(&new, EnrolledOutcome::Refused);
+            self.report(&new, EnrolledOutcome::Refused);
+            self.refused = Some(new);
+        } else {
+            self.keep(new);
         }
+    }
+
+    /// Writes a scan, or lets it wait.
+    fn keep(&mut self, mut new: WaitingScan) {
         // Each time, since others may write into the same library.
         self.read_numbers();
         match self.write(&new) {

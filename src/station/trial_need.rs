@@ -1,16 +1,22 @@
-//! Decides whether a scan is good enough: in progress, whether it may end, for its name or as a trial; at its
-//! end, whether it may be kept as a trial.
+//! Decides whether a scan is good enough: in progress, whether it may end, for its name or as a
+//! trial; at its end, whether it may be kept as a trial.
 
 use std::collections::BTreeMap;
 
+use super::answer::Damage;
+use super::recogniser::Recogniser;
 use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
+use crate::recognise::LOOK_S;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
-use crate::trial::{Flaw, Series, Signal, flaws};
+use crate::trial::{Series, Signal, flaws};
 
 /// A source that has been at rest for this long, in seconds of drag, is not judged.
 const RESTS_S: f64 = 1.0;
+
+/// Least drag of a trial, in seconds: ten looks.
+const LEAST_S: f64 = 10.0 * LOOK_S;
 
 /// The purpose of a scan in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,7 +55,8 @@ impl TrialNeed {
         if let Purpose::Keep(by_t_star) = purpose {
             let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
-            news.needed_s = self.needed_s(progress.scan_s, news.needed_s);
+            let least_s = Some(news.needed_s.unwrap_or(LEAST_S).max(LEAST_S));
+            news.needed_s = self.needed_s(progress.scan_s, least_s);
             // A name is not what such a scan is for.
             settled = false;
         }
@@ -93,19 +100,33 @@ impl TrialNeed {
     }
 }
 
-/// Why a scan is no good trial, a line each. `by_t_star` are the sources of which it must hold
-/// enough independent samples.
-pub(super) fn faults(scan: &Scan, scene: &Scene, by_t_star: &[SourceId]) -> Vec<String> {
+/// Why a scan is no good trial, a line each: it is spoiled, shorter than the scan time of the library
+/// that `by` compares with or than ten looks, or damaged. `by_t_star` are the sources of which it must hold enough
+/// independent samples.
+pub(super) fn faults(
+    scan: &Scan,
+    scene: &Scene,
+    by_t_star: &[SourceId],
+    by: Option<&Recogniser>,
+) -> Vec<String> {
     let mut faults = scan.spoiled.clone();
     if scan.lost_samples > 0 && faults.is_empty() {
-        faults.push(format!("samples were lost in it: {}", scan.lost_samples));
+        faults.push(format!("{} samples were lost in it", scan.lost_samples));
+    }
+    let needed_s =
+        by.and_then(|by| by.needed_s(scan.truth.as_ref())).unwrap_or(LEAST_S).max(LEAST_S);
+    if scan.scan_s < needed_s - 0.5 * LOOK_S {
+        faults.push(format!("{:.1} s is too short, drag for {needed_s:.1} s", scan.scan_s));
     }
     for (id, signal) in &scan.trial.signals {
         let Signal::Series(series) = signal else { continue };
         // A source with a fixed length scale is a switch, which has two values and rests.
         if scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()) {
-            let clipped = |flaw: &&Flaw| matches!(flaw, Flaw::Saturated { .. });
-            faults.extend(flaws(series).iter().filter(clipped).map(|flaw| format!("{id}: {flaw}")));
+            // As long as there is no library, any channel may rest.
+            let moves =
+                |channel: usize| by.is_some_and(|by| by.moves(scan.truth.as_ref(), id, channel));
+            let damage = Damage::of_source(id, &flaws(series), moves);
+            faults.extend(damage.map(|damage| format!("{id}: {}", damage.text)));
         }
         if by_t_star.contains(id) {
             faults.extend(too_short(id, series));

@@ -137,7 +137,8 @@ fn named(
     settled_s: Option<f64>,
 ) -> ScanAnswer {
     let (state, reasons) = judge(&NamedScan { verdict: &verdict, scan: &scan, settled_s });
-    let Verdict { ranking, needed_s, remarks, .. } = verdict;
+    let Verdict { ranking, needed_s, remarks, damage, .. } = verdict;
+    let alone = Answer::of(&scan, latency_ms);
     let answer = Answer {
         surface: (state != AnswerState::Unknown).then(|| ranking.surface().to_string()),
         state,
@@ -150,7 +151,8 @@ fn named(
         needed_s,
         remarks,
         ranked: ranking.ranked,
-        ..Answer::of(&scan, latency_ms)
+        damage: alone.damage.iter().cloned().chain(damage).collect(),
+        ..alone
     };
     ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
 }

@@ -1,6 +1,8 @@
 //! Flaws that a person with the cable in hand would want to know: a channel that is stuck, or
 //! one that runs into its limits.
 
+use std::collections::HashMap;
+
 use super::{Image, Series};
 
 /// A flaw of one channel of a series.
@@ -26,6 +28,8 @@ pub enum Flaw {
     Saturated {
         /// channel, counted from 1
         channel: usize,
+        /// that value; 0 is no limit of a converter, but a loose cable
+        value: f32,
         /// share of samples at the limit, 0 to 1
         share: f64,
     },
@@ -53,7 +57,12 @@ impl std::fmt::Display for Flaw {
                  cable",
                 share * 100.0
             ),
-            Self::Saturated { channel, share } => write!(
+            Self::Saturated { channel, value: 0.0, share } => write!(
+                f,
+                "channel {channel} is at 0 for {:.0} % of the scan; check its cable",
+                share * 100.0
+            ),
+            Self::Saturated { channel, share, .. } => write!(
                 f,
                 "channel {channel} is saturated: {:.1} % of its samples are at its limit; lower \
                  the gain, or press less",
@@ -69,8 +78,13 @@ const FEWEST_VALUES: usize = 16;
 const RUN: usize = 3;
 /// A channel that rests for so large a share at the end of a scan is stuck.
 const STUCK: f64 = 0.5;
-/// Share of samples in such runs that makes a flaw.
+/// Share of samples in such runs that makes a flaw; at zero, where many sensors rest, it takes
+/// [`STUCK`].
 const SHARE: f64 = 0.02;
+/// A limit holds this many times as many resting samples as any other value. Where values are coarse
+/// or repeated, all of them rest, and the uppermost step of a sine holds 2.4 times as many samples as
+/// the one below it.
+const ABOVE_OTHERS: usize = 4;
 
 /// Whether a picture is of one colour throughout: a covered lens, or a camera that gives nothing.
 pub fn is_plain(image: &Image) -> bool {
@@ -84,63 +98,37 @@ struct ChannelFlaws {
     samples: usize,
     last: f32,
     /// Samples at the end that are equal.
-    resting: usize,
+    run: usize,
     /// Distinct values, up to [`FEWEST_VALUES`].
     seen: Vec<f32>,
-    low: Limit,
-    high: Limit,
-}
-
-/// The lowest or highest value so far.
-#[derive(Clone, Copy, Debug)]
-struct Limit {
-    value: f32,
-    /// Samples that rest there, in runs of at least [`RUN`].
-    resting: usize,
-}
-
-impl Limit {
-    fn at(value: f32) -> Self {
-        Self { value, resting: 0 }
-    }
-
-    /// Takes a sample at the limit, which is the `run`-th of equal ones.
-    fn add(&mut self, run: usize) {
-        self.resting += match run {
-            0..RUN => 0,
-            RUN => RUN,
-            _ => 1,
-        };
-    }
+    low: f32,
+    high: f32,
+    /// Samples in runs of at least [`RUN`], by the bits of their value.
+    resting: HashMap<u32, usize>,
 }
 
 impl Default for ChannelFlaws {
     fn default() -> Self {
-        let (low, high) = (Limit::at(f32::INFINITY), Limit::at(f32::NEG_INFINITY));
-        Self { samples: 0, last: 0.0, resting: 0, seen: Vec::new(), low, high }
+        let (low, high) = (f32::INFINITY, f32::NEG_INFINITY);
+        let (seen, resting) = (Vec::new(), HashMap::new());
+        Self { samples: 0, last: 0.0, run: 0, seen, low, high, resting }
     }
 }
 
 impl ChannelFlaws {
     /// Takes the next sample.
     fn add(&mut self, x: f32) {
-        self.resting = if self.samples > 0 && x == self.last { self.resting + 1 } else { 1 };
+        self.run = if self.samples > 0 && x == self.last { self.run + 1 } else { 1 };
         self.samples += 1;
         self.last = x;
-        if self.resting == 1 && self.varies_little() && !self.seen.contains(&x) {
+        if self.run == 1 && self.varies_little() && !self.seen.contains(&x) {
             self.seen.push(x);
         }
-        if x < self.low.value {
-            self.low = Limit::at(x);
-        }
-        if x > self.high.value {
-            self.high = Limit::at(x);
-        }
-        if x == self.low.value {
-            self.low.add(self.resting);
-        }
-        if x == self.high.value {
-            self.high.add(self.resting);
+        (self.low, self.high) = (self.low.min(x), self.high.max(x));
+        if self.run >= RUN {
+            // Minus zero is zero.
+            let of_value = self.resting.entry((x + 0.0).to_bits()).or_default();
+            *of_value += if self.run == RUN { RUN } else { 1 };
         }
     }
 
@@ -152,19 +140,40 @@ impl ChannelFlaws {
     /// from 0.
     fn dead(&self, channel: usize) -> Option<Flaw> {
         let (channel, value) = (channel + 1, self.last);
-        if self.samples > 0 && self.resting == self.samples {
+        if self.samples > 0 && self.run == self.samples {
             return Some(Flaw::Constant { channel, value });
         }
-        let share = self.resting as f64 / self.samples.max(1) as f64;
+        let share = self.share(self.run);
         (share >= STUCK && !self.varies_little()).then_some(Flaw::Stuck { channel, value, share })
+    }
+
+    /// [`Flaw::Saturated`], if the samples so far show it; `channel` counts from 0.
+    fn saturated(&self, channel: usize) -> Option<Flaw> {
+        let limits = [self.low, self.high].map(|limit| (limit + 0.0).to_bits());
+        let others = self.resting.iter().filter(|(value, _)| !limits.contains(value));
+        let others = others.map(|(_, count)| *count).max().unwrap_or(0);
+        let rests = |limit: &u32| self.resting.get(limit).copied().unwrap_or(0);
+        let outstanding = |limit: &u32| rests(limit) >= ABOVE_OTHERS * others;
+        let found = |value: f32, share: f64, least: f64| {
+            let found = share >= least && !self.varies_little();
+            found.then_some(Flaw::Saturated { channel: channel + 1, value, share })
+        };
+        let (zeros, limits): (Vec<u32>, _) = limits.into_iter().partition(|limit| *limit == 0);
+        let limits: Vec<u32> = limits.into_iter().filter(outstanding).collect();
+        let most = limits.iter().max_by_key(|limit| rests(limit)).copied().unwrap_or(0);
+        let share = self.share(limits.iter().map(rests).sum());
+        let at_zero = zeros.first().map_or(0.0, |zero| self.share(rests(zero)));
+        found(f32::from_bits(most), share, SHARE).or_else(|| found(0.0, at_zero, STUCK))
+    }
+
+    /// A number of samples, as a share of all.
+    fn share(&self, samples: usize) -> f64 {
+        samples as f64 / self.samples.max(1) as f64
     }
 
     /// The channel's flaw, if the samples so far show one; `channel` counts from 0.
     fn flaw(&self, channel: usize) -> Option<Flaw> {
-        let share = (self.low.resting + self.high.resting) as f64 / self.samples.max(1) as f64;
-        let saturated = share >= SHARE && !self.varies_little();
-        let saturated = saturated.then_some(Flaw::Saturated { channel: channel + 1, share });
-        self.dead(channel).or(saturated)
+        self.dead(channel).or_else(|| self.saturated(channel))
     }
 }
 
@@ -231,14 +240,19 @@ mod tests {
         let sine = |i: i32| (i as f32 * 0.01).sin();
         assert_eq!(one_channel((0..10_000).map(sine)), []);
         let clipped = one_channel((0..10_000).map(|i| sine(i).clamp(-0.7, 0.7)));
-        assert!(matches!(clipped[..], [Flaw::Saturated { channel: 1, share }] if share > 0.3));
+        assert!(
+            matches!(clipped[..], [Flaw::Saturated { channel: 1, value: 0.7, share }] if share > 0.3)
+        );
     }
 
     #[test]
     fn a_limit_counts_wherever_it_is_reached_first_and_no_value_that_is_passed_later() {
         let ramp = |i: i32| (i % 50) as f32;
         let begins_high = (0..1000).map(|i| if i < 100 { 49.0 } else { ramp(i) });
-        assert_eq!(one_channel(begins_high), [Flaw::Saturated { channel: 1, share: 0.1 }]);
+        assert_eq!(
+            one_channel(begins_high),
+            [Flaw::Saturated { channel: 1, value: 49.0, share: 0.1 }]
+        );
         let rests_below = (0..1000).map(|i| if i < 100 { 40.0 } else { ramp(i) });
         assert_eq!(one_channel(rests_below), []);
     }
@@ -246,5 +260,28 @@ mod tests {
     #[test]
     fn a_switch_is_not_saturated() {
         assert_eq!(one_channel((0..1000).map(|i| if i < 500 { 0.0 } else { 1.0 })), []);
+    }
+
+    #[test]
+    fn values_that_are_merely_coarse_or_repeated_are_not_saturated() {
+        let sine = |i: i32| (i as f32 * 0.01).sin();
+        for steps in [8.0, 20.0, 100.0] {
+            assert_eq!(one_channel((0..10_000).map(|i| (sine(i) * steps).round())), [], "{steps}");
+        }
+        // Noise, each value five times; and its own limits, now and then.
+        let noise = |i: i32| ((i / 5) as f32 * 12.9898).sin() * 43_758.547;
+        assert_eq!(one_channel((0..5000).map(|i| (noise(i).fract() * 9.0).round())), []);
+        let clipped = (0..10_000).map(|i| (sine(i) * 20.0).round().clamp(-10.0, 10.0));
+        assert!(matches!(one_channel(clipped)[..], [Flaw::Saturated { share, .. }] if share > 0.5));
+    }
+
+    #[test]
+    fn a_channel_at_zero_has_a_loose_cable_and_no_gain_to_lower() {
+        let loose = |i: i32| if i % 100 < 30 { i as f32 } else { 0.0 };
+        let found = one_channel((0..1000).map(loose));
+        assert!(matches!(found[..], [Flaw::Saturated { value: 0.0, .. }]), "{found:?}");
+        assert!(found[0].to_string().contains("check its cable"));
+        let lifted = |i: i32| if i % 100 < 70 { i as f32 } else { 0.0 };
+        assert_eq!(one_channel((0..1000).map(lifted)), []);
     }
 }

@@ -138,7 +138,7 @@ def check(browser, station, shots):
     browser.resize(1280, 1000)
     browser.open(station.url + "/")
     browser.wait("scans", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 2, 90)
-    browser.wait("a name on the page", lambda: any(name in browser.text("#name") for name in LONG), 60)
+    browser.wait("a name on the page", lambda: any(name in browser.text("#now") for name in LONG), 60)
 
     by_keyboard_alone(browser, station)
     browser.wait("precision", lambda: browser.run("return !document.getElementById('precision-box').hidden"))
@@ -151,7 +151,8 @@ def check(browser, station, shots):
     browser.run("document.querySelector('#scans tr.unknown button').click()")
     browser.wait("the scan", lambda: browser.run("return document.getElementById('scan').dataset.shown"))
     about = browser.text("#scan-about")
-    assert browser.text("#scan-title") == "unknown" and "matches none of your 2 surfaces (p = " in about, about
+    assert browser.text("#scan-title") == "unknown" and "closest: " in about, about
+    assert "differs too much from" in browser.text("#scan-body section"), "unknown, with its reason"
     close(browser, "scan")
 
     open_newest(browser, station)

@@ -7,6 +7,7 @@ Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
 import json
+import os
 import re
 import signal
 import statistics
@@ -49,13 +50,14 @@ def scene(surfaced, folder, trials="14", users="1", kept=3, seconds=DRAG):
 
 
 class Live:
-    """`surfaced run … --serve` until it is told to end."""
+    """`surfaced run … --serve` until a signal ends it."""
 
     COMMAND = "run"
 
-    def __init__(self, surfaced, *options):
+    def __init__(self, surfaced, *options, env={}):
         command = [surfaced, self.COMMAND, *options, "--serve=127.0.0.1:0", "--json"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env={**os.environ, **env})
         said = []
         for line in self.process.stderr:
             said.append(line)
@@ -150,7 +152,8 @@ def check(browser, station, shots):
     print(f"traces: sent every {span_s * 1e3:.0f} ms, {drawn(browser):.1f} frames a second drawn")
     assert span_s <= 0.05, f"an event of traces brings {span_s} s"
 
-    browser.wait("a name", lambda: browser.text("#name") == "nearest: slate", 60)
+    state = "return document.getElementById('now').dataset.state"
+    browser.wait("a name", lambda: browser.run(state) == "nearest" and browser.text("#name") == "slate", 60)
     assert "scan" in browser.text("#answer-label")
     assert browser.run("return document.querySelectorAll('#runners li').length") >= 2
     assert "slate" in browser.text("#announce"), "a screen reader says it"
@@ -180,7 +183,7 @@ def check(browser, station, shots):
     browser.wait("a refusal", lambda: "surface" in (browser.text("#problem") or ""))
     assert browser.run("return document.querySelectorAll('main img').length") == 0
     refused = [entry for entry in browser.log("browser") if "/api/v1/enroll" not in entry["message"]]
-    assert not refused, f"the console is empty but for the refusal: {refused}"
+    assert not refused, f"the console has the refusal alone: {refused}"
 
     # A page that is loaded anew knows what went before.
     browser.open(station.url + "/")
@@ -189,7 +192,7 @@ def check(browser, station, shots):
     console = browser.log("browser")
     assert not console, f"the console stays empty: {console}"
     # Chromium's own first tab is made of chrome: pages.
-    elsewhere = [url for url in requests(browser) if not url.startswith((station.url, "data:", "chrome:"))]
+    elsewhere = [url for url in requests(browser) if not url.startswith((station.url, "data:", "chrome"))]
     assert not elsewhere, f"nothing is asked of others: {elsewhere}"
 
 

@@ -20,7 +20,7 @@ from webdriver import Browser
 
 # Seconds that each synthetic scan lasts.
 DRAG = "1.5"
-WIDTHS = (1280, 360)
+WIDTHS = (1920, 1280, 360)
 
 
 def mislabelled(surfaced, folder):
@@ -162,7 +162,7 @@ def a_stalled_device_is_grey(browser, station, shots):
 
 def the_camera_shows_its_region_and_its_light(browser, shots):
     """What a station with a camera says of it, said here by the test: the recordings' are cut already."""
-    camera = ".camera:has(img[alt$=' ca1'])"
+    camera = ".camera[data-source=ca1]"
     text = lambda: browser.text(f"{camera} div") or ""
     until(browser, "a picture", lambda: browser.run(
         "return document.querySelector(arguments[0] + ' img')?.naturalWidth === 320", camera))

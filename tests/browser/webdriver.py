@@ -4,6 +4,7 @@ https://www.w3.org/TR/webdriver2/
 """
 
 import base64
+import importlib.util
 import json
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 ELEMENT = "element-6066-11e4-a52e-4f735466cecf"
 # A page from 127.0.0.1 and nothing else; the browser's own errands are off.
@@ -112,6 +114,15 @@ class Browser:
             shot = self.call("GET", f"{self.session}/screenshot")
         with open(path, "wb") as file:
             file.write(base64.b64decode(shot))
+
+    def accessible(self, where):
+        """No rule of axe-core is broken (`pip install axe-core-python`)."""
+        axe = Path(importlib.util.find_spec("axe_core_python").origin).with_name("axe.min.js").read_text()
+        self.run(axe + "; window.axe = axe;")
+        body = {"script": "const done = arguments[0]; axe.run().then(r => done(r.violations.map("
+                          "v => [v.id, ...v.nodes.map(n => n.html.slice(0, 150) + ' ' + n.failureSummary)])))", "args": []}
+        found = self.call("POST", f"{self.session}/execute/async", body)
+        assert not found, f"{where}: {found}"
 
     def wait(self, what, condition, seconds=30):
         """Waits until `condition()` is true, and gives its value."""

@@ -189,6 +189,8 @@ pub fn session() -> Vec<StationEvent> {
             SurfaceProbability { surface: "oak".into(), probability: 0.75 },
             SurfaceProbability { surface: "beech".into(), probability: 0.25 },
         ],
+        state: Some(AnswerState::Named),
+        damage: vec![],
         settled: false,
         needed_s: Some(2.7),
         enough: false,
@@ -232,6 +234,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         lost_samples: 0,
         sources: vec![id("ac"), id("mi2")],
         spoiled: vec![],
+        damage: vec![],
         needed_s: Some(2.7),
         remarks: vec![],
     }

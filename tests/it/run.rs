@@ -86,7 +86,8 @@ fn what_was_enrolled_names_a_new_scan() {
 fn a_trial_that_is_too_short_by_its_own_t_star_or_clipped_is_refused() {
     let data = synthetic(2.0);
     let mut bench = Bench::new();
-    let strict = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n";
+    let strict = "format = 1\n[microphone]\npresent = false\n[camera]\npresent = false\n\
+                  [enroll]\nt_star = [\"ir\"]\n";
     std::fs::write(bench.path("station.toml"), strict).unwrap();
     let path = bench.path("mine");
     let mut fake = bench.stylus();
@@ -97,7 +98,9 @@ fn a_trial_that_is_too_short_by_its_own_t_star_or_clipped_is_refused() {
     fake.serve(seconds);
     let line = enroll.line(&mut fake);
     assert_eq!((&line["trial"], &line["wanted"]), (&Value::Null, &1.into()), "{line}");
-    assert!(line["remarks"].to_string().contains("too short"), "{line}");
+    let remarks = line["remarks"].to_string();
+    assert!(remarks.contains("is too short, drag for 1.0 s"), "{line}");
+    assert!(remarks.contains("ir: 0.6 s is too short: "), "{line}");
     // Half of the drag is at the converter's end.
     let mut loud = trial(&data, 0, 2);
     for (id, signal) in &mut loud.signals {

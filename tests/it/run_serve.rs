@@ -60,7 +60,9 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
         let body = json!({ "surface": label, "user": "anna", "trials": 2 }).to_string();
         assert_eq!(station.post("/api/v1/enroll", &body).status, 202);
         let state = until(station, "/api/v1/state", &mut fake, |s| s["enrolling"].is_object());
-        assert_eq!(state["enrolling"], json!({ "surface": label, "user": "anna", "wanted": 2 }));
+        let ordered = json!({"surface": label, "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
+            "refused": null});
+        assert_eq!(state["enrolling"], ordered);
         for number in 1..=2 {
             let seconds = bench.play(&fake, &trial(&data, surface, number), 1.5);
             fake.serve(seconds);

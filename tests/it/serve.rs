@@ -105,6 +105,7 @@ fn orders_reach_the_station_and_nothing_else_does() {
         ("stop", "", Command::Stop),
         ("reload", "", Command::Reload),
         ("enroll/end", "", Command::EndEnroll),
+        ("enroll/keep", r#"{"scan": 7}"#, Command::KeepRefused(7)),
         (
             "enroll",
             r#"{"surface": "ash", "user": "anna", "trials": 3}"#,
@@ -181,11 +182,15 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
     assert_eq!(events.next("advice")["do"], "wait", "without the stylus there is nothing to do");
     served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
     let ash = |wanted| {
-        let left = Enrolling { surface: "ash".into(), user: "anna".into(), wanted: Some(wanted) };
-        StationEvent::Enrolling(Some(left).filter(|_| wanted > 0))
+        let (surface, user) = ("ash".into(), "anna".into());
+        let (trials, wanted) = (Some(2), Some(wanted));
+        let left = Enrolling { surface, user, wanted, trials, kept: 0, refused: None };
+        StationEvent::Enrolling(Some(left).filter(|left| left.wanted > Some(0)))
     };
     served.report([ash(2)]);
-    assert_eq!(events.next("enrolling"), json!({"surface": "ash", "user": "anna", "wanted": 2}));
+    let ordered = json!({"surface": "ash", "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
+        "refused": null});
+    assert_eq!(events.next("enrolling"), ordered);
     for wanted in [1, 0] {
         let enrolled = StationEvent::Enrolled(Enrolled {
             scan: 4,
@@ -254,7 +259,9 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
         ("/dom.js", "text/javascript"),
         ("/answer.js", "text/javascript"),
         ("/history.js", "text/javascript"),
-        ("/precision.js", "text/javascript"),
+        ("/now.js", "text/javascript"),
+        ("/enrol.js", "text/javascript"),
+        ("/route.js", "text/javascript"),
         ("/scan.js", "text/javascript"),
         ("/chart.js", "text/javascript"),
         ("/shelf.js", "text/javascript"),
@@ -279,9 +286,21 @@ fn with_a_token_nothing_is_revealed_without_it() {
     let secret = "0123456789abcdef";
     let served = serve(|settings| settings.token = Some(Token::new(secret).unwrap()));
     let with = |line: &str| served.request("GET", "/api/v1/state", &[line], "").status;
-    for path in ["/", "/api/v1/state", "/metrics", "/healthz", "/?token=0123456789abcdeF"] {
+    for path in ["/", "/api/v1/state", "/metrics", "/page.js", "/?token=0123456789abcdeF"] {
         let reply = served.get(path);
         assert_eq!((reply.status, reply.json()["error"].as_str()), (401, Some("token_needed")));
+    }
+    // A person gets a form, which says what was wrong.
+    let html = "Accept: text/html,*/*;q=0.8";
+    for (path, says) in [("/", false), ("/?token=0123456789abcdeF", true)] {
+        let form = served.request("GET", path, &[html], "");
+        assert!(form.status == 401 && form.body.contains("name=\"token\""), "{}", form.body);
+        assert_eq!(form.body.contains("This token is not right."), says, "{path}");
+    }
+    for path in ["/healthz", "/style.css", "/favicon.svg"] {
+        assert_eq!(served.get(path).status, 200, "{path}");
+        let old = served.request("GET", path, &["Cookie: surfaced_token=of-last-year-1234"], "");
+        assert_eq!(old.status, 200, "{path} with an old token");
     }
     assert_eq!(with("Authorization: Bearer 0123456789abcdeX"), 401);
     assert_eq!(with("Authorization: Basic 0123456789abcdef"), 401);

@@ -285,13 +285,13 @@ fn guesses_of_the_token_are_limited_on_every_way_in_and_none_is_right_after_that
         "", // in the address
     ] {
         let served = guarded();
-        let path = if guess.is_empty() { "/?token=0123456789abcdeX" } else { "/healthz" };
+        let path = if guess.is_empty() { "/?token=0123456789abcdeX" } else { "/metrics" };
         let headers: Vec<&str> = Some(guess).filter(|line| !line.is_empty()).into_iter().collect();
         let statuses: Vec<u16> =
             (0..8).map(|_| served.request("GET", path, &headers, "").status).collect();
         assert_eq!(statuses, [401, 401, 401, 401, 401, 429, 429, 429], "{guess}");
         let right = ["Authorization: Bearer 0123456789abcdef"];
-        let reply = served.request("GET", "/healthz", &right, "");
+        let reply = served.request("GET", "/metrics", &right, "");
         assert_eq!(reply.status, 429, "a token is not compared where guesses are used up");
     }
 }
@@ -306,16 +306,16 @@ fn strangers_lock_out_neither_those_who_know_the_token_nor_another_address() {
     let browser = format!("Cookie: surfaced_token=0123456789abcdef; surfaced_session={session}");
     let program = "Authorization: Bearer 0123456789abcdef";
     for _ in 0..60 {
-        served.get("/healthz");
+        served.get("/metrics");
     }
-    assert_eq!(served.get("/healthz").status, 429);
-    assert_eq!(served.request("GET", "/healthz", &[program], "").status, 200);
+    assert_eq!(served.get("/metrics").status, 429);
+    assert_eq!(served.request("GET", "/metrics", &[program], "").status, 200);
     for _ in 0..10 {
-        served.request("GET", "/healthz", &["Cookie: surfaced_token=wrong"], "");
+        served.request("GET", "/metrics", &["Cookie: surfaced_token=wrong"], "");
     }
-    assert_eq!(served.request("GET", "/healthz", &[&browser], "").status, 200);
+    assert_eq!(served.request("GET", "/metrics", &[&browser], "").status, 200);
     let elsewhere = [program, "X-Forwarded-For: 127.9.9.9, 192.0.2.7"];
-    assert_eq!(served.request("GET", "/healthz", &elsewhere, "").status, 200);
+    assert_eq!(served.request("GET", "/metrics", &elsewhere, "").status, 200);
 }
 
 #[test]

@@ -1,36 +1,56 @@
 // How an answer is put into words.
 
-import { percent, times } from "./dom.js";
+import { damageLines, percent, plainLine, times } from "./dom.js";
 
-// What stands in the place of the name.
+// The name, or the state in its place.
 export function nameOf(answer) {
   if (answer.state === "unknown") return "unknown";
   if (answer.state === "unnamed") return "not named";
   if (answer.state === "named") return answer.surface;
-  return answer.state === "unsure" ? `unsure: ${answer.surface}` : `nearest: ${answer.surface}`;
+  return `${answer.state}: ${answer.surface}`;
+}
+
+// The probability of each ranked surface, by a method that gives them: the doubt that the library
+// leaves is taken from the scores, which are inverse probabilities without it, and spread over all
+// surfaces alike.
+export function probabilities({ ranked, confidence }) {
+  if (confidence === null || ranked.length === 0) return null;
+  const [first, even] = [1 / ranked[0].score, 1 / ranked.length];
+  const doubt = first > even ? Math.max(0, (first - confidence) / (first - even)) : 0;
+  return ranked.map(({ score }) => (1 - doubt) / score + doubt * even);
 }
 
 // How sure an answer is: by its probability where the method gives one.
 export function sureness(answer) {
-  if (answer.state !== "named" && answer.state !== "unsure") return "";
+  if (answer.state === "unknown" || answer.state === "unnamed") return "";
   return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
 }
 
-// The same as a sentence, with the reasons for doubt.
+// Damage of a scan, a line each; older answers have the reasons why it is spoiled alone.
+export const damageOf = (answer) => (answer.damage ? damageLines(answer.damage) : answer.spoiled);
+
+// The reasons for doubt, except damage, which is shown by itself.
+function doubts(answer) {
+  const known = (reason) => answer.spoiled.includes(reason) || answer.remarks.includes(reason)
+    || (answer.damage ?? []).some(({ source }) => source && reason.startsWith(`${source} is left out`));
+  return answer.reasons.filter((reason) => !known(reason)).map(plainLine);
+}
+
+// An answer as a sentence: how sure, or what is closest, and the reasons for doubt.
 export function certainty(answer) {
   const parts = [];
-  if (answer.state === "unknown") parts.push(`nearest: ${answer.ranked[0]?.surface ?? "nothing"}`);
+  if (answer.state === "unknown") parts.push(`closest: ${answer.ranked[0]?.surface ?? "nothing"}`);
   else if (answer.state === "unnamed") return answer.reasons.join(" · ");
   else if (answer.confidence === null) {
-    parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${times(Math.exp(answer.margin))} more alike than the next`);
-  } else if (answer.state === "named") parts.push(`${sureness(answer)} sure`);
-  parts.push(...answer.reasons.filter((reason) => !answer.spoiled.includes(reason)));
-  parts.push(`answered in ${answer.latency_ms.toFixed(0)} ms`);
+    parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
+  } else parts.push(`${sureness(answer)} sure`);
+  // Of an unknown surface the reasons are those of its name, and behind it.
+  if (answer.state !== "unknown") parts.push(...doubts(answer));
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");
 }
 
-// What somebody said a scan was.
+// The correction of a scan.
 export function corrected(scan) {
   if (!scan.correction) return "";
   const { was, surface } = scan.correction;

@@ -1,6 +1,6 @@
-// What the cameras see: the newest picture of each, the region of it that is compared, and the light.
+// The cameras: the newest picture of each, the region of it that is compared, and the light.
 
-import { make } from "./dom.js";
+import { make, plain, sourceName } from "./dom.js";
 
 // Without a picture for so long, a camera is shown as stalled: it takes its time between two.
 const STALLED_MS = 3500;
@@ -14,10 +14,11 @@ function box(place, source) {
   const head = make("div");
   const note = make("span");
   const light = make("span", undefined, "light");
-  head.append(make("strong", source), note, light);
+  head.append(sourceName(source), note, light);
   const view = make("div", undefined, "view");
   const image = make("img");
-  image.alt = `what the camera sees, ${source}`;
+  image.alt = `what the camera sees, ${plain(source)}`;
+  figure.dataset.source = source;
   const region = make("i", undefined, "region");
   view.append(image, region);
   figure.append(head, view);

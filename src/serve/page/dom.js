@@ -6,13 +6,15 @@ export const $ = (id) => document.getElementById(id);
 const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
 export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 
-// Where a long name may go on in the next line: after `_` and `/`, and where words are joined by
+// The places at which a long name may break: after `_` and `/`, and where words are joined by
 // capital letters. Hyphens and spaces are the browser's.
 const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
 
+// The parts of a name that stay in one line.
+export const parts = (text) => printable(text).split(JOINTS);
+
 function write(element, text) {
-  const parts = printable(text).split(JOINTS);
-  element.replaceChildren(...parts.flatMap((part, at) => (at ? [document.createElement("wbr"), part] : [part])));
+  element.replaceChildren(...parts(text).flatMap((part, at) => (at ? [document.createElement("wbr"), part] : [part])));
 }
 
 export function make(tag, text, className) {
@@ -22,11 +24,13 @@ export function make(tag, text, className) {
   return element;
 }
 
-export const percent = (share) => `${(share * 100).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
+// Rounded down near 1: nothing is more certain than it is.
+export const percent = (share) =>
+  `${share > 0.995 && share < 1 ? (Math.floor(share * 1000) / 10).toFixed(1) : (share * 100).toFixed(0)}\u00a0%`;
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
-// What is shown in one place: a list of elements, replaced only if it reads otherwise.
+// Fills a place with a list of elements; it is replaced only if it reads differently.
 export function fill(id, elements) {
   const place = $(id);
   const text = elements.map((element) => element.outerHTML).join("");
@@ -44,6 +48,26 @@ export function hide(id, hidden) {
 }
 
 export const times = (ratio) => (ratio >= 1000 ? "> 1000 ×" : `${ratio.toFixed(ratio < 10 ? 1 : 0)} ×`);
+
+const SOURCES = {
+  ac: "acceleration", fr: "force", ir: "infrared", me: "metal detector", mi1: "tap sound", mi2: "sound",
+  sound: "microphone", ca1: "picture", ca2: "picture with flash",
+};
+
+// The plain name of a source, and of the one that a line begins with.
+export const plain = (source) => SOURCES[source] ?? source;
+export const plainLine = (line) => line.replace(/^[a-z]+\d?(?=[: ])/, plain);
+
+// A source by its plain name, with the one of files and programs small.
+export function sourceName(source, tag = "strong") {
+  const element = make(tag, plain(source));
+  if (plain(source) !== source) element.append(" ", make("small", source));
+  return element;
+}
+
+// Damage as lines of an operator's words.
+export const damageLines = (damage) =>
+  damage.map(({ source, text }) => (source ? `${plain(source)}: ${text}` : text));
 
 // A button that does one thing.
 export function button(text, act, className) {

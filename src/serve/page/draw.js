@@ -1,6 +1,7 @@
 // Draws the signals: the last seconds of each stream, or its spectrum.
 
 import { picture } from "./camera.js";
+import { plain, sourceName } from "./dom.js";
 
 const WINDOW_S = 6;
 // Without data for so long, a stream is shown as stalled.
@@ -33,23 +34,22 @@ function stream(source) {
   box.className = "plot";
   box.style.margin = "0";
   const head = document.createElement("div");
-  const name = document.createElement("strong");
-  name.textContent = source;
   const note = document.createElement("span");
   const lost = document.createElement("span");
   lost.className = "lost";
   const canvas = document.createElement("canvas");
   canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", `signal of ${source}`);
+  canvas.setAttribute("aria-label", `signal of ${plain(source)}`);
   canvas.dataset.source = source;
-  head.append(name, note, lost);
+  head.append(sourceName(source), note, lost);
   box.append(head, canvas);
+  box.dataset.source = source;
   known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, columns: [], fresh: false, range: null,
     arrived: performance.now(), stalled: false };
   streams.set(source, known);
   // In order of names, whatever came first.
   const after = [...place.children].find((other) =>
-    other.classList.contains("camera") || other.querySelector("strong").textContent > source);
+    other.classList.contains("camera") || other.dataset.source > source);
   place.insertBefore(box, after ?? null);
   return known;
 }
@@ -82,7 +82,7 @@ function revive(s) {
   s.stalled = false;
   s.fresh = true;
   delete s.box.dataset.stalled;
-  s.canvas.setAttribute("aria-label", `signal of ${s.source}`);
+  s.canvas.setAttribute("aria-label", `signal of ${plain(s.source)}`);
 }
 
 // A stream that brings nothing is grey, with the time since its last sample: never a frozen trace.
@@ -105,7 +105,7 @@ function findStalled() {
     }
     const text = `no data for ${(silent_ms / 1000).toFixed(silent_ms < 10000 ? 1 : 0)} s`;
     s.note.textContent = text;
-    s.canvas.setAttribute("aria-label", `signal of ${s.source}: ${text}`);
+    s.canvas.setAttribute("aria-label", `signal of ${plain(s.source)}: ${text}`);
   }
 }
 setInterval(findStalled, 250);
@@ -135,7 +135,7 @@ export function losses(list) {
     const s = streams.get(source);
     if (!s) continue;
     s.device = device;
-    s.lost.textContent = lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} lost`;
+    s.lost.textContent = lost > 0 ? `${lost.toLocaleString("en")} lost` : s.stalled ? "" : "nothing lost";
     s.lost.dataset.any = String(lost > 0);
   }
 }
@@ -236,13 +236,13 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  // Where a channel runs into its limit: a mark above.
+  // A mark above where a channel runs into its limit.
   const clipped = bins.filter((bin) => bin.clipped);
   pen.fillStyle = colours.bad;
   for (const bin of clipped) pen.fillRect(x(bin.at), 0, Math.max(w * s.bin_s / WINDOW_S, 2 * ratio), 4 * ratio);
   s.box.dataset.clipped = String(clipped.length > 0);
   s.canvas.title = clipped.length ? "clipped: lower the gain, or press less" : "";
-  if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + (low === high ? short(low) : `${short(low)} to ${short(high)}`);
+  if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + range(s.source, low, high);
 }
 
 // The spectrum of now to the right, those of the last seconds to the left: time runs to the right,
@@ -297,7 +297,16 @@ function drawBands(s, pen, w, h, ratio) {
     pen.fillText(text, x(hz) + 3 * ratio, 12 * ratio);
     free = x(hz) + pen.measureText(text).width + 8 * ratio;
   }
-  if (!s.stalled) s.note.textContent = `top ${Math.round(s.top)} dB`;
+  if (!s.stalled) s.note.textContent = `loudest ${Math.round(s.top)} dB`;
+}
+
+// Microphones give shares of full scale; other sources have the unit of their recordings.
+function range(source, low, high) {
+  const unit = /^(mi\d|sound)$/.test(source) ? " of full scale" : "";
+  // Force and metal rest at zero.
+  if (low === 0 && high === 0 && !/^(fr|me)$/.test(source)) return "at zero: check the cable";
+  if (low === high) return `${short(low)}${unit}`;
+  return `${short(low)} to ${short(high)}${unit}`;
 }
 
 function short(value) {

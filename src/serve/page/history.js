@@ -1,7 +1,8 @@
-// The list of past scans, the newest first.
+// The list of past scans, the newest first, and how right those are that somebody corrected.
 
-import { corrected, nameOf, sureness } from "./answer.js";
-import { $, ask, button, clock, hide, make, many, printable, say } from "./dom.js";
+import { corrected, damageOf, nameOf, sureness } from "./answer.js";
+import { $, ask, button, clock, hide, make, many, percent, printable, say } from "./dom.js";
+import { go } from "./route.js";
 
 // Scans that are read at a time.
 const PAGE = 300;
@@ -22,6 +23,7 @@ export async function load() {
   const said = await ask(`scans?limit=${PAGE}`);
   if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
   changed();
+  loadPrecision();
 }
 
 // Reads older ones than those that are shown.
@@ -47,7 +49,7 @@ export function add(answer) {
 // A scan was corrected, or became a trial.
 export function change(scan) {
   scans = scans.map((other) => (other.id === scan.id ? scan : other));
-  document.dispatchEvent(new CustomEvent("correction", { detail: scan }));
+  loadPrecision();
 }
 
 function badge(text, kind, title) {
@@ -65,12 +67,13 @@ function row(scan) {
   const line = make("tr", undefined, scan.state);
   line.dataset.id = scan.id;
   const name = make("td");
-  const open = button(nameOf(scan), () => (location.hash = `scan=${scan.id}`), "open");
+  const open = button(nameOf(scan), () => go(`scan=${scan.id}`), "open");
   open.setAttribute("aria-label", printable(`open scan ${scan.scan}: ${nameOf(scan)}`));
   name.append(open);
-  if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`nearest: ${scan.ranked[0].surface}`, ""));
+  if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`closest: ${scan.ranked[0].surface}`, ""));
   if (scan.state === "unnamed") name.append(make("small", scan.reasons.join(" · ")));
-  if (scan.spoiled.length) name.append(badge("spoiled", "", scan.spoiled.join("\n")));
+  const damage = damageOf(scan);
+  if (damage.length) name.append(badge("damaged", "bad", damage.join("\n")));
   if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
   if (scan.became) name.append(badge("in the library", "good", scan.became));
   line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", sureness(scan)),
@@ -92,8 +95,29 @@ export function render(counts) {
   }
   hide("no-scans", wanted.length > 0);
   hide("older", !more);
-  const { scans: count, unknown, unsure, unnamed } = counts;
+  const { scans: count, unknown, unsure, unnamed, damaged } = counts;
   const parts = [many(count, "scan"), `${unknown} unknown`, `${unsure} unsure`];
   if (unnamed) parts.push(`${unnamed} not named`);
+  if (damaged) parts.push(`${damaged} damaged`);
   say("counts", count || unnamed ? parts.join(" · ") : "");
+}
+
+function precisionRow({ surface, corrected, right, precision, precision_low, precision_high }) {
+  const line = make("tr");
+  const name = make("th", surface ?? "unknown");
+  name.scope = "row";
+  line.append(name, make("td", right), make("td", corrected), make("td", percent(precision)),
+    make("td", `${percent(precision_low)} to ${percent(precision_high)}`));
+  return line;
+}
+
+// Reads the figures anew; without corrections there are none.
+async function loadPrecision() {
+  const said = await ask("history");
+  if (!said) return;
+  const found = said.precision;
+  hide("precision-box", found.length === 0);
+  const sum = (of) => found.reduce((all, surface) => all + surface[of], 0);
+  say("precision-sum", `Corrected answers: ${sum("right")} right of ${sum("corrected")}`);
+  $("precision").replaceChildren(...found.map(precisionRow));
 }

@@ -3,80 +3,24 @@
 
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
-import { $, ask, button, clock, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
+import { $, ask, clock, fill, hide, make, many, printable, say } from "./dom.js";
 import { devices, losses, show, spectrum, trace } from "./draw.js";
+import * as enrol from "./enrol.js";
 import * as history from "./history.js";
-import * as precision from "./precision.js";
+import { isEmpty, showNow } from "./now.js";
+import { follow as followAddress } from "./route.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
 
 let state = null;
-let enrolled = [];
 let announced = "";
 let due = false;
-
-function runner(name, share, text) {
-  const item = make("li");
-  const bar = make("div", undefined, "bar");
-  const fill = make("i");
-  fill.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
-  bar.append(fill);
-  item.append(make("span", name), bar, make("b", text));
-  item.title = printable(name);
-  return item;
-}
-
-// Scores are inverse probabilities where the method gives these, and else distances.
-function answerRunners(answer) {
-  const best = answer.ranked[0]?.score ?? 1;
-  const share = (score) => (answer.confidence !== null ? 1 / score : score > 0 ? best / score : 1);
-  const text = (score) =>
-    answer.confidence !== null ? percent(1 / score) : score > best ? `${times(score / best)} as far` : "nearest";
-  return answer.ranked.slice(0, 4).map(({ surface, score }) => runner(surface, share(score), text(score)));
-}
 
 // The last scan of this session that was named, or the one after it that could not be.
 function lastAnswer() {
   const last = history.newest();
   const since = state.answer?.unix_ms ?? state.started_unix_ms;
   return last?.state === "unnamed" && last.unix_ms > since ? last : state.answer;
-}
-
-function showNow() {
-  const { advice, phase } = state;
-  const guess = state.guess?.scan === state.scan ? state.guess : null;
-  const answer = lastAnswer();
-  say("advice", advice.text);
-  $("advice").dataset.do = advice.do;
-  const needed = guess?.needed_s ?? null;
-  const far = phase === "drag" && guess ? guess.scan_s : 0;
-  $("time").firstElementChild.style.width = needed ? `${Math.min(1, far / needed) * 100}%` : "0";
-  say("time-text", guess && phase ? `${far.toFixed(1)} s${needed ? ` of ${needed.toFixed(1)} s` : ""}` : "");
-  $("start").disabled = state.finished || phase !== null || advice.do === "wait";
-  $("stop").disabled = state.finished || phase === null;
-  const label = (text, name, kind, sure) => {
-    say("answer-label", text);
-    say("name", name);
-    $("name").dataset.kind = kind;
-    say("sure", sure);
-  };
-  const guessing = phase !== null && guess?.named.length > 0;
-  const spoiled = answer && !guessing ? answer.spoiled : [];
-  hide("spoiled", spoiled.length === 0);
-  say("spoiled", spoiled.join(" · "));
-  if (guessing) {
-    const [first] = guess.named;
-    label(`scan ${guess.scan}, so far`, first.surface, "guess", `${percent(first.probability)}${guess.settled ? " · settled" : ""}`);
-    fill("runners", guess.named.slice(0, 4).map((n) => runner(n.surface, n.probability, percent(n.probability))));
-  } else if (answer) {
-    const made = answer.synthetic ? " · synthetic" : "";
-    const next = phase === null ? "" : ` · scan ${state.scan} goes on`;
-    label(`scan ${answer.scan}${made}${next}`, nameOf(answer), answer.state, certainty(answer));
-    fill("runners", answerRunners(answer));
-  } else {
-    label(phase === null ? "no scan yet" : `scan ${state.scan} goes on`, "—", "none", "");
-    fill("runners", []);
-  }
 }
 
 function announce(text) {
@@ -98,18 +42,20 @@ function showDevices() {
     return item;
   })));
   const lost = state.streams.reduce((sum, stream) => sum + stream.lost, 0);
-  say("lost", state.streams.length === 0 ? "" : lost === 0 ? "nothing lost" : `${lost.toLocaleString("en")} samples lost`);
+  const all = state.streams.length > 0 && !state.advice.device;
+  say("lost", lost > 0 ? `${lost.toLocaleString("en")} samples lost` : all ? "nothing lost" : "");
   losses(state.streams);
 }
 
 function showLibrary() {
-  const { library, enrolling } = state;
+  const { library } = state;
   const surfaces = library?.surfaces ?? [];
-  const name = library && `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}`;
+  const name = surfaces.length > 0 && `${library.name}${library.synthetic ? " (synthetic)" : ""} · ${many(surfaces.length, "surface")}`;
   say("library-name", [name, state.reading ? "reading the library …" : ""].filter(Boolean).join(" · "));
   $("reload").disabled = state.reading || state.finished;
-  hide("library-problem", !library?.problem);
-  say("library-problem", library?.problem ?? "");
+  const problem = isEmpty(state) ? null : library?.problem;
+  hide("library-problem", !problem);
+  say("library-problem", problem ?? "");
   fill("surfaces", surfaces.map(({ surface, trials }) => {
     const item = make("li", surface);
     item.append(make("b", trials));
@@ -121,51 +67,14 @@ function showLibrary() {
     return option;
   }));
   hide("shelf-open", !state.enrolls);
-  hide("enroll-form", !state.enrolls);
-  hide("no-enroll", state.enrolls);
-  hide("enrolling", !enrolling);
-  if (enrolling) {
-    say("enrolling-what", enrolling.surface);
-    say("enrolling-wanted", enrolling.wanted === null ? "every scan is kept"
-      : `${enrolling.wanted} more ${enrolling.wanted === 1 ? "trial" : "trials"}: tap and drag`);
-  }
-  showEnrolled();
-}
-
-// Each trial as it is kept, with a way back.
-function showEnrolled() {
-  const text = JSON.stringify(enrolled);
-  if ($("enrolled").dataset.text === text) return;
-  $("enrolled").dataset.text = text;
-  $("enrolled").replaceChildren(...enrolled.map((e) => {
-    const kept = e.trial === null ? `scan ${e.scan} was not kept as ${e.surface}` : `scan ${e.scan} kept as ${e.surface}, trial ${e.trial}`;
-    const item = make("li", [kept, ...e.remarks].join(" · "));
-    const looksLike = e.nearest && e.nearest !== e.surface && !e.undone && !e.confirmed;
-    if (looksLike) {
-      item.append(make("p", `This looks like ${e.nearest}, which you have. Is it ${e.surface}?`, "warn"));
-      item.append(button(`Yes, ${e.surface}`, () => {
-        e.confirmed = true;
-        render();
-      }, "small"));
-    }
-    if (e.undone) item.append(make("span", "taken back", "badge"));
-    else if (e.folder) {
-      const name = e.folder.split("/").slice(-2).join("/");
-      const back = button(looksLike ? "No, take it back" : "Undo", async () => {
-        if (!(await ask("library/remove", { trials: [name] }))) return;
-        e.undone = true;
-        render();
-      }, "small");
-      back.setAttribute("aria-label", printable(`take back ${name}`));
-      item.append(back);
-    }
-    return item;
-  }));
 }
 
 function showWarnings() {
-  hide("warnings-box", state.warnings.length === 0);
-  fill("warnings", state.warnings.slice(0, 20).map(({ unix_ms, text }) => {
+  // An empty station shows its three steps instead.
+  const known = isEmpty(state) ? state.library.problem : null;
+  const warnings = state.warnings.filter(({ text }) => text !== known);
+  hide("warnings-box", warnings.length === 0);
+  fill("warnings", warnings.slice(0, 20).map(({ unix_ms, text }) => {
     const item = make("li");
     item.append(make("time", clock(unix_ms)), make("span", text));
     return item;
@@ -177,10 +86,11 @@ function render() {
   due = true;
   requestAnimationFrame(() => {
     due = false;
-    showNow();
+    showNow(state, lastAnswer());
     showDevices();
     history.render(state.counts);
     showLibrary();
+    enrol.show(state);
     showWarnings();
     say("version", `surfaced ${state.version}`);
   });
@@ -194,14 +104,13 @@ function answered(answer) {
   announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
 }
 
-// What each type of event changes.
+// The change that each type of event makes.
 const changes = {
   state: (whole) => {
     state = whole;
     camera.view(state.camera);
     devices(state.devices);
     history.load();
-    precision.load();
   },
   camera: camera.view,
   outputs: (outputs) => (state.outputs = outputs),
@@ -215,15 +124,13 @@ const changes = {
   guess: (guess) => (state.guess = guess),
   answer: (answer) => {
     state.counts.scans += 1;
+    state.counts.damaged += Number(answer.damage.length > 0);
     answered(answer);
   },
   unnamed: answered,
-  correction: (scan) => {
-    history.change(scan);
-    precision.load();
-  },
+  correction: history.change,
   check: shelf.checked,
-  enrolled: (e) => (enrolled = [e, ...enrolled].slice(0, 5)), // #enrolled is a live region itself
+  enrolled: enrol.add, // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
   reading: (reading) => (state.reading = reading),
   library: (library) => {
@@ -270,21 +177,15 @@ function choose(view) {
   show(view);
 }
 
+$("step-name").addEventListener("click", () => $("surface").focus());
 $("start").addEventListener("click", () => ask("start", {}));
 $("stop").addEventListener("click", () => ask("stop", {}));
 $("reload").addEventListener("click", () => ask("reload", {}));
-$("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
 $("view-traces").addEventListener("click", () => choose("traces"));
 $("view-spectra").addEventListener("click", () => choose("spectra"));
 $("older").addEventListener("click", history.older);
 $("unknown-only").addEventListener("change", render);
 history.onChange(render);
-$("enroll-form").addEventListener("submit", async (event) => {
-  event.preventDefault();
-  const body = { surface: $("surface").value, user: $("user").value, trials: Number($("trials").value) };
-  if (await ask("enroll", body)) $("surface").value = "";
-});
-
 const keys = {
   s: () => $("start").click(),
   x: () => $("stop").click(),
@@ -295,6 +196,7 @@ const keys = {
 document.addEventListener("keydown", (event) => {
   const writing = event.target.closest("input:not([type=checkbox]), select");
   if (event.key === "Escape" && writing) writing.blur();
+  else if (event.key === "Escape" && document.body.dataset.view === "kiosk") location.assign("/");
   if (writing || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
   event.preventDefault();
   keys[event.key]();
@@ -302,3 +204,6 @@ document.addEventListener("keydown", (event) => {
 
 window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();
+followAddress();
+// How long a device is gone for.
+setInterval(() => state?.advice.device && render(), 1000);

@@ -1,14 +1,12 @@
-// One scan, opened: what it looked like, why it was named so, and what it truly was.
+// One scan, opened: its signals, why it was named so, and the form that says what it was.
 
-import { certainty, corrected, nameOf } from "./answer.js";
+import { certainty, corrected, damageOf, nameOf, probabilities } from "./answer.js";
 import { spectra, traces } from "./chart.js";
-import { $, ask, button, clock, hide, make, percent, say } from "./dom.js";
+import { $, ask, clock, fill, hide, make, many, percent, plain, plainLine, say, sourceName } from "./dom.js";
+import { opened, route } from "./route.js";
 
 const dialog = $("scan");
 let open = null;
-// The address that opened it.
-let address = "";
-let before = null;
 
 const digits = (p) => (p === null ? "none" : p.toFixed(p < 0.1 ? 3 : 2));
 
@@ -16,7 +14,7 @@ function heading(text) {
   return make("h3", text);
 }
 
-// What a source says, as a bar to the left for the winner or to the right for the runner-up.
+// The vote of a source: a bar to the left for the winner or to the right for the runner-up.
 function says(source, most) {
   const item = make("li");
   const bar = make("div", undefined, "weigh");
@@ -24,45 +22,82 @@ function says(source, most) {
   part.style.width = `${(50 * Math.abs(source.for_winner ?? 0)) / most}%`;
   bar.append(part);
   const value = source.for_winner === null ? "" : Math.abs(source.for_winner).toFixed(1);
-  item.append(make("span", source.source), bar, make("b", value));
+  item.append(sourceName(source.source, "span"), bar, make("b", value));
   const alone = `alone it would say ${source.alone ?? "nothing"}`;
   item.append(make("small", alone));
   return item;
 }
 
-function reasons(why) {
+// A source speaks from these odds on, as a natural logarithm: 1.6 to 1.
+const SPEAKS = 0.5;
+
+function list(sources, ending) {
+  const names = sources.map(({ source }) => plain(source));
+  const all = names.length > 1 ? `${names.slice(0, -1).join(", ")} and ${names.at(-1)}` : names[0];
+  return `${all} ${names.length > 1 ? ending : `${ending}s`}`;
+}
+
+// The votes of the sources as a sentence.
+function votes({ winner, runner_up, sources }) {
+  const speaks = (least) => sources.filter(({ for_winner: by }) => by !== null && (least > 0 ? by >= least : by <= least));
+  const [pro, contra] = [speaks(SPEAKS), speaks(-SPEAKS)];
+  const parts = [];
+  if (pro.length) parts.push(`${list(pro, "speak")} for ${winner}`);
+  if (contra.length) parts.push(`${list(contra, "speak")} against it, for ${runner_up}`);
+  if (parts.length === 0) parts.push(`no source tells ${winner} from ${runner_up}`);
+  const text = parts.join("; ");
+  return `${text[0].toUpperCase()}${text.slice(1)}.`;
+}
+
+// How well it fits its surface, by the trials of the library that were left out.
+function fit({ winner, p_value: p, threshold, threshold_trials: trials }, unknown) {
+  if (threshold === null) return "Unknown surfaces are not detected: the library has too few trials.";
+  if (p === null) return "It is too short, or lacks a source, to tell a known surface from an unknown one.";
+  const stranger = Math.max(0, Math.round(p * (trials + 1)) - 1);
+  const of = `${stranger === 0 ? "None" : `Only ${stranger}`} of the library's ${many(trials, "trial")}`;
+  if (unknown) return `It differs too much from ${winner}, the closest surface. ${of} differ as much from their own surface.`;
+  return `It fits ${winner}: ${stranger} of the library's ${many(trials, "trial")} differ more from their own surface.`;
+}
+
+function reasons(scan, why) {
   const box = make("section");
   box.append(heading("Why"));
-  const parts = [];
+  const voted = why.sources.length > 0 && why.runner_up !== null;
+  box.append(make("p", fit(why, scan.state === "unknown")));
+  if (voted && scan.state !== "unknown") box.append(make("p", votes(why)));
+  for (const reason of scan.state === "unknown" ? [] : scan.reasons) box.append(make("p", plainLine(reason)));
+  for (const line of why.left_out) box.append(make("p", `Not compared: ${plainLine(line)}`, "soft"));
+  const figures = make("details");
+  figures.append(make("summary", "Figures"));
   if (why.threshold !== null) {
-    parts.push(`p = ${digits(why.p_value)}; ${digits(why.threshold)} or less is unknown (from ${why.threshold_trials} left-out trials)`);
-  } else parts.push("Unknown surfaces are not detected.");
-  box.append(make("p", parts.join(" ")));
-  if (why.sources.length && why.runner_up) {
+    figures.append(make("p", `p = ${digits(why.p_value)}; ${digits(why.threshold)} or less is unknown (from ${why.threshold_trials} left-out trials)`));
+  }
+  if (voted) {
     const legend = make("p", undefined, "versus");
     legend.append(make("span", `for ${why.winner}`, "for"), make("span", `for ${why.runner_up}`, "against"));
     const most = Math.max(1e-9, ...why.sources.map((source) => Math.abs(source.for_winner ?? 0)));
-    const list = make("ul", undefined, "says");
-    list.setAttribute("aria-label", `what each source says for ${why.winner} and for ${why.runner_up}`);
-    list.append(...why.sources.map((source) => says(source, most)));
-    box.append(legend, list);
+    const bars = make("ul", undefined, "says");
+    bars.setAttribute("aria-label", `what each source says for ${why.winner} and for ${why.runner_up}, in natural logarithms of odds`);
+    bars.append(...why.sources.map((source) => says(source, most)));
+    figures.append(legend, bars);
   }
-  for (const line of why.left_out) box.append(make("p", `Not compared: ${line}`, "soft"));
+  figures.append(ranking(scan));
+  box.append(figures);
   return box;
 }
 
-// As it was answered.
 function ranking(scan) {
   const box = make("section");
   if (scan.ranked.length === 0) return box;
   box.append(heading("Ranking"));
   const list = make("ol", undefined, "ranking");
-  const share = (score) => (scan.confidence !== null ? percent(1 / score) : score.toPrecision(3));
-  for (const { surface, score } of scan.ranked.slice(0, 8)) {
+  const shares = scan.state === "unknown" ? null : probabilities(scan);
+  scan.ranked.slice(0, 8).forEach(({ surface, score }, at) => {
     const item = make("li");
-    item.append(make("span", surface), make("b", share(score)));
+    const text = shares ? percent(shares[at]) : scan.confidence === null ? score.toPrecision(3) : at === 0 ? "closest" : "";
+    item.append(make("span", surface), make("b", text));
     list.append(item);
-  }
+  });
   box.append(list);
   return box;
 }
@@ -70,13 +105,13 @@ function ranking(scan) {
 function signal(scan, own, nearest) {
   const figure = make("figure");
   const head = make("figcaption");
-  head.append(make("strong", own.source), make("span", `${own.duration_s.toFixed(2)} s at ${own.rate_hz.toLocaleString("en")} Hz`));
+  head.append(sourceName(own.source), make("span", `${own.duration_s.toFixed(2)} s at ${own.rate_hz.toLocaleString("en")} Hz`));
   if (own.audible) {
     const sound = make("audio");
     sound.controls = true;
     sound.preload = "none";
     sound.src = `/api/v1/scans/${scan.id}/${own.source}.wav`;
-    sound.setAttribute("aria-label", `sound of ${own.source}`);
+    sound.setAttribute("aria-label", `play ${plain(own.source)}`);
     head.append(sound);
   }
   figure.append(head, traces(own.source, own, nearest));
@@ -89,7 +124,7 @@ function picture(source, path, caption) {
   const image = make("img");
   image.src = path;
   image.alt = `${source} of ${caption}`;
-  figure.append(image, make("figcaption", `${source}, ${caption}`));
+  figure.append(image, make("figcaption", `${plain(source)}, ${caption}`));
   return figure;
 }
 
@@ -130,7 +165,8 @@ function showCorrection(scan) {
 function showHead(scan) {
   say("scan-title", nameOf(scan));
   const when = new Date(scan.unix_ms).toLocaleDateString("en-GB", { day: "numeric", month: "long" });
-  say("scan-about", `scan ${scan.scan}, ${when} ${clock(scan.unix_ms)} · ${certainty(scan)}`);
+  say("scan-about", `scan ${scan.scan}, ${when} ${clock(scan.unix_ms)} · ${certainty(scan)} · answered in ${scan.latency_ms.toFixed(0)} ms`);
+  fill("scan-damage", damageOf(scan).map((line) => make("li", line)));
   showCorrection(scan);
 }
 
@@ -140,14 +176,11 @@ async function load(id) {
   // Closed in the meantime, or another one.
   if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
-  [open, address] = [scan, wanted];
+  open = scan;
   showHead(scan);
   const body = $("scan-body");
   body.replaceChildren();
-  if (!dialog.open) {
-    before = document.activeElement;
-    dialog.showModal();
-  }
+  opened(dialog);
   if (!scan.kept) {
     body.append(ranking(scan), make("p", "The signals of this scan are not kept (any more).", "empty"));
     return;
@@ -156,36 +189,26 @@ async function load(id) {
   if (open !== scan) return;
   // Of a scan just before an end, or one of many at once.
   if (!notes) {
-    body.append(ranking(scan, scan.ranked));
+    body.append(ranking(scan));
     return;
   }
-  if (notes.why) body.append(reasons(notes.why));
-  body.append(ranking(scan), signals(scan, notes));
+  body.append(notes.why ? reasons(scan, notes.why) : ranking(scan), signals(scan, notes));
   dialog.dataset.shown = scan.id;
 }
 
-async function correct(was) {
-  const scan = await ask(`scans/${open.id}/correct`, was);
+async function correct(was, step = "correct") {
+  const scan = await ask(`scans/${open.id}/${step}`, was);
   if (!scan) return;
   open = scan;
   showHead(scan);
 }
 
-function follow() {
-  const id = location.hash.startsWith("#scan=") ? decodeURIComponent(location.hash.slice(6)) : null;
-  if (id) load(id);
-  else if (dialog.open) dialog.close();
-}
-
-dialog.addEventListener("close", () => {
+route("scan", dialog, load, () => {
   // A correction draws the row anew.
   const row = open && `#scans tr[data-id="${CSS.escape(open.id)}"] button`;
-  const back = before?.isConnected ? before : row && document.querySelector(row);
   open = null;
   delete dialog.dataset.shown;
-  // By now the address may be that of another scan.
-  if (location.hash === address) history.pushState(null, "", "/");
-  back?.focus();
+  return row && document.querySelector(row);
 });
 $("scan-close").addEventListener("click", () => dialog.close());
 $("was-right").addEventListener("click", () => correct({ surface: open.surface }));
@@ -196,13 +219,8 @@ $("was-form").addEventListener("submit", (event) => {
   event.preventDefault();
   correct({ surface: $("was").value });
 });
-$("keep-form").addEventListener("submit", async (event) => {
+$("keep-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  const scan = await ask(`scans/${open.id}/keep`, { user: $("keep-user").value });
-  if (!scan) return;
-  open = scan;
-  showHead(scan);
+  correct({ user: $("keep-user").value }, "keep");
 });
-window.addEventListener("hashchange", follow);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => open && load(open.id));
-follow();

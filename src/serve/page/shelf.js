@@ -1,6 +1,7 @@
-// The library, opened: its trials, how they do when they are left out, and edits that can be undone.
+// The library, opened: its trials, their names when they are left out, and edits that can be undone.
 
 import { $, ask, button, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
+import { go, opened, route } from "./route.js";
 
 const dialog = $("shelf");
 let listed = { trials: [], removed: [], undo: null };
@@ -29,7 +30,7 @@ async function edit(what, body) {
   if (check.report) begin();
 }
 
-// What was found of each trial, by its name.
+// The findings of the check, by trial.
 function found() {
   const key = ({ surface, user, number }) => [surface, user, number].join("\n");
   const by = new Map((check.report?.each ?? []).map((trial) => [key(trial), trial]));
@@ -41,7 +42,7 @@ function verdict(of) {
   if (!of) return cell;
   if (of.verdict === "untested") cell.append(make("span", "only one", "soft"));
   else {
-    // How much more alike than what comes next.
+    // The ratio to the next surface.
     const by = times(Math.exp(of.margin));
     const wrong = of.verdict !== "right";
     cell.append(make("span", wrong ? `wrong: ${of.named ?? "not named"}, by ${by}` : `right, by ${by}`, wrong ? "wrong" : undefined));
@@ -123,15 +124,15 @@ function report(found) {
   const parts = [];
   if (found.accuracy !== null) {
     const range = `${share(found.accuracy_low)} to ${share(found.accuracy_high)}`;
-    parts.push(make("p", `Left out and named right: ${share(found.accuracy)} of ${many(found.surfaces.reduce((n, s) => n + s.queries, 0), "trial")} (95 % interval ${range}).`));
+    parts.push(make("p", `Cross-validated accuracy: ${share(found.accuracy)} of ${many(found.surfaces.reduce((n, s) => n + s.queries, 0), "trial")} (95 % interval ${range}).`));
   }
-  if (found.mend.length) parts.push(lines("To mend", found.mend));
+  if (found.mend.length) parts.push(lines("Needs fixing", found.mend));
   if (found.advice.length) parts.push(lines("Next", found.advice));
   if (found.confusion) {
     const details = make("details");
     const box = make("div", undefined, "scroll");
     box.append(matrix(found.confusion));
-    details.append(make("summary", "What is taken for what"), box);
+    details.append(make("summary", "Confusions"), box);
     parts.push(details);
   }
   return parts;
@@ -191,8 +192,9 @@ $("relabel").addEventListener("submit", async (event) => {
   await relabel?.($("relabel-to").value);
 });
 $("relabel-cancel").addEventListener("click", () => hide("relabel", true));
-$("shelf-open").addEventListener("click", () => {
-  dialog.showModal();
+$("shelf-open").addEventListener("click", () => go("library"));
+route("library", dialog, () => {
+  opened(dialog);
   load();
 });
 dialog.addEventListener("close", () => hide("relabel", true));

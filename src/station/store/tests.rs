@@ -111,13 +111,29 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let (send, stored) = unbounded();
     let (working, ending) = bounded(0);
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-    let (waiting, next) = (VecDeque::new(), Numbers::new());
-    let mut writer = StoreWriter { store, waiting, next, current: false, send, ending };
+    let mut writer = StoreWriter::new(store, send, ending);
     drop(working);
     writer.accept((scan(1), enrolment(), None));
     // Before the end, the library would give number 1, since it holds no trial.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
+}
+
+#[test]
+fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+    let mut thread = RecordingThread::start(store).unwrap();
+    let stored = thread.stored.clone();
+    let strict = Enrolment { good_only: true, ..enrolment() };
+    thread.store(scan(1), strict.clone(), None);
+    let refused = stored.recv().unwrap().enrolled;
+    assert_eq!(refused.outcome, EnrolledOutcome::Refused);
+    assert_eq!(refused.remarks, ["0.0 s is too short, drag for 1.0 s"]);
+    thread.keep_refused(1, strict);
+    let kept = stored.recv().unwrap().enrolled;
+    assert_eq!((kept.scan, kept.outcome, kept.trial), (1, EnrolledOutcome::Kept, Some(1)));
+    assert_eq!(recording::open(dir.path(), &Scene::lmt108()).unwrap().entries.len(), 1);
 }
 
 #[test]

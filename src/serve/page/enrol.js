@@ -1,0 +1,63 @@
+// Enrolment: how far the order has come, what was kept, and what was refused.
+
+import { $, ask, button, hide, make, many, plainLine, printable, say } from "./dom.js";
+
+let newest = [];
+
+// A scan was kept or was not.
+export const add = (enrolled) => (newest = [enrolled, ...newest].slice(0, 3));
+
+export function show({ enrolling, enrolls }) {
+  hide("enroll-form", !enrolls);
+  hide("no-enroll", enrolls);
+  hide("enrolling", !enrolling);
+  if (enrolling) {
+    const { surface, trials, kept, refused } = enrolling;
+    say("enrolling-what", `${surface}: `);
+    say("enrolling-kept", trials === null ? `${many(kept, "trial")} kept, until the end` : `${kept} of ${trials} kept`);
+    hide("enrolling-refused", !refused);
+    hide("enroll-keep", !refused);
+    say("enrolling-refused", refused ? `Last one refused: ${refused.reasons.map(plainLine).join(" · ")}` : "");
+    $("enroll-keep").dataset.scan = refused?.scan ?? "";
+  }
+  showNewest();
+}
+
+// The newest scans, each with a way back.
+function showNewest() {
+  const text = JSON.stringify(newest);
+  if ($("enrolled").dataset.text === text) return;
+  $("enrolled").dataset.text = text;
+  $("enrolled").replaceChildren(...newest.map((e) => {
+    const kept = e.trial === null ? `scan ${e.scan} was not kept as ${e.surface}` : `scan ${e.scan} kept as ${e.surface}, trial ${e.trial}`;
+    const item = make("li", [kept, ...e.remarks.map(plainLine)].join(" · "));
+    const looksLike = e.nearest && e.nearest !== e.surface && !e.undone && !e.confirmed;
+    if (looksLike) {
+      item.append(make("p", `This looks like ${e.nearest}, which you have. Is it ${e.surface}?`, "warn"));
+      item.append(button(`Yes, ${e.surface}`, () => {
+        e.confirmed = true;
+        showNewest();
+      }, "small"));
+    }
+    if (e.undone) item.append(make("span", "taken back", "badge"));
+    else if (e.folder) {
+      const name = e.folder.split("/").slice(-2).join("/");
+      const back = button(looksLike ? "No, take it back" : "Undo", async () => {
+        if (!(await ask("library/remove", { trials: [name] }))) return;
+        e.undone = true;
+        showNewest();
+      }, "small");
+      back.setAttribute("aria-label", printable(`take back ${name}`));
+      item.append(back);
+    }
+    return item;
+  }));
+}
+
+$("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
+$("enroll-keep").addEventListener("click", ({ currentTarget }) => ask("enroll/keep", { scan: Number(currentTarget.dataset.scan) }));
+$("enroll-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const body = { surface: $("surface").value, user: $("user").value, trials: Number($("trials").value) };
+  if (await ask("enroll", body)) $("surface").value = "";
+});

@@ -1,0 +1,138 @@
+// The one state of the station, to be seen from three metres: its colour, its word and its sign; below
+// it the name, how sure it is, and what is damaged.
+
+import { certainty, damageOf, probabilities } from "./answer.js";
+import { $, clock, damageLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
+
+const WORDS = { named: "Named", nearest: "Nearest surface", unsure: "Unsure", unnamed: "No answer", damaged: "Damaged" };
+
+function disconnected({ advice, devices }) {
+  const since = devices.find(({ device }) => device === advice.device)?.since_unix_ms ?? Date.now();
+  const seconds = Math.max(0, Math.round((Date.now() - since) / 1000));
+  const lasts = seconds < 60 ? `${seconds} s` : many(Math.floor(seconds / 60), "minute");
+  return { kind: "disconnected", word: advice.text, sure: `for ${lasts}, since ${clock(since)}` };
+}
+
+// A scan in progress: what to do, and what it looks like by the rule of answers.
+function dragging({ advice, scan, guess: last, enrolling }) {
+  const guess = last?.scan === scan ? last : null;
+  const lift = advice.do === "lift";
+  const more = advice.more_s === null ? "" : `: ${advice.more_s.toFixed(1)} s more`;
+  const now = { kind: lift ? "lift" : "drag", word: lift ? "Done, lift" : `Drag on${more}`, label: `scan ${scan}` };
+  if (guess?.needed_s) now.done = guess.scan_s / guess.needed_s;
+  now.damage = damageLines(guess?.damage ?? []);
+  if (enrolling) return { ...now, name: enrolling.surface, label: `scan ${scan}, to be kept` };
+  if (!guess?.state) return { ...now, name: "listening", faint: true };
+  const [{ surface, probability }] = guess.named;
+  now.runners = guess.named.map(({ surface, probability }) => [surface, probability, percent(probability)]);
+  if (guess.state === "unknown") return { ...now, name: "unknown", sure: `closest: ${surface}`, runners: [] };
+  return { ...now, name: surface, sure: `${percent(probability)} sure` };
+}
+
+function runners(answer) {
+  const shares = probabilities(answer);
+  const best = answer.ranked[0]?.score;
+  return answer.ranked.map(({ surface, score }, at) => (shares ? [surface, shares[at], percent(shares[at])]
+    : [surface, score > 0 ? best / score : 1, score > best ? `${times(score / best)} as far` : "nearest"]));
+}
+
+function answered(answer, surfaces) {
+  const damage = damageOf(answer);
+  const kind = damage.length && answer.state !== "unnamed" ? "damaged" : answer.state;
+  const unknown = answer.state === "unknown";
+  const word = kind === "unknown" ? `None of your ${many(surfaces, "surface")}` : WORDS[kind];
+  const name = unknown ? "unknown" : answer.surface ?? "not named";
+  const label = `scan ${answer.scan}${answer.synthetic ? " · synthetic" : ""} · answered in ${answer.latency_ms.toFixed(0)} ms`;
+  return { kind, word, name, label, damage, sure: certainty(answer), id: answer.id, runners: unknown ? [] : runners(answer) };
+}
+
+function idle({ advice, reading }) {
+  const words = { ended: "The station has ended", wait: reading ? "Reading the library" : "Waiting for the devices" };
+  const word = words[advice.do] ?? "Ready";
+  return { kind: "idle", word, name: word === "Ready" ? "tap, then drag" : "" };
+}
+
+// A station that has too few surfaces to name anything, or none.
+export function isEmpty({ library, enrolls, enrolling, advice, devices }) {
+  const lost = devices.some(({ device, state }) => device === advice.device && state === "lost");
+  return enrolls && !enrolling && !lost && library?.problem && library.surfaces.length < 2;
+}
+
+const steps = ({ devices }) => ({
+  kind: "idle", word: "Three steps", steps: { plugged: devices.some(({ state }) => state === "streaming") },
+});
+
+// The scan that was in progress last: it stays until its answer is there, or for this long.
+const ANSWER_WITHIN_MS = 1500;
+let last = null;
+
+// `answer` is the last one of this session, or null.
+function stateOf(state, answer) {
+  if (state.phase !== null) {
+    const { scan } = state;
+    last = { scan, shown: dragging(state), until: Date.now() + ANSWER_WITHIN_MS };
+    return last.shown;
+  }
+  if (last && !state.enrolling && (answer?.scan ?? 0) < last.scan && Date.now() < last.until) return last.shown;
+  if (!state.finished) {
+    if (isEmpty(state)) return steps(state);
+    if (state.advice.device) return disconnected(state);
+    if (state.enrolling) return { ...idle(state), word: "Tap, then drag", name: state.enrolling.surface };
+  }
+  return answer ? answered(answer, state.library?.surfaces.length ?? 0) : idle(state);
+}
+
+function runner([name, share, text]) {
+  const item = make("li");
+  const bar = make("div", undefined, "bar");
+  const part = make("i");
+  part.style.width = `${Math.max(0, Math.min(1, share)) * 100}%`;
+  bar.append(part);
+  item.append(make("span", name), bar, make("b", text));
+  item.title = printable(name);
+  return item;
+}
+
+const longest = (name) => Math.max(4, ...parts(name).flatMap((part) => part.split(/[\s-]/)).map((word) => word.length));
+
+export function showNow(state, answer) {
+  const { kind, word, name = "", sure = "", label = "", damage = [], done, id, steps, ...now } = stateOf(state, answer);
+  $("now").dataset.state = kind;
+  document.body.dataset.state = kind;
+  $("sign").firstElementChild.setAttribute("href", `#sign-${kind}`);
+  say("word", word);
+  say("name", name);
+  $("name").dataset.faint = String(Boolean(now.faint));
+  // Its longest word fits the line.
+  $("name").style.setProperty("--longest", Math.min(longest(name), 24));
+  say("sure", sure);
+  say("answer-label", label);
+  hide("why", !id);
+  if (id) $("why").href = `#scan=${id}`;
+  fill("damage", damage.map((line) => make("li", line)));
+  $("time").firstElementChild.style.width = `${Math.min(1, done ?? 0) * 100}%`;
+  hide("time", done === undefined);
+  fill("runners", (now.runners ?? []).slice(0, 4).map(runner));
+  hide("steps", !steps);
+  if (steps) $("step-plug").dataset.done = String(steps.plugged);
+  $("start").disabled = state.finished || state.phase !== null || state.advice.do === "wait";
+  $("stop").disabled = state.finished || state.phase === null;
+}
+
+// In view `kiosk` the screen stays awake, as long as the page is seen.
+async function stayAwake() {
+  if (document.hidden) return;
+  try {
+    await navigator.wakeLock.request("screen");
+    document.body.dataset.awake = "true";
+  } catch {
+    // Not on a page without encryption from another machine; the browser decides.
+    document.body.dataset.awake = "false";
+  }
+}
+
+if (new URLSearchParams(location.search).get("view") === "kiosk") {
+  document.body.dataset.view = "kiosk";
+  document.addEventListener("visibilitychange", stayAwake);
+  stayAwake();
+}
