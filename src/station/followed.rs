@@ -51,7 +51,7 @@ impl Followed {
             news.named = named.map(name).collect();
             news.settled = guess.settled.is_some();
         }
-        news.needed_s = by.and_then(|by| by.needed_s(truth));
+        news.needed_s = by.and_then(|by| by.needed_s());
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
         self.trial.judge(&mut news, progress, purpose, supported);
         news
