@@ -33,6 +33,13 @@ impl LibraryError {
     }
 }
 
+/// A path within a library, such as `SURFACE/TRIAL`, whatever the system's separator.
+pub(crate) fn name_within(library: &Path, path: &Path) -> String {
+    let within = path.strip_prefix(library).unwrap_or(path);
+    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    parts.collect::<Vec<_>>().join("/")
+}
+
 /// Largest text file in bytes: a description, a feature table.
 pub(crate) const MOST_TEXT: u64 = 1 << 26;
 /// Largest description (`trial.toml`, `library.toml`) in bytes.

@@ -48,8 +48,14 @@ impl LoadTrial for FileTrial {
         Ok(Some(outlines))
     }
 
-    fn folder(&self) -> Option<&Path> {
-        self.folder.as_deref()
+    fn places(&self) -> Vec<&Path> {
+        if let Some(folder) = &self.folder {
+            return vec![folder];
+        }
+        let mut files: Vec<&Path> =
+            self.sources.values().flat_map(SourceFiles::paths).map(PathBuf::as_path).collect();
+        files.sort();
+        files
     }
 
     fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {

@@ -109,6 +109,18 @@ fn list(errors: &[LibraryError]) -> String {
 }
 
 impl LibraryError {
+    /// The file or folder that it is about, if it is about one.
+    pub(crate) fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::File { path, .. }
+            | Self::Signal { path, .. }
+            | Self::Scene { path, .. }
+            | Self::NothingFound { path, .. } => Some(path),
+            Self::Several(_) => None,
+        }
+    }
+
     /// Errors of several files as one, if there are any.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
@@ -159,20 +171,32 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         None
     }
 
-    /// The folder that holds the trial and nothing else, if there is one.
-    fn folder(&self) -> Option<&Path> {
-        None
+    /// The paths that hold the trial and nothing else: its folder, or its files.
+    fn places(&self) -> Vec<&Path> {
+        Vec::new()
     }
 }
 
 #[derive(Debug)]
-struct InMemory(Arc<Trial>);
+struct InMemory {
+    trial: Arc<Trial>,
+    /// The entry that it was read from, if it was.
+    from: Option<Entry>,
+}
 
 impl LoadTrial for InMemory {
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
-        let key = self.0.key.clone();
-        let kept = |id: &SourceId| Some((id.clone(), self.0.signals.get(id)?.clone()));
+        let key = self.trial.key.clone();
+        let kept = |id: &SourceId| Some((id.clone(), self.trial.signals.get(id)?.clone()));
         Ok(Trial { key, signals: wanted.iter().filter_map(kept).collect() })
+    }
+
+    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
+        self.from.as_ref()?.loader.stamp(wanted)
+    }
+
+    fn places(&self) -> Vec<&Path> {
+        self.from.as_ref().map_or_else(Vec::new, Entry::places)
     }
 }
 
@@ -215,7 +239,20 @@ impl Entry {
     pub fn in_memory(trial: impl Into<Arc<Trial>>) -> Self {
         let trial = trial.into();
         let sources = trial.signals.keys().cloned().collect();
-        Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory(trial)) }
+        Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory { trial, from: None }) }
+    }
+
+    /// This entry with its trial in memory, which has been read.
+    pub(crate) fn held(self, trial: Arc<Trial>) -> Self {
+        let (key, sources) = (self.key.clone(), self.sources.clone());
+        Self { key, sources, loader: Arc::new(InMemory { trial, from: Some(self) }) }
+    }
+
+    /// The trial's place in a library, as `surfaced library` takes it: `SURFACE/TRIAL`, or its first
+    /// file `SURFACE/FILE.wav`; its label, user and number where it is not on disk.
+    pub(crate) fn name_in(&self, library: &Path) -> String {
+        let first = self.places().first().map(|place| files::name_within(library, place));
+        first.unwrap_or_else(|| self.key.to_string())
     }
 
     /// This entry with only those of its sources that `scene` describes; no others are read.
@@ -228,6 +265,17 @@ impl Entry {
     pub fn changed(self, change: impl Fn(Trial) -> Trial + Send + Sync + 'static) -> Self {
         let (key, sources) = (self.key.clone(), self.sources.clone());
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
+    }
+
+    /// This entry under another name.
+    pub(crate) fn renamed(self, key: TrialKey) -> Self {
+        let is = key.clone();
+        Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
+    }
+
+    /// This entry with one of its sources.
+    pub(crate) fn with_only(&self, source: &SourceId) -> Self {
+        Self { sources: vec![source.clone()], ..self.clone() }
     }
 
     /// Reads the trial.
@@ -254,9 +302,10 @@ impl Entry {
         self.loader.stamp(&self.sources)
     }
 
-    /// The folder that holds the trial and nothing else, in the recording format.
-    pub fn folder(&self) -> Option<&Path> {
-        self.loader.folder()
+    /// The paths that hold the trial and nothing else, sorted: its folder, or its files where it has
+    /// none. Empty for a trial that is not on disk.
+    pub fn places(&self) -> Vec<&Path> {
+        self.loader.places()
     }
 
     /// What the trial is called in a cache.

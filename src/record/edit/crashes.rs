@@ -12,7 +12,7 @@ fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     let mut state = BTreeMap::new();
     let of = |entries: Vec<Entry>, place: &str| -> Vec<_> {
         let one = |entry: &Entry| {
-            let bytes = fs::read(entry.folder().unwrap().join("ir.wav")).unwrap();
+            let bytes = fs::read(entry.places()[0].join("ir.wav")).unwrap();
             (bytes, format!("{place}{}", entry.key))
         };
         entries.iter().map(one).collect()
