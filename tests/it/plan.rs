@@ -26,7 +26,8 @@ fn scene(surfaces: usize, trials: u32, sources: &[&str]) -> Library {
 
 fn plan(library: &Library, target: f64) -> Planned {
     let protocol = Protocol::LeaveOneTrialOut;
-    search(library, PlanOptions { target, protocol }, &|_, _, _| ()).unwrap()
+    search(library, PlanOptions { target, accuracy: Some(target), protocol }, &|_, _, _| ())
+        .unwrap()
 }
 
 fn names(plan: &Plan) -> Vec<&str> {
