@@ -179,7 +179,7 @@ fn done(library: &Path, step: &Step) {
 struct LibraryRow {
     #[serde(flatten)]
     listed: ListedTrial,
-    /// What it is named when it is left out; absent with `--quick`.
+    /// The answer when it is left out; absent with `--quick`.
     verdict: Option<TrialVerdict>,
     named: Option<String>,
     margin: Option<f64>,

@@ -109,7 +109,7 @@ pub fn load(
         let (scene, entries, state, ReadyModel { model, remarks, .. }) =
             ready.map_err(Failure::text)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
-        let lasting = how.lasting(&accuracy, &*model).map_err(Failure::text)?;
+        let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
         let mut by = Recogniser::new(model, scene, state).with_trials(&entries).lasting(lasting.0);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
         by.add_remarks(lasting.1.as_slice());

@@ -222,7 +222,7 @@ pub struct Comparing {
     pub method: MethodSpec,
     /// Whether prepared trials are kept beside the library.
     cache: bool,
-    /// How much of each drag is used, in seconds, if not all of it.
+    /// Seconds of each drag that are used, if not all.
     pub query_seconds: Option<f64>,
 }
 

@@ -248,10 +248,10 @@ fn recogniser(
             let all = (0..stage.entries.len()).collect();
             let cache = stage.cache.as_deref();
             let whole = ready_model(&*method, &stage.entries, &all, cache, &|_, _| {})?;
-            how.lasting(&args.accuracy, &*whole.model)?
+            how.lasting(&args.accuracy, &whole.model)?
         }
         // There is at least one fold.
-        _ => how.lasting(&args.accuracy, &*models[0])?,
+        _ => how.lasting(&args.accuracy, &models[0])?,
     };
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();

@@ -160,7 +160,7 @@ fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
-        // Where no method states a probability there is nothing to draw.
+        // Without probabilities there is nothing to draw.
         if let Ok(svg) = figure(report, measure) {
             let path = out.with_file_name(format!("{stem}-{name}.svg"));
             write(&path, &svg)?;

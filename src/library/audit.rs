@@ -1,4 +1,4 @@
-//! Which recordings of a library cannot be read, found by reading all of them.
+//! Finds the recordings of a library that cannot be read, by reading all of them.
 
 use rayon::prelude::*;
 

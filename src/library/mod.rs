@@ -74,7 +74,7 @@ pub enum LibraryError {
     },
 }
 
-/// What is known of a series before its samples are read.
+/// The size of a series, known before its samples are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     /// Frames a second.
@@ -133,7 +133,7 @@ impl LibraryError {
 /// A library as far as it can be used, and why the rest of it cannot.
 #[derive(Debug)]
 pub struct Opened {
-    /// What can be used.
+    /// The part that can be used.
     pub library: Library,
     /// Files and trials that cannot be, one error each.
     pub bad: Vec<LibraryError>,
@@ -221,9 +221,9 @@ impl<F: Fn(Trial) -> Trial + Send + Sync> LoadTrial for Changed<F> {
 /// One trial of a library: known by name, loaded on demand.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Which surface, whose hand, which repetition.
+    /// Its surface, user and number.
     pub key: TrialKey,
-    /// What it holds, sorted by name.
+    /// Its sources, sorted by name.
     pub sources: Vec<SourceId>,
     loader: Arc<dyn LoadTrial>,
 }
@@ -308,7 +308,7 @@ impl Entry {
         self.loader.places()
     }
 
-    /// What the trial is called in a cache.
+    /// The trial's name in a cache.
     pub(crate) fn cache_name(&self) -> String {
         let TrialKey { surface, user, number } = &self.key;
         format!("{surface}\n{user}\n{number}")
@@ -318,15 +318,15 @@ impl Entry {
 /// Labelled trials and what their sources are.
 #[derive(Clone, Debug)]
 pub struct Library {
-    /// For people.
+    /// Its name, to be shown.
     pub name: String,
-    /// What the sources are: the defaults, and those that the library itself describes.
+    /// The sources: the defaults, and those that the library itself describes.
     pub scene: Scene,
     /// The trials, sorted by key.
     pub entries: Vec<Entry>,
     /// Made by a generator, not recorded: said wherever its numbers appear.
     pub synthetic: bool,
-    /// For people: what was missing or passed over while it was opened, a line each.
+    /// Remarks on what was missing or passed over while it was opened, a line each.
     pub remarks: Vec<String>,
 }
 

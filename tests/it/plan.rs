@@ -106,7 +106,7 @@ fn replay_keeps_to_the_plan() {
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     let plan = Plan::read(&file).unwrap();
     assert_eq!(json["plan"]["sources"][0], plan.sources[0].as_str());
-    assert!(std::fs::read_to_string(&file).unwrap().contains("too few to show"));
+    assert!(std::fs::read_to_string(&file).unwrap().contains("99.0 % is not shown"));
 
     let output = surfaced(&["replay", text(&lib), "--plan", text(&file), "--json"]);
     assert!(output.status.success(), "{}", said(&output));

@@ -1,4 +1,4 @@
-//! What is wrong with a library: a line for each source and kind of fault, the worst first, and the
+//! Faults of a library: a line for each source and kind of fault, the worst first, and the
 //! command that mends it.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -66,7 +66,7 @@ struct Fault {
     /// The fault, without the source and the trial.
     what: &'static str,
     trial: String,
-    /// What is known of this trial.
+    /// Numbers of this trial, for the line.
     detail: String,
 }
 

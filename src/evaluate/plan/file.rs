@@ -72,7 +72,7 @@ pub struct Plan {
     /// How trials are compared.
     #[serde(flatten)]
     pub method: MethodSpec,
-    /// How much of the drag is used, in seconds; all of it where nothing is said.
+    /// Seconds of the drag that are used; all of it, if none.
     pub scan_s: Option<f64>,
     /// The accuracy and cost that it was found to have.
     pub expected: Expected,

@@ -12,7 +12,7 @@ use crate::recognise::{MethodName, MethodSpec, ScanTime, reaches, ready_model};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::TrialKey;
 
-/// What a plan must reach, and by which folds.
+/// The accuracy that a plan must reach, and the folds that measure it.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanOptions {
     /// The accuracy that whole scans of the chosen sources must reach, a fraction.
@@ -121,7 +121,7 @@ struct Trying<'a> {
     scene: &'a Scene,
     entries: &'a [Entry],
     folds: &'a [Fold],
-    /// How much of each drag is used, in seconds; `None` for all of it.
+    /// Seconds of each drag that are used; `None` for all of it.
     scan_s: Option<f64>,
 }
 

@@ -88,7 +88,7 @@ pub(super) mod stops {
     use std::io;
     use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-    /// What happens at a change.
+    /// The event at a change.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Stop {
         /// The process ends there: nothing of it runs any more.

@@ -97,7 +97,7 @@ pub(super) fn places(root: &Path) -> Vec<(String, String)> {
 
 fn listed(root: &Path, entry: &Entry) -> ListedTrial {
     let folder = entry.places().into_iter().find(|place| place.is_dir());
-    // What cannot be read of it is left out here, and found by `surfaced check`.
+    // Unreadable sources are left out here, and found by `surfaced check`.
     let seconds = entry.outlines().unwrap_or_default();
     let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
     let started_at = |folder| About::read(folder).ok()?.started_at;

@@ -15,7 +15,7 @@ pub(super) fn inode(path: &Path) -> Option<u64> {
     fs::symlink_metadata(path).ok().map(|about| about.ino())
 }
 
-/// Where the trial of a move is.
+/// The place of a move's trial.
 #[derive(PartialEq)]
 enum Place {
     Before,
