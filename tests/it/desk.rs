@@ -119,7 +119,8 @@ fn duration_plan_replay_and_the_station_give_one_scan_time_for_five_libraries() 
     }
     for name in ["ten", "clear", "close", "48 kHz", "people"] {
         let path = library(name);
-        for accuracy in [None, Some("0.9"), Some("0.9999")] {
+        let stricter = if name == "close" { Some("0.9999") } else { Some("0.9") };
+        for accuracy in [None, stricter] {
             let option = |name| accuracy.map_or(vec![], |share| vec![name, share]);
             let found = surfaced(
                 &[&["duration", text(&path), "--json"], &option("--accuracy")[..]].concat(),
@@ -280,7 +281,7 @@ fn files_of_a_flat_folder_are_edited_by_name_and_a_rename_onto_a_surface_asks() 
     says(&said(&refused), &["jeans is there already, with 1 trial", "--merge"]);
     assert_eq!(names(), before);
     done(&["rename", lib, "table", "jeans", "--merge"]);
-    assert_eq!(names(), ["jeans/1.wav", "jeans/1-2.wav", "jeans/2.wav"].map(String::from).to_vec(),);
+    assert_eq!(names(), ["jeans/1-2.wav", "jeans/1.wav", "jeans/2.wav"]);
     done(&["undo", lib]);
     assert_eq!(names(), before);
     done(&["move", lib, "table/1.wav", "--to", "B\u{f6}den (alt)"]);
@@ -305,7 +306,7 @@ fn tables_become_a_library_and_a_dry_run_writes_nothing() {
             write_file(&tables.join(format!("{surface}/anna_{n}.csv")), text);
         }
     }
-    write_file(&tables.join("Filz/anna_9.csv"), "time_ms;acc_x;acc_y\n0;1;x\n");
+    write_file(&tables.join("Filz/anna_9.csv"), "time_ms;acc_x;acc_y\n0;1;x\n2;1;2\n");
     let out = dir.path().join("mine");
     let names = "{surface}/{user}_{trial}";
     let import = |more: &[&str]| {

@@ -112,7 +112,8 @@ impl Names<'_> {
         };
         let said = error.to_string();
         let why = said.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&said);
-        (trial, why.to_string())
+        let file = parts.get(2).map(|file| format!("{file}: ")).unwrap_or_default();
+        (trial, format!("{file}{why}"))
     }
 }
 
@@ -284,8 +285,8 @@ fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
                 None => drop(first.insert((id, hash), &one.entry)),
                 Some(other) => faults.push(Fault {
                     kind: FaultKind::Copy,
-                    source: Some(id.clone()),
-                    what: "is a copy of another trial's",
+                    source: None,
+                    what: "is a copy of another",
                     trial: names.of(&one.entry),
                     detail: format!("that of {}", names.of(other)),
                 }),

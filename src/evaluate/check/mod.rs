@@ -93,7 +93,7 @@ pub struct TrialCheck {
     pub named: Option<String>,
     /// ln of the ratio by which the answer was ahead of the next.
     pub margin: Option<f64>,
-    /// It is named another surface more clearly than most trials are named theirs.
+    /// It is named another surface more clearly than most trials of that surface are.
     pub mislabelled: bool,
     /// Flaws of its signals, a line each.
     pub flaws: Vec<String>,
@@ -288,18 +288,19 @@ fn measure(
     Ok((measured.predictions, measured.outcome, better))
 }
 
-/// The trials that are named another surface more clearly than most are named theirs, and that
-/// surface.
+/// The trials that are named another surface more clearly than most trials of that surface are, and
+/// that surface.
 fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
-    let mut right: Vec<f64> =
-        predictions.iter().filter(|p| p.is_correct()).map(|p| p.margin).collect();
-    right.sort_by(f64::total_cmp);
+    let right = predictions.iter().filter(|p| p.is_correct());
+    let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
+    margins.values_mut().for_each(|margins| margins.sort_by(f64::total_cmp));
     // If most are wrong, nothing is clear.
-    let clear = match right.len() * 2 > predictions.len() {
-        true => right[right.len() / 2],
-        false => f64::INFINITY,
+    let mostly_right = margins.values().map(Vec::len).sum::<usize>() * 2 > predictions.len();
+    let is_clear = |p: &&Prediction| {
+        let usual = margins.get(&*p.surface).map(|margins| margins[margins.len() / 2]);
+        mostly_right && !p.is_correct() && usual.is_some_and(|usual| p.margin >= usual)
     };
-    let is_clear = |p: &&Prediction| !p.is_correct() && !p.surface.is_empty() && p.margin >= clear;
     predictions.iter().filter(is_clear).map(|p| (&p.key, p.surface.as_str())).collect()
 }
 
