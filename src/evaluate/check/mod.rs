@@ -345,7 +345,8 @@ fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> 
         let queries: Vec<_> = predictions.iter().filter(|p| p.key.surface == label).collect();
         let share = Share::count(queries.iter().map(|p| p.is_correct()));
         let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
-        queries.iter().filter(|p| !p.is_correct()).for_each(|p| {
+        let named = |p: &&&Prediction| !p.is_correct() && !p.surface.is_empty();
+        queries.iter().filter(named).for_each(|p| {
             *taken.entry(p.surface.as_str()).or_default() += 1;
         });
         let mut taken_for: Vec<_> = taken.into_iter().map(|(s, n)| (s.to_string(), n)).collect();
