@@ -196,7 +196,7 @@ fn a_messy_folder_stops_no_command_and_check_prints_what_mends_it() {
     let commands = [
         &["eval", text(&path)][..],
         &["duration", text(&path)],
-        &["plan", text(&path)],
+        &["plan", text(&path), "--target", "0.5"],
         &["replay", text(&path)],
         &["replay", text(&single), "--library", text(&path)],
         &["library", "list", text(&path)],
