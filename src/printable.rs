@@ -28,6 +28,15 @@ fn acts_unseen(c: char) -> bool {
         | '\u{e0000}'..='\u{e007f}')
 }
 
+/// A word as a shell takes it.
+pub(crate) fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.into();
+    }
+    format!("'{}'", word.replace('\'', "'\\''"))
+}
+
 /// A table, a line for each row below the head. Columns are as wide as their widest cell; one whose
 /// head begins with `>` stands at the right.
 pub(crate) fn table(head: &[&str], rows: &[Vec<String>]) -> String {

@@ -1,8 +1,10 @@
 //! Options for early answers and for unknown surfaces.
 
+use std::sync::Arc;
+
 use super::common::share;
-use super::show;
-use crate::recognise::{Rejection, RejectionError, ScanTime, Settling};
+use super::{Done, Failure, show};
+use crate::recognise::{Model, Rejection, RejectionError, ScanTime, Settling};
 use crate::station::Recogniser;
 
 /// Options for early answers and for unknown surfaces.
@@ -15,6 +17,42 @@ pub struct AnswerArgs {
     /// or as low as the library's trials can show)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
     false_rejections: Option<f64>,
+}
+
+/// The accuracy that the scan time is found for.
+#[derive(Clone, Debug, clap::Args)]
+pub struct AccuracyArgs {
+    /// Share of scans that must be named right by the scan time (default: that of whole scans, less
+    /// 0.01)
+    #[arg(long, value_name = "SHARE", value_parser = share, conflicts_with = "plan")]
+    accuracy: Option<f64>,
+}
+
+impl AccuracyArgs {
+    /// How long scans must last with the model of a library, where the method can tell.
+    ///
+    /// # Errors
+    /// If the library cannot reach the accuracy that was asked for.
+    pub fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
+        let found = model.clone().scan_time(self.accuracy);
+        match &found {
+            Some(answer) if self.accuracy.is_some() => honoured(answer)?,
+            None if self.accuracy.is_some() => {
+                let problem = "--accuracy goes with --method embedding, which follows scans";
+                return Err(Failure::Usage(problem.into()));
+            }
+            _ => {}
+        }
+        Ok(found)
+    }
+}
+
+/// Refuses an accuracy that no scan time reaches.
+pub fn honoured(answer: &ScanTime) -> Done {
+    match answer.scan_s() {
+        Some(_) => Ok(()),
+        None => Err(Failure::Failed(answer.reason().unwrap_or_default())),
+    }
 }
 
 fn share_or_none(text: &str) -> Result<f64, String> {
@@ -30,7 +68,7 @@ impl AnswerArgs {
     /// Sets a recogniser up, and says what its answers rest on.
     ///
     /// # Errors
-    /// If a share of false rejections was given and unknown surfaces cannot be recognised.
+    /// If a share of false rejections was given and unknown surfaces cannot be detected.
     pub fn apply(&self, by: &mut Recogniser) -> Result<Applied, RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections != Some(0.0) {
@@ -40,10 +78,8 @@ impl AnswerArgs {
                 Err(error) => remarks.push(format!("unknown surfaces are not detected: {error}")),
             }
         }
-        let found = by.calibrate(self.settle_loss);
-        let (settling, scan_times): (Vec<Settling>, Vec<ScanTime>) = found.into_iter().unzip();
+        let settling = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&settling));
-        remarks.extend(on_scan_time(scan_times.iter()));
         by.add_remarks(&remarks);
         Ok(Applied { follows: !settling.is_empty(), remarks })
     }
@@ -89,11 +125,4 @@ fn on_settling(found: &[Settling]) -> Option<String> {
          {}{unproven}",
         show::percent(first.stated_loss)
     ))
-}
-
-/// The scan time; of several libraries, the longest one.
-fn on_scan_time<'a>(found: impl Iterator<Item = &'a ScanTime>) -> Option<String> {
-    let longest = |answer: &&ScanTime| answer.scan_s().unwrap_or(f64::INFINITY);
-    let answer = found.max_by(|a, b| longest(a).total_cmp(&longest(b)))?;
-    Some(answer.line())
 }

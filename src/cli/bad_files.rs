@@ -1,84 +1,108 @@
-//! Recordings that cannot be read: all named at once, and left out where `--skip-bad` says so.
+//! Recordings that cannot be used: a command goes on without them, and ends with code 3; with
+//! `--strict` it stops.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::library::audit::{self, Unreadable};
-use crate::library::{Entry, Library, LibraryError, Opened};
+use crate::library::{Library, LibraryError};
 use crate::scene::Scene;
 
-/// Treatment of recordings that cannot be read.
-#[derive(Debug, clap::Args)]
-pub(super) struct BadFileArgs {
-    /// Go on without recordings that cannot be read; they are listed, and the exit code is 3
-    #[arg(long)]
-    skip_bad: bool,
+/// Whether the first of them ends the command.
+static STRICT: AtomicBool = AtomicBool::new(false);
+/// The reasons of those that were skipped, a line each.
+static SKIPPED: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// Lets a recording that cannot be used end the command.
+pub(super) fn be_strict(strict: bool) {
+    STRICT.store(strict, Ordering::Release);
 }
 
-/// The recordings that were left out, an error each.
-#[derive(Default)]
-pub(super) struct Skipped(Vec<LibraryError>);
-
-impl BadFileArgs {
-    /// Opens recordings, and says on stderr what was found. `narrow` chooses the sources in use.
-    ///
-    /// # Errors
-    /// If nothing can be used; without `--skip-bad`, if anything cannot be, naming all of it.
-    pub fn open(
-        &self,
-        path: &Path,
-        narrow: impl FnOnce(Scene) -> Result<Scene, Failure>,
-    ) -> Result<(Library, Skipped), Failure> {
-        let Opened { mut library, bad } = dataset::open_usable(path, &Scene::lmt108())?;
-        if !self.skip_bad && bad.is_empty() {
-            show::library(&library);
-            return Ok((library, Skipped::default()));
-        }
-        let scene = narrow(library.scene.clone())?;
-        library.entries = library.entries.into_iter().map(|entry| entry.within(&scene)).collect();
-        let unreadable = audit::unreadable(&library.entries);
-        library.entries = audit::without(library.entries, &unreadable);
-        let bad: Vec<LibraryError> = bad.into_iter().chain(errors(unreadable)).collect();
-        if !self.skip_bad {
-            return Err(failure(bad));
-        }
-        show::library(&library);
-        let skipped = Skipped(bad);
-        skipped.why().for_each(|why| say!("warning: {why}"));
-        Ok((library, skipped))
-    }
+/// Opens recordings of any form, as far as they can be used.
+///
+/// # Errors
+/// If nothing can be used; with `--strict`, if anything cannot be.
+pub(super) fn open(path: &Path, defaults: &Scene) -> Result<Library, Failure> {
+    let opened = dataset::open_usable(path, defaults)?;
+    skip(path, opened.bad)?;
+    Ok(opened.library)
 }
 
-impl Skipped {
-    /// The reasons, a line each.
-    pub fn why(&self) -> impl Iterator<Item = String> {
-        self.0.iter().map(|error| format!("not used: {error}"))
-    }
-
-    /// The end of the command.
-    pub fn verdict(&self) -> Done {
-        match self.0.len() {
-            0 => Ok(()),
-            1 => Err(Failure::Damaged("done; 1 unreadable recording was skipped".into())),
-            n => Err(Failure::Damaged(format!("done; {n} unreadable recordings were skipped"))),
+/// Does some work with the library at `path`; where that fails because recordings cannot be read, once
+/// more without these.
+///
+/// # Errors
+/// Those of the work; with `--strict`, all recordings that cannot be read.
+pub(super) fn work<T>(
+    path: &Path,
+    library: Library,
+    work: impl Fn(&Library) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    match work(&library) {
+        Ok(done) => Ok(done),
+        Err(error) => {
+            let (readable, unreadable) = readable(path, library)?;
+            if unreadable == 0 { Err(error) } else { work(&readable) }
         }
     }
 }
 
-/// The failure of work with `entries`. It names all unreadable recordings, if they are the reason.
-pub(super) fn explain(entries: &[Entry], error: impl Into<Failure>) -> Failure {
-    match audit::unreadable(entries) {
-        unreadable if unreadable.is_empty() => error.into(),
-        unreadable => failure(errors(unreadable).collect()),
+/// The library at `path` without recordings that cannot be read, found by reading all; and how many
+/// those are.
+///
+/// # Errors
+/// With `--strict`, if there are any.
+pub(super) fn readable(path: &Path, library: Library) -> Result<(Library, usize), Failure> {
+    let unreadable = audit::unreadable(&library.entries);
+    let entries = audit::without(library.entries, &unreadable);
+    let count = unreadable.len();
+    skip(path, unreadable.into_iter().map(|Unreadable { error, .. }| error).collect())?;
+    Ok((Library { entries, ..library }, count))
+}
+
+/// Says which recordings are not used, in one line.
+///
+/// # Errors
+/// With `--strict`, all of them.
+pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
+    let lines: Vec<String> = bad.iter().map(ToString::to_string).collect();
+    if STRICT.load(Ordering::Acquire)
+        && let Some(all) = LibraryError::of_all(bad)
+    {
+        return Err(Failure::Failed(format!(
+            "{all}\nrepair or remove them, or go on without them: leave --strict out"
+        )));
     }
+    let mut skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
+    // A library may be opened more than once.
+    let fresh: Vec<String> = lines.into_iter().filter(|why| !skipped.contains(why)).collect();
+    if let Some(first) = fresh.first() {
+        let all = match fresh.len() {
+            1 => format!("not used: {first}"),
+            n => {
+                let check = show::quoted(path);
+                format!("{n} files are not used; `surfaced check {check}` names all: {first}")
+            }
+        };
+        say!("warning: {all}");
+    }
+    skipped.extend(fresh);
+    Ok(())
 }
 
-fn errors(unreadable: Vec<Unreadable>) -> impl Iterator<Item = LibraryError> {
-    unreadable.into_iter().map(|unreadable| unreadable.error)
+/// The reasons of all recordings that were skipped, a line each.
+pub(super) fn skipped() -> Vec<String> {
+    let skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
+    skipped.iter().map(|why| format!("not used: {why}")).collect()
 }
 
-fn failure(bad: Vec<LibraryError>) -> Failure {
-    let all = LibraryError::of_all(bad).map_or_else(String::new, |error| error.to_string());
-    Failure::Failed(format!("{all}\nrepair or remove them, or skip them with --skip-bad"))
+/// The end of a command that was done.
+pub(super) fn verdict() -> Done {
+    match skipped().len() {
+        0 => Ok(()),
+        n => Err(Failure::Damaged(format!("done without {}", show::counted(n, "unusable file")))),
+    }
 }

@@ -7,8 +7,9 @@ use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
-use super::{Done, Failure, show, shown};
+use super::{Done, Failure, bad_files, show, shown};
 use crate::evaluate::chart::{Chart, Charting, Comparer, brief, charted, drag_s, figure, measure};
+use crate::library::Library;
 use crate::scene::SourceId;
 
 /// Chart accuracy against latency and scan time, for every method
@@ -40,7 +41,8 @@ pub fn run(args: &Args) -> Done {
             shown(&args.lib)
         )));
     }
-    let chart = measured(args)?;
+    let library = super::open(&args.lib)?;
+    let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
     show::wrote(&keep(args, &chart)?);
     if args.figure.json {
         show::json(&chart);
@@ -61,10 +63,9 @@ fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
     Ok(vec![out, beside])
 }
 
-fn measured(args: &Args) -> Result<Chart, Failure> {
-    let library = super::open(&args.lib)?;
+fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let mut choice = choose(&library, scene, args.figure.protocol)?;
+    let mut choice = choose(library, scene, args.figure.protocol)?;
     if let Some(most) = args.surfaces {
         choice.keep_surfaces(most)?;
     }

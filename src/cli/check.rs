@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, show};
 use crate::dataset;
-use crate::evaluate::{CheckReport, check};
+use crate::evaluate::{Audited, CheckReport, Finding, check};
 use crate::printable::table;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
@@ -36,7 +36,7 @@ pub fn run(args: &Args) -> Done {
     } else {
         print(&report);
     }
-    match report.mend.len() {
+    match report.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
@@ -58,7 +58,14 @@ pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport
         }
     };
     let cache = how.cache_in(library);
-    Ok(check(opened, &scene, &*method, cache.as_deref(), &progress))
+    let audited = Audited {
+        root: library,
+        editable: !dataset::is_foreign(library),
+        scene: &scene,
+        method: &*method,
+        cache: cache.as_deref(),
+    };
+    Ok(check(opened, &audited, &progress))
 }
 
 fn print(report: &CheckReport) {
@@ -82,11 +89,19 @@ fn print(report: &CheckReport) {
     });
     let head = ["surface", ">trials", ">right", "95 %", "taken for"];
     result!("{}", table(&head, &rows.collect::<Vec<_>>()).trim_end());
-    for (title, lines) in [("needs fixing", &report.mend), ("next", &report.advice)] {
-        if !lines.is_empty() {
-            result!();
-            result!("{title}:");
-        }
-        lines.iter().for_each(|line| result!("  {line}"));
+    if !report.findings.is_empty() {
+        result!("\nneeds fixing:");
     }
+    for Finding { text, command, .. } in &report.findings {
+        result!("  {text}");
+        command.iter().for_each(|command| result!("    {command}"));
+    }
+    if let (Some(mended), Some(share)) = (report.accuracy_mended, report.share) {
+        let (mended, now) = (show::percent(mended), show::percent(share.value()));
+        result!("  mended, the cross-validated accuracy would be {mended} instead of {now}");
+    }
+    if !report.advice.is_empty() {
+        result!("\nnext:");
+    }
+    report.advice.iter().for_each(|line| result!("  {line}"));
 }

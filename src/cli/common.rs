@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use super::show;
-use crate::dataset;
+use super::{bad_files, show};
 use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
@@ -17,6 +16,14 @@ pub(super) enum Failure {
     Usage(String),
     /// Exit code 3: done, but something in use was lost or damaged.
     Damaged(String),
+}
+
+impl Failure {
+    /// The reason.
+    pub fn text(self) -> String {
+        let (Self::Failed(text) | Self::Usage(text) | Self::Damaged(text)) = self;
+        text
+    }
 }
 
 /// An error during work is a failure with exit code 1.
@@ -56,7 +63,7 @@ pub(super) fn hold(path: &Path) {
     }
 }
 
-/// Opens recordings of any form, and says on stderr what was found. Nobody edits them from then on.
+/// Opens recordings of any form, and says on stderr which are found. Nobody edits them from then on.
 pub(super) fn open(path: &Path) -> Result<Library, Failure> {
     hold(path);
     open_held(path)
@@ -64,7 +71,7 @@ pub(super) fn open(path: &Path) -> Result<Library, Failure> {
 
 /// The same, where the caller keeps edits off.
 pub(super) fn open_held(path: &Path) -> Result<Library, Failure> {
-    let library = dataset::open(path, &Scene::lmt108())?;
+    let library = bad_files::open(path, &Scene::lmt108())?;
     show::library(&library);
     Ok(library)
 }

@@ -131,9 +131,7 @@ fn show(report: &CompareReport, alpha: f64) {
     let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
     result!("{}", table(&head, &sources.collect::<Vec<_>>()));
     result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
-    show::next(
-        "surfaced eval my-library measures how well the surfaces of a library are told apart",
-    );
+    show::next("surfaced eval my-library measures how well a library's surfaces are named");
 }
 
 /// The trial that an argument names, with the scene of its library, and whether it is synthetic.

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::common::share;
 use super::figure::write;
 use super::method::at_least_one;
-use super::{Done, Failure, show};
+use super::{Done, Failure, answers, bad_files, say, show};
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -15,8 +15,7 @@ use crate::duration::{
 use crate::kernel::Threshold;
 use crate::library::{Entry, Library};
 use crate::recognise::{
-    FollowOptions, Goal, LeftOutAccuracy, MethodName, MethodSpec, RecogniseError, ScanTime,
-    ready_model,
+    Goal, LeftOutAccuracy, MethodName, MethodSpec, RecogniseError, ScanTime, ready_model,
 };
 use crate::scene::SourceId;
 
@@ -198,12 +197,16 @@ impl Algorithm1Args {
 pub fn run(args: &Args) -> Done {
     let question = args.question()?;
     let library = super::open(&args.lib)?;
-    let steps = show::Steps::new();
-    let found = report(&library, &question, |done, of| steps.show("surfaces", done, of));
-    let found = found.map_err(|error| args.failure(error))?;
-    let by_time = args.by_time(&library, &steps);
-    drop(steps);
-    let goal = args.accuracy.map_or(Goal::Loss(FollowOptions::default().loss), Goal::Accuracy);
+    let (found, by_time) = bad_files::work(&args.lib, library, |library| {
+        let steps = show::Steps::new();
+        let found = report(library, &question, |done, of| steps.show("surfaces", done, of));
+        let found = found.map_err(|error| args.failure(error))?;
+        match args.by_time(library, &steps) {
+            Err(RecogniseError::Library(error)) => Err(error.into()),
+            by_time => Ok((found, by_time)),
+        }
+    })?;
+    let goal = Goal::wanted(args.accuracy);
     // Trials that cannot be compared may have a T* all the same.
     let (answer, points) = match &by_time {
         Ok(found) => (found.scan_time(goal), found.points()),
@@ -214,19 +217,29 @@ pub fn run(args: &Args) -> Done {
         write(path, &figure(&found.durations, Some(&curve))?)?;
         show::wrote(&[path]);
     }
+    let refused = match args.accuracy {
+        Some(_) => answers::honoured(&answer),
+        None => Ok(()),
+    };
     if args.json {
         show::json(&DurationDocument { report: &found, answer: &answer });
-        return Ok(());
+        return refused;
     }
-    result!("{}", found.table().trim_end());
-    let mut remarks: Vec<_> = found.durations.iter().flat_map(|d| &d.remarks).collect();
-    remarks.sort();
-    remarks.dedup();
-    for remark in remarks {
-        say!("  {remark}");
+    if refused.is_ok() {
+        result!("{}", answer.line());
     }
-    result!("\n{}", answer.line());
+    let is_published = matches!(found.settings, Estimator::Algorithm1(_));
     result!("{}", found.in_words(answer.scan_s()).trim_end());
+    if say::is_verbose() || is_published {
+        result!("\n{}", found.table().trim_end());
+        let mut remarks: Vec<_> = found.durations.iter().flat_map(|d| &d.remarks).collect();
+        remarks.sort();
+        remarks.dedup();
+        remarks.iter().for_each(|remark| say!("  {remark}"));
+    } else {
+        say!("--verbose shows the samples of each surface and source");
+    }
+    refused?;
     show::next(&format!(
         "surfaced plan {} finds the cheapest sources, scan time and method for these surfaces",
         show::quoted(&args.lib)

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use self::report::{EvalAnswer, EvalReport};
 use super::answers::AnswerArgs;
-use super::bad_files::{self, BadFileArgs, Skipped};
+use super::bad_files;
 use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
 use super::show::quoted;
@@ -56,8 +56,6 @@ pub struct Args {
     out: Option<PathBuf>,
     #[command(flatten)]
     sources: SourceArgs,
-    #[command(flatten)]
-    bad_files: BadFileArgs,
     #[command(flatten)]
     method: MethodArgs,
     /// Use only the first seconds of each query's drag
@@ -111,39 +109,39 @@ pub fn run(args: &Args) -> Done {
         return Err(Failure::Usage("name the recordings".into()));
     };
     let _lock = LibraryLock::for_reading(data);
-    let mut skipped = Skipped::default();
     let mut report = match table::open(data)? {
         Some(tables) => on_tables(args, &tables)?,
         None => {
-            let (library, left_out) =
-                args.bad_files.open(data, |scene| args.sources.narrow(scene))?;
+            let library = super::open_held(data)?;
             if args.paper {
                 let out = args.out.as_deref();
-                paper::run(&library, &args.method, args.shard, out, args.json)?;
-                return left_out.verdict();
+                return bad_files::work(data, library, |library| {
+                    paper::run(library, &args.method, args.shard, out, args.json)
+                });
             }
-            skipped = left_out;
-            let scene = args.sources.narrow(library.scene.clone())?;
-            let entries = within(&library, &scene)?;
-            let data = EvalData {
-                name: &library.name,
-                synthetic: library.synthetic,
-                scene: &scene,
-                keys: entries.iter().map(|entry| entry.key.clone()).collect(),
-                trials: EvaluatedTrials::Recordings(&entries),
-                cache: args.method.uses_cache().then_some(data.as_path()),
-            };
-            evaluated(args, data).map_err(|error| bad_files::explain(&entries, error))?
+            bad_files::work(data, library, |library| {
+                let scene = args.sources.narrow(library.scene.clone())?;
+                let entries = within(library, &scene)?;
+                let data = EvalData {
+                    name: &library.name,
+                    synthetic: library.synthetic,
+                    scene: &scene,
+                    keys: entries.iter().map(|entry| entry.key.clone()).collect(),
+                    trials: EvaluatedTrials::Recordings(&entries),
+                    cache: args.method.uses_cache().then_some(data.as_path()),
+                };
+                evaluated(args, data)
+            })?
         }
     };
-    report.warnings.extend(skipped.why());
+    report.warnings.extend(bad_files::skipped());
     if args.json {
         show::json(&report);
     } else {
         report.print();
         advise(data, &report);
     }
-    skipped.verdict()
+    Ok(())
 }
 
 /// Says what the recordings are good for.

@@ -1,8 +1,8 @@
 //! `surfaced export` and `surfaced import`: recordings as MCAP, and back.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use super::Done;
+use super::{Done, import_csv};
 
 /// Write a recording as MCAP, which Foxglove and other tools open
 ///
@@ -18,16 +18,36 @@ pub struct ExportArgs {
     out: PathBuf,
 }
 
-/// Write back a recording that was exported as MCAP
+/// Make a library of CSV tables, or write back a recording that was exported as MCAP
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  surfaced import my-library.mcap my-library\n\nTime: as long as copying the files takes"
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "Examples:\n  surfaced import my-library.mcap my-library\n  surfaced import csv recordings --out my-library --rate 1000 --dry-run\n\nTime: as long as copying the files takes"
 )]
 pub struct ImportArgs {
-    /// The file
-    mcap: PathBuf,
+    #[command(subcommand)]
+    then: Option<Then>,
+    /// The MCAP file
+    #[arg(required = true)]
+    mcap: Option<PathBuf>,
     /// The library to make; it must not be there yet
-    library: PathBuf,
+    #[arg(required = true)]
+    library: Option<PathBuf>,
+}
+
+#[derive(clap::Subcommand)]
+enum Then {
+    Csv(import_csv::CsvArgs),
+}
+
+/// Runs `surfaced import`.
+pub fn import(args: &ImportArgs) -> Done {
+    match (&args.then, &args.mcap, &args.library) {
+        (Some(Then::Csv(args)), ..) => import_csv::run(args),
+        (None, Some(mcap), Some(library)) => import_mcap(mcap, library),
+        _ => Err(super::Failure::Usage("name the file and the library to make".into())),
+    }
 }
 
 /// Runs `surfaced export`.
@@ -44,16 +64,15 @@ pub fn export(args: &ExportArgs) -> Done {
     Ok(())
 }
 
-/// Runs `surfaced import`.
 #[cfg(feature = "mcap")]
-pub fn import(args: &ImportArgs) -> Done {
+fn import_mcap(mcap: &Path, library: &Path) -> Done {
     use super::{show, shown};
-    let trials = crate::record::mcap::import(&args.mcap, &args.library)?;
+    let trials = crate::record::mcap::import(mcap, library)?;
     match trials {
-        0 => say!("wrote {}", shown(&args.library)),
-        trials => say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.library)),
+        0 => say!("wrote {}", shown(library)),
+        trials => say!("wrote {} to {}", show::counted(trials, "trial"), shown(library)),
     }
-    show::next(&format!("surfaced eval {}", show::quoted(&args.library)));
+    show::next(&format!("surfaced eval {}", show::quoted(library)));
     Ok(())
 }
 
@@ -63,9 +82,8 @@ pub fn export(_: &ExportArgs) -> Done {
     Err(left_out())
 }
 
-/// Refuses `surfaced import`: this build has no MCAP.
 #[cfg(not(feature = "mcap"))]
-pub fn import(_: &ImportArgs) -> Done {
+fn import_mcap(_: &Path, _: &Path) -> Done {
     Err(left_out())
 }
 

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::{Done, Failure, show};
 use crate::history::{CsvWriter, FOLDER, History, Precision};
+use crate::printable::table;
 
 /// Show past scans: answers, their states and reasons, and corrections
 ///
@@ -47,6 +48,7 @@ pub fn run(args: &Args) -> Done {
     }
     let mut csv = if args.csv { Some(CsvWriter::new(std::io::stdout())?) } else { None };
     let mut passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
+    let mut rows = Vec::new();
     history.each(|scan| {
         if passed > 0 {
             passed -= 1;
@@ -55,17 +57,20 @@ pub fn run(args: &Args) -> Done {
         match &mut csv {
             Some(csv) => csv.scan(&scan)?,
             None if args.json => show::json(&scan),
-            None => line(&scan),
+            None => rows.push(cells(&scan)),
         }
         Ok::<(), Failure>(())
     })?;
     if let Some(csv) = csv {
         csv.finish()?;
+    } else if !args.json {
+        let head = ["scan", "state", "surface", ">drag", "it was", "reasons"];
+        result!("{}", table(&head, &rows).trim_end());
     }
     Ok(())
 }
 
-fn line(scan: &Value) {
+fn cells(scan: &Value) -> Vec<String> {
     let text = |key: &str| scan[key].as_str().unwrap_or_default();
     let list = |key: &str| {
         let all = scan[key].as_array().into_iter().flatten().filter_map(Value::as_str);
@@ -73,17 +78,12 @@ fn line(scan: &Value) {
     };
     let was = match text_of(&scan["correction"]["was"]) {
         "" => String::new(),
-        "surface" => format!("  it was {}", text_of(&scan["correction"]["surface"])),
-        other => format!("  {other}, as somebody said"),
+        "surface" => text_of(&scan["correction"]["surface"]).into(),
+        other => other.into(),
     };
     let surface = scan["surface"].as_str().unwrap_or("-");
-    result!(
-        "{:<26} {:<8} {surface:<28} {:>5.1} s  {}{was}",
-        text("id"),
-        text("state"),
-        scan["scan_s"].as_f64().unwrap_or(0.0),
-        list("reasons")
-    );
+    let drag = format!("{:.1} s", scan["scan_s"].as_f64().unwrap_or(0.0));
+    vec![text("id").into(), text("state").into(), surface.into(), drag, was, list("reasons")]
 }
 
 fn text_of(value: &Value) -> &str {
@@ -95,12 +95,14 @@ fn precision(all: &[Precision], json: bool) -> Done {
         show::json(&all);
         return Ok(());
     }
-    for one in all {
-        let name = one.surface.as_deref().unwrap_or("(unknown)");
+    let row = |one: &Precision| {
         let [share, low, high] =
             [one.precision, one.precision_low, one.precision_high].map(show::percent);
-        let Precision { right, corrected, .. } = one;
-        result!("{name:<28} {right}/{corrected} right: {share} (95 % interval {low} to {high})");
-    }
+        let name = one.surface.clone().unwrap_or_else(|| "(unknown)".into());
+        let right = format!("{}/{}", one.right, one.corrected);
+        vec![name, right, share, format!("{low} to {high}")]
+    };
+    let rows: Vec<Vec<String>> = all.iter().map(row).collect();
+    result!("{}", table(&["surface", ">right", ">share", "95 %"], &rows).trim_end());
     Ok(())
 }

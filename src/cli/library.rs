@@ -7,16 +7,19 @@ use clap::Subcommand;
 use serde::Serialize;
 
 use super::method::ComparingArgs;
-use super::{Done, Failure, check, show};
+use super::{Done, Failure, bad_files, check, show};
+use crate::dataset;
 use crate::evaluate::{TrialCheck, TrialVerdict};
+use crate::printable::table;
 use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step, Undone};
 use crate::scene::Scene;
 use crate::trial::{TrialKey, normal};
 
 /// List the trials of a library, rename, move, remove and restore them
 ///
-/// A trial is called by its folder, SURFACE/TRIAL, as `list` shows it; a SURFACE alone means all
-/// its trials. What is removed lies in LIBRARY/.removed, and every step can be undone.
+/// A trial is called by its folder, SURFACE/TRIAL, or its file, SURFACE/FILE.wav, as `list` shows
+/// it; a SURFACE alone means all its trials. Removed trials lie in LIBRARY/.removed, and every step
+/// can be undone.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced library list my-library\n  \
                         surfaced library rename my-library oak oak-sanded\n  \
@@ -40,12 +43,15 @@ enum Edit {
         surface: String,
         /// The label from now on
         label: String,
+        /// Put the trials together with those that have this label already
+        #[arg(long)]
+        merge: bool,
     },
     /// Give some trials another label
     Move {
         /// The library
         library: PathBuf,
-        /// Trials, SURFACE/TRIAL each, or surfaces
+        /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
         #[arg(required = true)]
         trials: Vec<String>,
         /// The label from now on
@@ -56,7 +62,7 @@ enum Edit {
     Remove {
         /// The library
         library: PathBuf,
-        /// Trials, SURFACE/TRIAL each, or surfaces
+        /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
         #[arg(required = true)]
         trials: Vec<String>,
     },
@@ -96,8 +102,12 @@ struct ListArgs {
 pub fn run(args: &Args) -> Done {
     let (library, step) = match &args.edit {
         Edit::List(args) => return list(args),
-        Edit::Rename { library, surface, label } => {
-            (library, editor(library)?.rename(&normal(surface), &named(label)?)?)
+        Edit::Rename { library, surface, label, merge } => {
+            let label = named(label)?;
+            if !merge {
+                is_free(library, surface, &label)?;
+            }
+            (library, editor(library)?.rename(&normal(surface), &label)?)
         }
         Edit::Move { library, trials, to } => {
             (library, editor(library)?.move_to(&all_normal(trials), &named(to)?)?)
@@ -129,6 +139,21 @@ fn named(label: &str) -> Result<String, Failure> {
     }
 }
 
+/// Refuses to put the trials of two surfaces together, since that is seldom meant.
+fn is_free(library: &Path, surface: &str, label: &str) -> Done {
+    let listed = edit::list(library, &Scene::lmt108())?;
+    match listed.iter().filter(|trial| trial.key.surface == *label).count() {
+        0 => Ok(()),
+        _ if normal(surface) == *label => Ok(()),
+        n => Err(Failure::Usage(format!(
+            "{}: {label} is there already, with {}; to put {surface} and {label} together, add \
+             --merge",
+            library.display(),
+            show::counted(n, "trial")
+        ))),
+    }
+}
+
 fn all_normal(names: &[String]) -> Vec<String> {
     names.iter().map(|name| normal(name)).collect()
 }
@@ -154,7 +179,7 @@ fn done(library: &Path, step: &Step) {
 struct LibraryRow {
     #[serde(flatten)]
     listed: ListedTrial,
-    /// What it is named when it is left out; absent with `--quick`.
+    /// The answer when it is left out; absent with `--quick`.
     verdict: Option<TrialVerdict>,
     named: Option<String>,
     margin: Option<f64>,
@@ -164,6 +189,9 @@ struct LibraryRow {
 fn list(args: &ListArgs) -> Done {
     let scene = Scene::lmt108();
     let lock = LibraryLock::for_reading(&args.library);
+    if let Ok(opened) = dataset::open_usable(&args.library, &scene) {
+        bad_files::skip(&args.library, opened.bad)?;
+    }
     let listed = match args.removed {
         true => edit::list_removed(&args.library, &scene)?,
         false => edit::list(&args.library, &scene)?,
@@ -184,13 +212,15 @@ fn list(args: &ListArgs) -> Done {
     let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
     if args.json {
         show::json(&rows);
-    } else {
-        rows.iter().for_each(print);
+        return Ok(());
     }
+    let head = ["trial", "surface", "user", "recorded", ">length", "left out", "flaws"];
+    let rows: Vec<Vec<String>> = rows.iter().map(cells).collect();
+    result!("{}", table(&head, &rows).trim_end());
     Ok(())
 }
 
-fn print(row: &LibraryRow) {
+fn cells(row: &LibraryRow) -> Vec<String> {
     let ListedTrial { trial, key, started_at, seconds, .. } = &row.listed;
     let verdict = match (row.verdict, &row.named) {
         (Some(TrialVerdict::Right), _) => "right".into(),
@@ -199,11 +229,8 @@ fn print(row: &LibraryRow) {
         (Some(TrialVerdict::Untested), _) => "not tested".into(),
         (None, _) => String::new(),
     };
-    let margin = row.margin.map(|margin| format!(" by {margin:.1}")).unwrap_or_default();
-    let flaws: String = row.flaws.iter().map(|flaw| format!("  {flaw}")).collect();
-    let (surface, user) = (&key.surface, &key.user);
-    result!(
-        "{trial:<32} {surface:<24} {user:<12} {:<20} {seconds:>5.1} s  {verdict}{margin}{flaws}",
-        started_at.as_deref().unwrap_or("-")
-    );
+    let started_at = started_at.clone().unwrap_or_else(|| "-".into());
+    let (surface, user) = (key.surface.clone(), key.user.clone());
+    let length = format!("{seconds:.1} s");
+    vec![trial.clone(), surface, user, started_at, length, verdict, row.flaws.join("; ")]
 }

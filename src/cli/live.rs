@@ -8,14 +8,14 @@ use std::time::Duration;
 use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
-use super::answers::AnswerArgs;
+use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::terminal::Terminal;
-use super::{Done, Failure, shown};
+use super::{Done, Failure, bad_files, shown};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
@@ -84,41 +84,36 @@ pub fn load(
     path: &Path,
     scene: &Scene,
     how: &Comparing,
-    answers: &AnswerArgs,
+    (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
     given: Option<BTreeSet<SourceId>>,
 ) -> Load {
     let (path, scene) = (path.to_path_buf(), scene.clone());
-    let (how, answers) = (how.clone(), answers.clone());
+    let (how, answers, accuracy) = (how.clone(), answers.clone(), accuracy.clone());
     Arc::new(move || {
         let _lock = LibraryLock::for_reading(&path);
-        let library = dataset::open(&path, &scene).map_err(|error| error.to_string())?;
-        let usable = || {
+        let library = bad_files::open(&path, &scene).map_err(Failure::text)?;
+        let ready = bad_files::work(&path, library, |library| {
             let scene = how.narrow(library.scene.clone())?;
-            let entries = within(&library, &scene)?;
-            let method = how.method.build(&scene);
-            Ok((scene, entries, method))
-        };
-        let (scene, entries, method) = match usable() {
-            Ok(usable) => usable,
-            Err(Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text)) => {
-                return Err(text);
+            let entries = within(library, &scene)?;
+            let state = LibraryState::of(&library.name, &entries, library.synthetic);
+            if let Some(given) = &given
+                && !state.sources.iter().any(|source| given.contains(source))
+            {
+                return Err(Failure::Failed(nothing_in_common(&path, &state.sources, given)));
             }
-        };
-        let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        if let Some(given) = &given
-            && !state.sources.iter().any(|source| given.contains(source))
-        {
-            return Err(nothing_in_common(&path, &state.sources, given));
-        }
-        let all = (0..entries.len()).collect();
-        let cache = how.cache_in(&path);
-        let ReadyModel { model, remarks, .. } =
-            ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})
-                .map_err(|error| error.to_string())?;
+            let all = (0..entries.len()).collect();
+            let (method, cache) = (how.method.build(&scene), how.cache_in(&path));
+            let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})?;
+            Ok((scene, entries, state, ready))
+        });
+        let (scene, entries, state, ReadyModel { model, remarks, .. }) =
+            ready.map_err(Failure::text)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
-        let mut by =
-            Recogniser::new(model, scene, state).with_trials(&entries).planned(how.planned_s());
+        let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
+        let mut by = Recogniser::new(model, scene, state).with_trials(&entries).lasting(lasting.0);
         answers.apply(&mut by).map_err(|error| error.to_string())?;
+        by.add_remarks(lasting.1.as_slice());
+        by.add_remarks(&bad_files::skipped());
         Ok(Arc::new(by))
     })
 }
@@ -126,11 +121,7 @@ pub fn load(
 /// Audits a library, each time that it is called.
 pub fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
-    Audit(Arc::new(move || {
-        super::check::audit(&path, &how, false).map_err(|failure| match failure {
-            Failure::Usage(text) | Failure::Failed(text) | Failure::Damaged(text) => text,
-        })
-    }))
+    Audit(Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text)))
 }
 
 /// That no scan of a station can be compared with its library.
@@ -280,7 +271,9 @@ pub fn keep_scans<'a>(
     match History::open(folder, u64::from(keep_mb) * 1_000_000) {
         Ok(history) => {
             let history = Arc::new(history);
-            let keeper = Keeper::start(history.clone(), sources.0.clone(), sources.1)?;
+            // Recordings at any rate are kept.
+            let scene = sources.0.clone().changed(|spec| spec.rate_hz = None);
+            let keeper = Keeper::start(history.clone(), scene, sources.1)?;
             Ok((station.listener(keeper), history))
         }
         Err(error) => {
@@ -354,6 +347,8 @@ pub struct Args {
     comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
+    #[command(flatten)]
+    accuracy: AccuracyArgs,
 }
 
 pub fn run(args: &Args) -> Done {
@@ -373,7 +368,7 @@ pub fn run(args: &Args) -> Done {
     let check = Some(check(&library, &how));
     let assembled = assemble(&config);
     let given = Some(given(&assembled));
-    let load = load(&library, &config.scene, &how, &args.answers, given);
+    let load = load(&library, &config.scene, &how, (&args.answers, &args.accuracy), given);
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let totals = work(
         &config,

@@ -1,15 +1,17 @@
 //! How trials are compared: the method and its settings, or a plan that names them.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
+use super::answers::AccuracyArgs;
 use super::{Failure, SourceArgs};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
-    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, PositionMode, ReferenceOptions, STAGES,
-    SumPrecision, TreeOptions,
+    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
+    STAGES, ScanTime, SumPrecision, TreeOptions,
 };
 use crate::scene::Scene;
 
@@ -220,7 +222,7 @@ pub struct Comparing {
     pub method: MethodSpec,
     /// Whether prepared trials are kept beside the library.
     cache: bool,
-    /// How much of each drag is used, in seconds, if not all of it.
+    /// Seconds of each drag that are used, if not all.
     pub query_seconds: Option<f64>,
 }
 
@@ -230,9 +232,21 @@ impl Comparing {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long the plan lets scans last, in seconds, if there is one that says so.
-    pub fn planned_s(&self) -> Option<f64> {
-        self.plan.as_ref()?.scan_s
+    /// How long scans must last, in seconds, and the reason in a line: by the plan, if that says so,
+    /// else by the model of the library.
+    ///
+    /// # Errors
+    /// If the library cannot reach the accuracy that was asked for.
+    pub fn lasting(
+        &self,
+        accuracy: &AccuracyArgs,
+        model: &Arc<dyn Model>,
+    ) -> Result<(Option<f64>, Option<String>), Failure> {
+        if let Some(scan_s) = self.plan.as_ref().and_then(|plan| plan.scan_s) {
+            return Ok((Some(scan_s), Some(format!("drag for {scan_s:.1} s, as the plan says"))));
+        }
+        let found = accuracy.scan_time(model)?;
+        Ok((found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line())))
     }
 
     /// The scene with the sources that are compared.

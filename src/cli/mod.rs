@@ -20,6 +20,7 @@ mod eval;
 mod export;
 mod figure;
 mod history;
+mod import_csv;
 mod json_lines;
 mod keys;
 mod library;
@@ -56,6 +57,12 @@ use self::show::shown;
 struct Cli {
     #[command(subcommand)]
     command: CliCommand,
+    /// Also say on which measurements and settings an answer rests
+    #[arg(long, short, global = true)]
+    verbose: bool,
+    /// Stop at recordings that cannot be used, instead of going on without them and ending with 3
+    #[arg(long, global = true)]
+    strict: bool,
 }
 
 #[derive(Subcommand)]
@@ -87,7 +94,10 @@ const DAMAGED: u8 = 3;
 /// Runs the command that the process was started with.
 pub fn run() -> ExitCode {
     say::start_log();
-    let done = match Cli::parse().command {
+    let Cli { command, verbose, strict } = Cli::parse();
+    say::be_verbose(verbose);
+    bad_files::be_strict(strict);
+    let done = match command {
         CliCommand::Replay(args) => replay::run(&args),
         CliCommand::Run(args) => live::run(&args),
         CliCommand::Enroll(args) => enroll::enroll(&args),
@@ -108,7 +118,7 @@ pub fn run() -> ExitCode {
         CliCommand::Import(args) => export::import(&args),
         CliCommand::Completion(args) => completion(&args, Cli::command()),
     };
-    let (code, level, message) = match done {
+    let (code, level, message) = match done.and_then(|()| bad_files::verdict()) {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Failed(message)) => (1, Level::ERROR, message),
         Err(Failure::Usage(message)) => (2, Level::ERROR, message),

@@ -1,6 +1,7 @@
 //! `surfaced eval DATA --paper`: the paper's tables beside ours, whole or shard by shard, and
 //! `surfaced eval merge`, which joins shards.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
@@ -146,13 +147,21 @@ fn print(report: &PaperReport) {
     result!("accuracies in percent, mean ± sd over folds");
     result!("{:<54} {:>14} {:>14} {:>7}", "", "ours", "paper", "points");
     let mut head = (String::new(), "");
-    for row in &report.rows {
+    let (measured, not_run): (Vec<_>, Vec<_>) =
+        report.rows.iter().partition(|row| row.not_run.is_none());
+    for row in &measured {
         let of_row = (row.place.to_string(), row.protocol);
         if of_row != head {
             result!("{} · {}", row.place, row.protocol);
             head = of_row;
         }
         print_row(row);
+    }
+    if !not_run.is_empty() {
+        let why: BTreeSet<&str> = not_run.iter().filter_map(|row| row.not_run.as_deref()).collect();
+        let why = why.into_iter().collect::<Vec<_>>().join("; ");
+        let all = show::counted(report.rows.len(), "row");
+        result!("\nmeasured {} of {all}; not measured: {why}", measured.len());
     }
 }
 
@@ -161,10 +170,6 @@ fn print_row(row: &ReportRow) {
         Some(std) => format!("{mean:.1} ± {std:4.1}"),
         None => format!("{mean:.1}       "),
     };
-    if let Some(why) = &row.not_run {
-        result!("  {:<52} not run: {why}", row.name);
-        return;
-    }
     let ours = match row.accuracy_mean {
         Some(mean) => figure(mean * 100.0, row.accuracy_std.map(|std| std * 100.0)),
         None => "no queries".into(),

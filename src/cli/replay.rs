@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::answers::AnswerArgs;
+use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
@@ -12,13 +12,15 @@ use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
 use super::show::{self, quoted};
 use super::tally::Tally;
-use super::{Done, Failure, live, say};
+use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
-use crate::library::Entry;
-use crate::recognise::{LOOK_S, Method, Model, ReadyModel, RecogniseError, ready_model};
+use crate::library::{Entry, Library};
+use crate::recognise::{
+    LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
+};
 use crate::record::edit::LibraryLock;
 use crate::scan::Options;
 use crate::scene::Scene;
@@ -53,6 +55,8 @@ pub struct Args {
     comparing: ComparingArgs,
     #[command(flatten)]
     answers: AnswerArgs,
+    #[command(flatten)]
+    accuracy: AccuracyArgs,
     /// Use only the first seconds of each drag
     #[arg(long, value_name = "X", value_parser = super::common::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
@@ -130,7 +134,8 @@ fn by_protocol(
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    let data = super::open_held(folder)?;
+    // All of it is played.
+    let (data, _) = bad_files::readable(folder, super::open_held(folder)?)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
@@ -151,7 +156,10 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         )));
     }
     let cache = how.cache_in(library);
-    let (data, library) = (super::open_held(data)?, super::open_held(library)?);
+    let readable = |path: &Path| -> Result<Library, Failure> {
+        Ok(bad_files::readable(path, super::open_held(path)?)?.0)
+    };
+    let (data, library) = (readable(data)?, readable(library)?);
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;
@@ -182,7 +190,7 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
     if let Some(folder) = library {
-        let load = live::load(folder, &stage.scene, how, &args.answers, None);
+        let load = live::load(folder, &stage.scene, how, (&args.answers, &args.accuracy), None);
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let mut settings = Settings { enrolls: library.is_some(), ..Settings::default() };
@@ -232,15 +240,31 @@ fn recogniser(
     how: &Comparing,
     stage: &ReplayStage,
 ) -> Result<(Recogniser, bool), Failure> {
-    let models = models(&*how.method.build(&stage.scene), stage)?;
+    let method = how.method.build(&stage.scene);
+    let models = models(&*method, stage)?;
+    // That of the library, be each query named by a part of it.
+    let (needed_s, lasting) = match &models[..] {
+        [_, _, ..] if how.method.name() == MethodName::Embedding => {
+            let all = (0..stage.entries.len()).collect();
+            let cache = stage.cache.as_deref();
+            let whole = ready_model(&*method, &stage.entries, &all, cache, &|_, _| {})?;
+            how.lasting(&args.accuracy, &whole.model)?
+        }
+        // There is at least one fold.
+        _ => how.lasting(&args.accuracy, &models[0])?,
+    };
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
     let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
         .with_trials(&compared)
-        .planned(how.planned_s());
+        .lasting(needed_s);
     let applied = args.answers.apply(&mut recogniser)?;
-    applied.remarks.iter().for_each(|remark| say!("{remark}"));
+    recogniser.add_remarks(lasting.as_slice());
+    if say::is_verbose() {
+        applied.remarks.iter().for_each(|remark| say!("{remark}"));
+    }
+    lasting.iter().for_each(|line| say!("{line}"));
     Ok((recogniser, applied.follows))
 }
 

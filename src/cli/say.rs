@@ -47,6 +47,19 @@ macro_rules! result {
     ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
+/// Whether details are said, too.
+static VERBOSE: AtomicBool = AtomicBool::new(false);
+
+/// Says details, too, see [`is_verbose`].
+pub fn be_verbose(verbose: bool) {
+    VERBOSE.store(verbose, Ordering::Release);
+}
+
+/// Whether `--verbose` asks for details.
+pub fn is_verbose() -> bool {
+    VERBOSE.load(Ordering::Acquire)
+}
+
 /// From now on, no line waits for its reader.
 pub fn never_wait() {
     LIVE.store(true, Ordering::Release);

@@ -8,6 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::evaluate::{LeftOutSources, Share};
 use crate::library::Library;
+use crate::printable;
 use crate::station::{Answer, AnswerState};
 
 /// Says what a library holds, and what was skipped.
@@ -63,12 +64,7 @@ pub fn next(what: &str) {
 
 /// A path as a shell takes it.
 pub fn quoted(path: &Path) -> String {
-    let name = shown(path);
-    let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
-    if !name.is_empty() && name.chars().all(plain) {
-        return name;
-    }
-    format!("'{}'", name.replace('\'', "'\\''"))
+    printable::quoted(&shown(path))
 }
 
 /// A number of things: `1 trial`, `2 trials`.

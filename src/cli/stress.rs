@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::at_least_one;
-use super::{Done, Failure, say, show, shown};
+use super::{Done, Failure, bad_files, say, show, shown};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
 };
+use crate::library::Library;
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::SourceSpec;
 
@@ -57,7 +58,11 @@ pub fn run(args: &Args) -> Done {
         None => None,
     };
     let again = is_earlier(&args.lib);
-    let mut report = if again { earlier(&args.lib, "stress")? } else { measured(args)? };
+    let mut report = if again {
+        earlier(&args.lib, "stress")?
+    } else {
+        bad_files::work(&args.lib, super::open(&args.lib)?, |library| measured(args, library))?
+    };
     if let Some((path, other)) = beside {
         let whose = path.file_stem().unwrap_or_default().to_string_lossy();
         let refused = |why| Failure::Usage(format!("{}: {why}", shown(path)));
@@ -73,10 +78,9 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn measured(args: &Args) -> Result<StressReport, Failure> {
-    let library = super::open(&args.lib)?;
+fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, protocol, folds } = choose(&library, scene, args.figure.protocol)?;
+    let Choice { scene, entries, protocol, folds } = choose(library, scene, args.figure.protocol)?;
     let folds = StressPlan::limited(folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
@@ -156,7 +160,7 @@ fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
-        // Where no method states a probability there is nothing to draw.
+        // Without probabilities there is nothing to draw.
         if let Ok(svg) = figure(report, measure) {
             let path = out.with_file_name(format!("{stem}-{name}.svg"));
             write(&path, &svg)?;

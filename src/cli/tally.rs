@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Done, Failure, show};
+use super::{Done, Failure, say, show};
 use crate::evaluate::wilson_interval;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
@@ -79,7 +79,7 @@ impl Notable {
         }
         if self.rejected > 0 {
             let scans = show::counted(self.rejected, "scan");
-            result!("rejected {scans} of known surfaces called unknown by mistake");
+            result!("unknown  {scans} of known surfaces, by mistake");
         }
         for (source, count) in &self.left_out {
             let scans = show::counted(*count, "scan");
@@ -179,13 +179,16 @@ impl Tally {
             _ => answer.trial.map_or_else(String::new, |number| format!("(trial {number})")),
         };
         let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
+        let took = match say::is_verbose() {
+            true => format!("  (answered in {:.1} ms)", answer.latency_ms),
+            false => String::new(),
+        };
         result!(
-            "{:>4}/{}  {:<28} {:<12} {:>7.1} ms  {verdict}{}",
+            "{:>4}/{}  {:<28} {:<12} {verdict}{}{took}",
             self.answers,
             self.total,
             show::named(answer),
             show::certainty(answer),
-            answer.latency_ms,
             longer.unwrap_or_default()
         );
         // Reasons for doubt, unless a warning has said so; other states explain themselves.
@@ -238,9 +241,14 @@ impl Tally {
                 show::percent(high)
             );
         }
-        result!("latency  {median:.1} ms from the end of a scan to its answer (median)");
+        if say::is_verbose() {
+            result!(
+                "latency  {median:.1} ms from the end of a scan to its answer (median; most is done \
+                 during the drag)"
+            );
+        }
         let then = &self.by_then;
-        if then.settled > 0 {
+        if then.settled > 0 && say::is_verbose() {
             let n = self.answers as f64;
             result!(
                 "settled  {} of {} scans before their end; on average {:.2} s of {:.2} s of scan \

@@ -1,5 +1,6 @@
 //! Collections of recordings in the forms that others gave them.
 
+pub(crate) mod csv;
 mod lmt108;
 pub mod synth;
 pub(crate) mod table;

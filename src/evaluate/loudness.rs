@@ -115,7 +115,8 @@ impl Model for Levels {
 }
 
 /// ln of the root mean square over time and channels, each channel's mean taken out.
-fn level_of(samples: &[f32], channels: usize) -> f64 {
+/// ln of the root mean square over time and channels, after the mean of each is taken out.
+pub(super) fn level_of(samples: &[f32], channels: usize) -> f64 {
     let power: f64 = (0..channels)
         .map(|channel| {
             let of_channel = || samples[channel..].iter().step_by(channels).map(|&x| f64::from(x));

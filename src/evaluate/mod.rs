@@ -25,7 +25,7 @@ mod unknown;
 
 #[doc(hidden)]
 pub use crate::recognise::wilson_interval;
-pub(crate) use check::{CheckReport, TrialCheck, TrialVerdict, check};
+pub(crate) use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
 pub(crate) use evaluation::first_seconds;

@@ -11,7 +11,7 @@ use crate::trial::normal;
 /// Name of the file.
 pub(crate) const FILE: &str = "trial.toml";
 
-/// What `trial.toml` says; every entry is optional, unknown ones are refused.
+/// The content of `trial.toml`; every entry is optional, unknown ones are refused.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct About {
@@ -39,7 +39,7 @@ pub struct About {
     /// When the tap and the drag were, as older versions noted it: kept as it stands, and not used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scan: Option<toml::Table>,
-    /// Which device each source came from.
+    /// The device of each source.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub devices: BTreeMap<String, String>,
 }

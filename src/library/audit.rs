@@ -1,4 +1,4 @@
-//! Which recordings of a library cannot be read, found by reading all of them.
+//! Finds the recordings of a library that cannot be read, by reading all of them.
 
 use rayon::prelude::*;
 
@@ -20,8 +20,7 @@ pub struct Unreadable {
 pub fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
     let of_entry = |(at, entry): (usize, &Entry)| {
         let read = |source: &SourceId| {
-            let one = Entry { sources: vec![source.clone()], ..entry.clone() };
-            let error = one.load().err()?;
+            let error = entry.with_only(source).load().err()?;
             Some(Unreadable { entry: at, source: source.clone(), error })
         };
         entry.sources.iter().filter_map(read).collect::<Vec<_>>()

@@ -40,7 +40,7 @@ const UNFINISHED: &str = ".unfinished";
 /// A file that nobody has locked for so long was left by a writer that was killed.
 const ABANDONED: Duration = Duration::from_secs(60);
 
-/// What a cache file holds; its records are read when they are wanted.
+/// The content of a cache file; its records are read when they are wanted.
 #[derive(Debug)]
 pub struct Cache {
     path: PathBuf,
@@ -50,22 +50,22 @@ pub struct Cache {
     records: BTreeMap<String, Place>,
 }
 
-/// Where a record lies.
+/// The place of a record in the file.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     stamp: u64,
-    /// Where its bytes begin, and how many there are; their checksum follows.
+    /// Begin and number of its bytes; their checksum follows.
     begin: u64,
     length: u64,
 }
 
 /// One trial to be stored.
 pub(crate) struct Record<'a> {
-    /// What it is called.
+    /// Its name.
     pub name: String,
     /// Stands for the files that it was prepared from.
     pub stamp: u64,
-    /// What it is.
+    /// Its content.
     pub bytes: Cow<'a, [u8]>,
 }
 
@@ -150,7 +150,7 @@ impl Cache {
             .suffix(UNFINISHED)
             .permissions(Permissions::from_mode(0o666))
             .tempfile_in(folder)?;
-        // Where there are no locks, nobody removes anything either.
+        // Without locks, nobody removes anything either.
         let _ = flock(unfinished.as_file(), FlockOperation::NonBlockingLockExclusive);
         let mut file = BufWriter::with_capacity(1 << 20, unfinished.as_file());
         file.write_all(MAGIC)?;
@@ -188,7 +188,7 @@ fn remove_abandoned(folder: &Path, name: &str) {
     }
 }
 
-/// What stands before the bytes of a record.
+/// The bytes before those of a record.
 fn head(name: &str, stamp: u64, length: u64) -> Vec<u8> {
     let mut head = (name.len() as u32).to_le_bytes().to_vec();
     head.extend(name.as_bytes());

@@ -17,7 +17,7 @@ impl LibraryError {
         Self::File { path: path.to_path_buf(), problem: problem.into() }
     }
 
-    /// What the file system said, with advice where there is any.
+    /// An error of the file system, with advice where there is any.
     pub(crate) fn io(path: &Path, error: io::Error) -> Self {
         match error.kind() {
             io::ErrorKind::NotFound => {
@@ -33,6 +33,13 @@ impl LibraryError {
     }
 }
 
+/// A path within a library, such as `SURFACE/TRIAL`, whatever the system's separator.
+pub(crate) fn name_within(library: &Path, path: &Path) -> String {
+    let within = path.strip_prefix(library).unwrap_or(path);
+    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    parts.collect::<Vec<_>>().join("/")
+}
+
 /// Largest text file in bytes: a description, a feature table.
 pub(crate) const MOST_TEXT: u64 = 1 << 26;
 /// Largest description (`trial.toml`, `library.toml`) in bytes.
@@ -44,7 +51,7 @@ pub(crate) struct Listed {
     pub name: String,
     pub path: PathBuf,
     pub is_dir: bool,
-    /// For people: why it can be neither read nor listed.
+    /// The reason why it can be neither read nor listed.
     pub unusable: Option<&'static str>,
 }
 
@@ -82,7 +89,7 @@ impl Listed {
     }
 }
 
-/// What is in a folder, sorted by name; links are followed. What is neither a file nor a folder, or
+/// The things in a folder, sorted by name; links are followed. One that is neither a file nor a folder, or
 /// a link to nothing, is listed as [`Listed::unusable`].
 ///
 /// # Errors
@@ -251,7 +258,7 @@ pub(crate) fn program_stamp() -> Option<u64> {
     Some(seed::stable_hash(&[&of_file(&std::env::current_exe().ok()?)?]))
 }
 
-/// What changes whenever a file does.
+/// Bytes that change whenever a file does.
 fn of_file(path: &Path) -> Option<Vec<u8>> {
     let about = std::fs::metadata(path).ok()?;
     let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];

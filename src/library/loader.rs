@@ -9,7 +9,7 @@ use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
 use crate::scene::{Declared, Domain, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 
-/// Where the data of one source of one trial are.
+/// The files of one source of one trial.
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
     /// One WAV or FLAC file, what its header said, and whether its two channels become one.
@@ -48,8 +48,14 @@ impl LoadTrial for FileTrial {
         Ok(Some(outlines))
     }
 
-    fn folder(&self) -> Option<&Path> {
-        self.folder.as_deref()
+    fn places(&self) -> Vec<&Path> {
+        if let Some(folder) = &self.folder {
+            return vec![folder];
+        }
+        let mut files: Vec<&Path> =
+            self.sources.values().flat_map(SourceFiles::paths).map(PathBuf::as_path).collect();
+        files.sort();
+        files
     }
 
     fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
@@ -211,7 +217,7 @@ impl Headers {
         }
     }
 
-    /// What was unusual about files that are used all the same, in the order of the files.
+    /// Remarks on unusual files that are used all the same, in the order of the files.
     pub fn remarks(&mut self) -> Vec<(PathBuf, String)> {
         std::mem::take(&mut self.remarks)
     }

@@ -10,10 +10,10 @@ use std::collections::BTreeSet;
 
 use crate::scene::{Scene, SourceId};
 
-/// What a file without any hint is taken for.
+/// The source of a file without any hint.
 const USUAL: &str = "mi2";
 
-/// What one file is.
+/// The source and number of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FilePlace {
     pub source: SourceId,
@@ -39,12 +39,10 @@ pub(super) fn places(
     numbers.into_iter().enumerate().map(place).collect()
 }
 
-/// What to say of files that were taken for `source`.
+/// The remark on files that were read as `source`.
 pub(super) fn remark(source: &SourceId) -> String {
-    format!(
-        "taken as a trial of source `{source}`; to say otherwise, begin its name with a source, as \
-         in {source}_1.wav, or put it into SURFACE/TRIAL/<source>.wav"
-    )
+    let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
+    format!("read as {what} (`{source}`); begin the file name with another source to change that")
 }
 
 /// The source whose name a file's begins with, before anything that is no letter or digit.

@@ -74,7 +74,7 @@ pub enum LibraryError {
     },
 }
 
-/// What is known of a series before its samples are read.
+/// The size of a series, known before its samples are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     /// Frames a second.
@@ -109,6 +109,18 @@ fn list(errors: &[LibraryError]) -> String {
 }
 
 impl LibraryError {
+    /// The file or folder that it is about, if it is about one.
+    pub(crate) fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::File { path, .. }
+            | Self::Signal { path, .. }
+            | Self::Scene { path, .. }
+            | Self::NothingFound { path, .. } => Some(path),
+            Self::Several(_) => None,
+        }
+    }
+
     /// Errors of several files as one, if there are any.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
@@ -121,7 +133,7 @@ impl LibraryError {
 /// A library as far as it can be used, and why the rest of it cannot.
 #[derive(Debug)]
 pub struct Opened {
-    /// What can be used.
+    /// The part that can be used.
     pub library: Library,
     /// Files and trials that cannot be, one error each.
     pub bad: Vec<LibraryError>,
@@ -159,20 +171,32 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         None
     }
 
-    /// The folder that holds the trial and nothing else, if there is one.
-    fn folder(&self) -> Option<&Path> {
-        None
+    /// The paths that hold the trial and nothing else: its folder, or its files.
+    fn places(&self) -> Vec<&Path> {
+        Vec::new()
     }
 }
 
 #[derive(Debug)]
-struct InMemory(Arc<Trial>);
+struct InMemory {
+    trial: Arc<Trial>,
+    /// The entry that it was read from, if it was.
+    from: Option<Entry>,
+}
 
 impl LoadTrial for InMemory {
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
-        let key = self.0.key.clone();
-        let kept = |id: &SourceId| Some((id.clone(), self.0.signals.get(id)?.clone()));
+        let key = self.trial.key.clone();
+        let kept = |id: &SourceId| Some((id.clone(), self.trial.signals.get(id)?.clone()));
         Ok(Trial { key, signals: wanted.iter().filter_map(kept).collect() })
+    }
+
+    fn stamp(&self, wanted: &[SourceId]) -> Option<u64> {
+        self.from.as_ref()?.loader.stamp(wanted)
+    }
+
+    fn places(&self) -> Vec<&Path> {
+        self.from.as_ref().map_or_else(Vec::new, Entry::places)
     }
 }
 
@@ -197,9 +221,9 @@ impl<F: Fn(Trial) -> Trial + Send + Sync> LoadTrial for Changed<F> {
 /// One trial of a library: known by name, loaded on demand.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Which surface, whose hand, which repetition.
+    /// Its surface, user and number.
     pub key: TrialKey,
-    /// What it holds, sorted by name.
+    /// Its sources, sorted by name.
     pub sources: Vec<SourceId>,
     loader: Arc<dyn LoadTrial>,
 }
@@ -215,7 +239,20 @@ impl Entry {
     pub fn in_memory(trial: impl Into<Arc<Trial>>) -> Self {
         let trial = trial.into();
         let sources = trial.signals.keys().cloned().collect();
-        Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory(trial)) }
+        Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory { trial, from: None }) }
+    }
+
+    /// This entry with its trial in memory, which has been read.
+    pub(crate) fn held(self, trial: Arc<Trial>) -> Self {
+        let (key, sources) = (self.key.clone(), self.sources.clone());
+        Self { key, sources, loader: Arc::new(InMemory { trial, from: Some(self) }) }
+    }
+
+    /// The trial's place in a library, as `surfaced library` takes it: `SURFACE/TRIAL`, or its first
+    /// file `SURFACE/FILE.wav`; its label, user and number where it is not on disk.
+    pub(crate) fn name_in(&self, library: &Path) -> String {
+        let first = self.places().first().map(|place| files::name_within(library, place));
+        first.unwrap_or_else(|| self.key.to_string())
     }
 
     /// This entry with only those of its sources that `scene` describes; no others are read.
@@ -228,6 +265,17 @@ impl Entry {
     pub fn changed(self, change: impl Fn(Trial) -> Trial + Send + Sync + 'static) -> Self {
         let (key, sources) = (self.key.clone(), self.sources.clone());
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
+    }
+
+    /// This entry under another name.
+    pub(crate) fn renamed(self, key: TrialKey) -> Self {
+        let is = key.clone();
+        Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
+    }
+
+    /// This entry with one of its sources.
+    pub(crate) fn with_only(&self, source: &SourceId) -> Self {
+        Self { sources: vec![source.clone()], ..self.clone() }
     }
 
     /// Reads the trial.
@@ -254,12 +302,13 @@ impl Entry {
         self.loader.stamp(&self.sources)
     }
 
-    /// The folder that holds the trial and nothing else, in the recording format.
-    pub fn folder(&self) -> Option<&Path> {
-        self.loader.folder()
+    /// The paths that hold the trial and nothing else, sorted: its folder, or its files where it has
+    /// none. Empty for a trial that is not on disk.
+    pub fn places(&self) -> Vec<&Path> {
+        self.loader.places()
     }
 
-    /// What the trial is called in a cache.
+    /// The trial's name in a cache.
     pub(crate) fn cache_name(&self) -> String {
         let TrialKey { surface, user, number } = &self.key;
         format!("{surface}\n{user}\n{number}")
@@ -269,15 +318,15 @@ impl Entry {
 /// Labelled trials and what their sources are.
 #[derive(Clone, Debug)]
 pub struct Library {
-    /// For people.
+    /// Its name, to be shown.
     pub name: String,
-    /// What the sources are: the defaults, and those that the library itself describes.
+    /// The sources: the defaults, and those that the library itself describes.
     pub scene: Scene,
     /// The trials, sorted by key.
     pub entries: Vec<Entry>,
     /// Made by a generator, not recorded: said wherever its numbers appear.
     pub synthetic: bool,
-    /// For people: what was missing or passed over while it was opened, a line each.
+    /// Remarks on what was missing or passed over while it was opened, a line each.
     pub remarks: Vec<String>,
 }
 

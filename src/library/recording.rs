@@ -321,7 +321,7 @@ impl<'a> RecordingOpening<'a> {
         Ok(())
     }
 
-    /// What one file of a trial is, if it is a source.
+    /// The source that a file of a trial is, if it is one.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
         let is_series = series_header::EXTENSIONS.contains(&extension.as_str());

@@ -1,4 +1,4 @@
-//! What was passed over while a library was opened, each kind said once.
+//! Counts what was passed over while a library was opened, so that each kind is said once.
 
 use std::collections::BTreeMap;
 

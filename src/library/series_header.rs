@@ -1,11 +1,11 @@
-//! What is known of a file that holds one series before its samples are read.
+//! The header of a file that holds one series.
 
 use crate::trial::Series;
 
 /// The extensions of files that hold one series, in lower case.
 pub(crate) const EXTENSIONS: [&str; 2] = ["wav", "flac"];
 
-/// What the header of such a file says.
+/// Rate and size of a series, by its header.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Header {
     pub rate_hz: f64,
@@ -13,7 +13,7 @@ pub(crate) struct Header {
     pub frames: usize,
 }
 
-/// What to say of a file that is too long for a trial.
+/// The error of a file that is too long for a trial.
 pub(super) fn too_long(header: Header) -> Option<String> {
     let Header { rate_hz, channels, frames } = header;
     let samples = frames.saturating_mul(channels);

@@ -201,7 +201,7 @@ fn skip(file: &mut BufReader<File>, bytes: u64) -> io::Result<()> {
     file.seek(SeekFrom::Current(bytes as i64)).map(drop)
 }
 
-/// What a `fmt ` chunk of 16 bytes or more says.
+/// The content of a `fmt ` chunk of 16 bytes or more.
 fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
     let word = |at: usize| u16::from_le_bytes([body[at], body[at + 1]]);
     let (mut format, channels, frame, bits) = (word(0), word(2), word(12), word(14));

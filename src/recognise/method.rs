@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::decide::scan_time::{Goal, ScanTime};
 use super::embedding::EmbeddingModel;
 use super::error::RecogniseError;
 use super::prepared::Prepared;
@@ -82,6 +83,12 @@ pub trait Model: Send + Sync {
     /// The model as one of `embedding`, which can do more; `None` by any other method.
     fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
         None
+    }
+
+    /// How long scans must last for an accuracy; without one, to lose at most a point against whole
+    /// scans. All commands and the page take it from here. `None` by a method that cannot follow scans.
+    fn scan_time(self: Arc<Self>, accuracy: Option<f64>) -> Option<ScanTime> {
+        Some(self.embedding()?.left_out_accuracy().scan_time(Goal::wanted(accuracy)))
     }
 }
 

@@ -58,6 +58,6 @@ pub use reference::{
 };
 
 pub(crate) use compare::{Comparison, TestOptions, compare};
-pub(crate) use decide::interval::{can_show, reaches, wilson_of_groups};
+pub(crate) use decide::interval::{reaches, wilson_of_groups};
 pub(crate) use rank::{log_discrepancy, medians, rank};
 pub(crate) use spec::MOST_COUNT;

@@ -38,6 +38,16 @@ pub(super) fn encode(label: &str) -> String {
     name
 }
 
+/// Whether a folder can have a label as its name, just as it is.
+pub(super) fn is_usable(label: &str) -> bool {
+    let is_long = label.len() > LONGEST;
+    !label.starts_with('.')
+        && !label.contains(['/', '\\', '\0'])
+        && !is_long
+        && !label.is_empty()
+        && !means_something_else(label)
+}
+
 /// Whether a file or folder of this name is no surface: in a library, or on Windows, where it may be
 /// copied to.
 fn means_something_else(label: &str) -> bool {

@@ -26,7 +26,7 @@ use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
-/// What is written beside a trial's data, and how.
+/// The text beside a trial's data, and how all is written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialOptions {
     /// Start, notes, devices and marks; surface, user and number are those of the trial.
@@ -88,7 +88,7 @@ pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
 
 /// Writes one trial into the library `dir` and gives its folder, `SURFACE/USER-NUMBER`.
 ///
-/// What is read back equals what was written: series are stored as 16-bit WAV where that loses
+/// A trial is read back as it was written: series are stored as 16-bit WAV where that loses
 /// nothing and as f32 where it would, images as PNG. Characters that do not belong into folder
 /// names are encoded there; `trial.toml` holds the true names.
 ///
@@ -125,7 +125,7 @@ pub fn write_trial(
 /// the folder.
 ///
 /// # Errors
-/// As [`write_trial`], but for a number that is taken.
+/// As [`write_trial`], except that a number may be taken.
 pub fn append_trial(
     dir: &Path,
     trial: &Trial,
@@ -146,7 +146,7 @@ pub fn append_trial(
     }
 }
 
-/// A trial that is complete but for its name.
+/// A trial that is complete except for its name.
 struct UnfinishedTrial<'a> {
     library: &'a Path,
     /// The folder of the surface.
@@ -228,7 +228,7 @@ fn unfinished(prefix: &str) -> tempfile::Builder<'_, 'static> {
     builder
 }
 
-/// What the user's own mask leaves of these permissions.
+/// These permissions, as far as the user's mask leaves them.
 fn mode(bits: u32) -> fs::Permissions {
     std::os::unix::fs::PermissionsExt::from_mode(bits)
 }

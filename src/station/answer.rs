@@ -229,7 +229,7 @@ mod tests {
         let source = SourceId::new("ir").unwrap();
         let of = |flaws: &[Flaw]| Damage::of_source(&source, flaws, |channel| channel != 2);
         let text = |flaws: &[Flaw]| of(flaws).unwrap().text;
-        let (dead, rests) = ([1, 3].map(|channel| Flaw::Constant { channel, value: 0.0 })).into();
+        let dead = |channel| Flaw::Constant { channel, value: 0.0 };
         let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
         assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
         let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };

@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn a_guess_follows_the_rule_of_answers_from_its_first_p_value() {
         use AnswerState::{Named, Nearest, Unknown, Unsure};
-        let rejection = Rejection::usual(99).unwrap();
+        let rejection = Rejection::usual(99, true).unwrap();
         let of = |p| so_far(p, Some(&rejection), 0.97);
         assert_eq!([of(None), of(Some(0.004)), of(Some(0.4))], [None, Some(Unknown), Some(Named)]);
         assert_eq!(so_far(Some(0.4), Some(&rejection), 0.4), Some(Unsure));

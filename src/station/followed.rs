@@ -60,7 +60,7 @@ impl Followed {
         {
             news.damage = by.damage_so_far(truth, follower);
         }
-        news.needed_s = by.and_then(|by| by.needed_s(truth));
+        news.needed_s = by.and_then(|by| by.needed_s());
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
         self.trial.judge(&mut news, progress, purpose, supported);
         news

@@ -10,8 +10,8 @@ use super::certainty::so_far;
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    FollowOptions, Follower, Goal, GuessSoFar, LOOK_S, Model, Prepared, Ranking, RecogniseError,
-    Rejection, RejectionError, ScanTime, Settling, without_flawed,
+    FollowOptions, Follower, GuessSoFar, LOOK_S, Model, Prepared, Ranking, RecogniseError,
+    Rejection, RejectionError, Settling, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
@@ -64,10 +64,8 @@ pub struct Recogniser {
     model_of: BTreeMap<TrialKey, usize>,
     /// The options for following scans with each model.
     following: Vec<FollowOptions>,
-    /// The scan time of each model, where it is known.
-    scan_times: Vec<Option<ScanTime>>,
-    /// The same by a plan, which then holds instead.
-    planned_s: Option<f64>,
+    /// How long scans must last, in seconds, where that is known.
+    needed_s: Option<f64>,
     scene: Scene,
     library: LibraryState,
     trials: BTreeMap<TrialKey, Entry>,
@@ -91,13 +89,13 @@ impl Recogniser {
     ) -> Self {
         assert!(!models.is_empty() && model_of.values().all(|at| *at < models.len()));
         let following = vec![FollowOptions::default(); models.len()];
-        let (scan_times, planned_s, trials) = (vec![None; models.len()], None, BTreeMap::new());
-        Self { models, model_of, following, scan_times, planned_s, scene, library, trials }
+        let (needed_s, trials) = (None, BTreeMap::new());
+        Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    /// Lets scans last as long as a plan says, if it says so.
-    pub fn planned(self, scan_s: Option<f64>) -> Self {
-        Self { planned_s: scan_s, ..self }
+    /// Says how long scans must last, in seconds, where that is known.
+    pub fn lasting(self, needed_s: Option<f64>) -> Self {
+        Self { needed_s, ..self }
     }
 
     /// Remembers where the trials are that scans are compared with, to show the nearest one.
@@ -124,20 +122,15 @@ impl Recogniser {
         Ok(rejections)
     }
 
-    /// Finds when answers are settled with each model and how long scans must last, for a stated
-    /// loss of accuracy, so that no scan waits for it. Gives what was found; nothing, if the method
-    /// cannot follow scans.
-    pub fn calibrate(&mut self, loss: f64) -> Vec<(Settling, ScanTime)> {
+    /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
+    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
+    pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
-        let mut found = Vec::new();
-        for (at, model) in self.models.iter().enumerate() {
-            let Some(model) = model.clone().embedding() else { continue };
-            let scan_time = model.left_out_accuracy().scan_time(Goal::Loss(loss));
-            let settling = model.follow(&self.following[at]).settling().clone();
-            self.scan_times[at] = Some(scan_time.clone());
-            found.push((settling, scan_time));
-        }
-        found
+        let with_options = self.models.iter().zip(&self.following);
+        let settling = with_options.filter_map(|(model, options)| {
+            Some(model.clone().embedding()?.follow(options).settling().clone())
+        });
+        settling.collect()
     }
 
     /// Adds remarks on the basis of answers to those of the library.
@@ -215,8 +208,7 @@ impl Recogniser {
                 text: format!("{id}: {flaw}{left_out}"),
             }));
         }
-        let needed_s = self.needed_s(scan.truth.as_ref());
-        remarks.extend(needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S).map(|needed_s| {
+        remarks.extend(self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S).map(|needed_s| {
             Remark {
                 kind: RemarkKind::Short,
                 source: None,
@@ -274,7 +266,7 @@ impl Recogniser {
     pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
         let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
-        let needed_s = self.needed_s(scan.truth.as_ref());
+        let needed_s = self.needed_s;
         let flaws = self.flaws(scan, flaws);
         let damage = self.damage(scan.truth.as_ref(), &flaws);
         let remarks = self.remarks(scan, &ranking, &flaws);
@@ -304,11 +296,9 @@ impl Recogniser {
         Some(self.models[at].clone().embedding()?.follow(&self.following[at]))
     }
 
-    /// How long the drag of a scan should last, in seconds, where that is known; `truth` as in
-    /// [`Scan::truth`].
-    pub fn needed_s(&self, truth: Option<&TrialKey>) -> Option<f64> {
-        let found = || self.scan_times[self.model(truth)].as_ref()?.scan_s();
-        self.planned_s.or_else(found)
+    /// How long the drag of a scan must last, in seconds, where that is known.
+    pub fn needed_s(&self) -> Option<f64> {
+        self.needed_s
     }
 
     /// The library that scans are compared with.

@@ -113,8 +113,7 @@ pub(super) fn faults(
     if scan.lost_samples > 0 && faults.is_empty() {
         faults.push(format!("{} samples were lost in it", scan.lost_samples));
     }
-    let needed_s =
-        by.and_then(|by| by.needed_s(scan.truth.as_ref())).unwrap_or(LEAST_S).max(LEAST_S);
+    let needed_s = by.and_then(|by| by.needed_s()).unwrap_or(LEAST_S).max(LEAST_S);
     if scan.scan_s < needed_s - 0.5 * LOOK_S {
         faults.push(format!("{:.1} s is too short, drag for {needed_s:.1} s", scan.scan_s));
     }

@@ -100,7 +100,7 @@ fn files_without_trial_folders_are_trials_of_a_drag_s_sound() {
     assert_eq!(keys.len(), 6);
     let felt = library.entries.iter().find(|entry| entry.key.surface == "felt").unwrap();
     assert_eq!(felt.sources, [id("ac"), id("mi2")], "one number is one trial");
-    says(&library.remarks.join("\n"), &["and 4 more: taken as a trial of source `mi2`"]);
+    says(&library.remarks.join("\n"), &["and 4 more: read as sound of a drag (`mi2`)"]);
 }
 
 #[test]

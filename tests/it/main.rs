@@ -12,6 +12,7 @@ mod chart;
 mod commands;
 mod cross_user;
 mod curate;
+mod desk;
 mod duration;
 mod ending;
 mod engine;

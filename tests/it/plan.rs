@@ -26,7 +26,8 @@ fn scene(surfaces: usize, trials: u32, sources: &[&str]) -> Library {
 
 fn plan(library: &Library, target: f64) -> Planned {
     let protocol = Protocol::LeaveOneTrialOut;
-    search(library, PlanOptions { target, protocol }, &|_, _, _| ()).unwrap()
+    search(library, PlanOptions { target, accuracy: Some(target), protocol }, &|_, _, _| ())
+        .unwrap()
 }
 
 fn names(plan: &Plan) -> Vec<&str> {
@@ -105,7 +106,7 @@ fn replay_keeps_to_the_plan() {
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     let plan = Plan::read(&file).unwrap();
     assert_eq!(json["plan"]["sources"][0], plan.sources[0].as_str());
-    assert!(std::fs::read_to_string(&file).unwrap().contains("too few to show"));
+    assert!(std::fs::read_to_string(&file).unwrap().contains("99.0 % is not shown"));
 
     let output = surfaced(&["replay", text(&lib), "--plan", text(&file), "--json"]);
     assert!(output.status.success(), "{}", said(&output));

@@ -99,7 +99,7 @@ fn a_model_is_trained_anew_where_anything_has_changed() {
     assert!(!is_kept(None, 2) && is_kept(None, 2), "another seed");
     assert!(!is_kept(Some(&["mi2", "fr"]), 2) && is_kept(Some(&["mi2", "fr"]), 2), "fewer sources");
     // The file of a trial is written anew.
-    let of_trial = |entry: &Entry| entry.folder().unwrap().join("mi2.wav");
+    let of_trial = |entry: &Entry| entry.places()[0].join("mi2.wav");
     let library = dataset::open(&folder, &Scene::lmt108()).unwrap();
     let experts: Vec<_> = library.entries.iter().filter(|e| e.key.user == "expert").collect();
     let path = of_trial(experts[0]);
@@ -107,7 +107,7 @@ fn a_model_is_trained_anew_where_anything_has_changed() {
     fs::write(&path, fs::read(&path).unwrap()).unwrap();
     assert!(!is_kept(None, 1) && is_kept(None, 1), "a file has changed");
     // A trial goes.
-    fs::remove_dir_all(experts[1].folder().unwrap()).unwrap();
+    fs::remove_dir_all(experts[1].places()[0]).unwrap();
     assert!(!is_kept(None, 1) && is_kept(None, 1), "a trial is gone");
 }
 
@@ -141,8 +141,8 @@ fn a_trial_that_changes_while_it_is_prepared_is_not_kept_as_it_was() {
     let library = dataset::open(&folder, &Scene::lmt108()).unwrap();
     let wanted: BTreeSet<usize> = (0..library.entries.len()).collect();
     let method = MethodSpec::Embedding(EmbeddingOptions { seed: 1 }).build(&library.scene);
-    let [first, last] = [0, library.entries.len() - 1]
-        .map(|at| library.entries[at].folder().unwrap().join("mi2.wav"));
+    let [first, last] =
+        [0, library.entries.len() - 1].map(|at| library.entries[at].places()[0].join("mi2.wav"));
     // As soon as a trial is read, the files of all change places.
     let swap = |_, _| {
         if !folder.join("swapped").exists() {

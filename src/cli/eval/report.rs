@@ -1,6 +1,6 @@
 //! The report of `surfaced eval`, as text and JSON.
 
-use crate::cli::show;
+use crate::cli::{say, show};
 use crate::evaluate::{
     EnrolmentOutcome, Outcome, Prediction, Protocol, SettledOutcome, UnknownOutcome,
 };
@@ -61,13 +61,18 @@ impl EvalReport {
         let sources: Vec<_> = o.sources.iter().map(|id| id.as_str()).collect();
         let mark = if self.synthetic { ", on synthetic data" } else { "" };
         result!();
-        result!("{} · {} · {}{mark}", self.protocol.name(), o.method, sources.join(", "));
         result!(
             "accuracy   {} ({} of {} queries; 95 % interval {})",
             percent(o.share.value()),
             o.share.right,
             o.queries,
             show::interval(o.share)
+        );
+        result!(
+            "           {} · {} · {}{mark}",
+            self.protocol.name(),
+            o.method,
+            sources.join(", ")
         );
         if self.protocol.folds_are_users() {
             result!(
@@ -78,7 +83,6 @@ impl EvalReport {
             );
         }
         self.enrolled.iter().for_each(print_enrolled);
-        result!("precision  {}", percent(o.precision_mean));
         result!(
             "           {} against {}",
             show::counted(o.classes, "surface"),
@@ -87,7 +91,14 @@ impl EvalReport {
         if !o.never_queried.is_empty() {
             result!("           never queried: {}", o.never_queried.join(", "));
         }
-        result!("query      {:.1} ms (median), {:.1} ms (p99)", o.query_ms_p50, o.query_ms_p99);
+        if say::is_verbose() {
+            result!("precision  {}", percent(o.precision_mean));
+            result!(
+                "query      {:.1} ms from raw samples to the answer (median), {:.1} ms (p99)",
+                o.query_ms_p50,
+                o.query_ms_p99
+            );
+        }
         for (truth, answer, count) in o.confusion.worst(5) {
             result!("           {count} × {truth} taken for {answer}");
         }

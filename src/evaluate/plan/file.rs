@@ -32,15 +32,15 @@ pub enum PlanError {
     Sources(#[from] SceneError),
 }
 
-/// What a plan promises. Shares are fractions from 0 to 1.
+/// The promise of a plan. Shares are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expected {
     /// The accuracy to reach.
     pub target: f64,
-    /// Whether cross-validation reaches it.
+    /// Whether whole scans reach it in cross-validation.
     pub reached: bool,
-    /// Whether there were enough queries to show it.
+    /// Whether the interval of the accuracy does, too.
     pub shown: bool,
     /// Cross-validated accuracy: share of all queries.
     pub accuracy: f64,
@@ -72,13 +72,13 @@ pub struct Plan {
     /// How trials are compared.
     #[serde(flatten)]
     pub method: MethodSpec,
-    /// How much of the drag is used, in seconds; all of it where nothing is said.
+    /// Seconds of the drag that are used; all of it, if none.
     pub scan_s: Option<f64>,
-    /// What comes of it.
+    /// The accuracy and cost that it was found to have.
     pub expected: Expected,
 }
 
-/// What the file said.
+/// The keys of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
@@ -92,6 +92,21 @@ struct PlanFile {
     repetitions: Option<usize>,
     scan_s: Option<f64>,
     expected: Expected,
+}
+
+impl Expected {
+    /// That the target is reached and not shown, if that is so.
+    pub(crate) fn doubt(&self) -> Option<String> {
+        let percent = |x: f64| format!("{:.1} %", 100.0 * x);
+        (self.reached && !self.shown).then(|| {
+            format!(
+                "{} is not shown: {} queries leave room for {}; record more trials",
+                percent(self.target),
+                self.queries,
+                percent(self.accuracy_low)
+            )
+        })
+    }
 }
 
 impl Plan {
@@ -165,13 +180,8 @@ impl Plan {
         ));
         if !e.reached {
             line(format!("# It does NOT reach the target of {}; no other did.", percent(e.target)));
-        } else if !e.shown {
-            line(format!(
-                "# {} queries are too few to show {}, even without a mistake: more trials would.",
-                e.queries,
-                percent(e.target)
-            ));
         }
+        e.doubt().iter().for_each(|doubt| line(format!("# {doubt}.")));
         line("format = 1".into());
         line(format!("library = {}", quoted(&self.library)));
         if self.synthetic {

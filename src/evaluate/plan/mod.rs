@@ -5,15 +5,15 @@
 //! time. Cheapest means: fewest sources, then least scan time, then fewest samples to work
 //! through; these are counted, not timed, so that the same library gives the same plan. Sources are
 //! searched with `embedding`, whose distances add up over sources, so that every subset is known
-//! once each source is. The scan time is that of the countdown and of `surfaced duration`: the
-//! earliest by which left-out trials of the library reach the target; where the folds miss it by
-//! then, or the trials are too few to say, whole scans are taken. Plans of version 0.2 that name
-//! `reference` are still read.
+//! once each source is. The scan time of these sources is that of all commands
+//! ([`crate::recognise::LeftOutAccuracy`]), and the accuracy that the plan expects is measured with it.
+//! Plans of version 0.2 that name `reference` are still read.
 //!
-//! Uncertainty: what is compared with the target is the median of the posterior of the accuracy
-//! under Jeffreys' prior, which asks for a little more than the target itself. Where there are too
-//! few queries to show the target even without a mistake, none at all is accepted, and said to be
-//! so. The best of many settings looks a little better than it is; the interval does not cover that.
+//! Uncertainty: sources reach the target if the median of the posterior of their accuracy does, under
+//! Jeffreys' prior, which asks for a little more than the target itself; with few queries, if none of
+//! them is named wrong. The plan says that its target is not shown where the 95 % interval of the
+//! accuracy begins below it. The best of many settings looks a little better than it is; the
+//! interval does not cover that.
 //!
 //! Not searched: weights of sources.
 //!

@@ -8,15 +8,18 @@ use crate::evaluate::{
     EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Share, folds,
 };
 use crate::library::{Entry, Library};
-use crate::recognise::{Goal, MethodName, MethodSpec, can_show, reaches, ready_model};
+use crate::recognise::{MethodName, MethodSpec, ScanTime, reaches, ready_model};
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::TrialKey;
 
-/// What a plan must reach, and by which folds.
+/// The accuracy that a plan must reach, and the folds that measure it.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanOptions {
-    /// The accuracy to reach, a fraction.
+    /// The accuracy that whole scans of the chosen sources must reach, a fraction.
     pub target: f64,
+    /// The accuracy to reach by the scan time; without one, it loses at most a point against whole
+    /// scans.
+    pub accuracy: Option<f64>,
     /// The way queries and library are split.
     pub protocol: Protocol,
 }
@@ -57,8 +60,8 @@ struct SourceChoice {
 struct PlanSearch<'a> {
     study: &'a Study,
     target: f64,
-    /// How long sources must be dragged for the target, in seconds, where that is known.
-    needed_s: &'a dyn Fn(&[usize]) -> Option<f64>,
+    /// How long sources must be dragged.
+    scan_time: &'a dyn Fn(&[usize]) -> Option<ScanTime>,
     /// Places of the sources, the cheapest first.
     by_cost: Vec<usize>,
     steps: Vec<String>,
@@ -81,23 +84,31 @@ pub fn search(
     let ids = |sources: &[usize]| -> Vec<SourceId> {
         sources.iter().map(|&s| study.sources[s].id.clone()).collect()
     };
-    let needed_s = |sources: &[usize]| -> Option<f64> {
+    let scan_time = |sources: &[usize]| -> Option<ScanTime> {
         let scene = library.scene.clone().only(&ids(sources)).ok()?;
         let on = Trying { scene: &scene, entries: &entries, folds: &folds, scan_s: None };
-        on.needed_s(options.target, progress)
+        on.scan_time(options.accuracy, progress)
     };
-    let mut search = PlanSearch::new(&study, options.target, &needed_s);
+    let mut search = PlanSearch::new(&study, options.target, &scan_time);
     let choice = search.choose();
     let scene = library.scene.clone().only(&ids(&choice.sources))?;
-    let whole = Trying { scene: &scene, entries: &entries, folds: &folds, scan_s: None };
-    let (on, outcome) = search.shortened(&choice, whole, progress)?;
-    let expected = search.expected(&outcome, &choice, on.scan_s, options.protocol);
+    let is_dragged = search.is_dragged(&choice.sources);
+    let found = if is_dragged { scan_time(&choice.sources) } else { None };
+    let scan_s = found.as_ref().and_then(ScanTime::scan_s);
+    let outcome =
+        Trying { scene: &scene, entries: &entries, folds: &folds, scan_s }.outcome(progress)?;
+    let Share { right, of } = outcome.share;
+    search.steps.extend(found.as_ref().map(ScanTime::line));
+    search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
+    let mut expected = search.expected(&outcome, &choice, scan_s, options.protocol);
+    // An accuracy that no scan time has is not reached, even if these folds should reach it.
+    expected.reached &= found.is_none_or(|found| found.scan_s().is_some());
     let plan = Plan {
         library: library.name.clone(),
         synthetic: library.synthetic,
         sources: ids(&choice.sources),
         method: MethodName::Embedding.into(),
-        scan_s: on.scan_s,
+        scan_s,
         expected,
     };
     let sources = search.costs();
@@ -110,7 +121,7 @@ struct Trying<'a> {
     scene: &'a Scene,
     entries: &'a [Entry],
     folds: &'a [Fold],
-    /// How much of each drag is used, in seconds; `None` for all of it.
+    /// Seconds of each drag that are used; `None` for all of it.
     scan_s: Option<f64>,
 }
 
@@ -132,22 +143,25 @@ impl Trying<'_> {
         Ok(evaluation.prepare(&*method)?.measure()?.outcome)
     }
 
-    /// How long scans must last for an accuracy, in seconds, by the left-out trials of the library;
-    /// `None` where that is not known.
-    fn needed_s(self, target: f64, progress: ProgressFn<'_>) -> Option<f64> {
+    /// How long scans must last, by the left-out trials of the whole library.
+    fn scan_time(self, accuracy: Option<f64>, progress: ProgressFn<'_>) -> Option<ScanTime> {
         let within = self.entries.iter().map(|entry| entry.clone().within(self.scene));
         let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
         let method = MethodSpec::from(MethodName::Embedding).build(self.scene);
         let all = (0..entries.len()).collect();
         let step = |done, of| progress("finding the scan time", done, of);
         let ready = ready_model(&*method, &entries, &all, None, &step).ok()?;
-        ready.model.embedding()?.left_out_accuracy().scan_time(Goal::Accuracy(target)).scan_s()
+        ready.model.scan_time(accuracy)
     }
 }
 
 impl<'a> PlanSearch<'a> {
-    fn new(study: &'a Study, target: f64, needed_s: &'a dyn Fn(&[usize]) -> Option<f64>) -> Self {
-        let mut search = Self { study, target, needed_s, by_cost: Vec::new(), steps: Vec::new() };
+    fn new(
+        study: &'a Study,
+        target: f64,
+        scan_time: &'a dyn Fn(&[usize]) -> Option<ScanTime>,
+    ) -> Self {
+        let mut search = Self { study, target, scan_time, by_cost: Vec::new(), steps: Vec::new() };
         let mut by_cost: Vec<usize> = (0..study.sources.len()).collect();
         let cost = |s: usize| (search.scan_s(&[s], None), study.sources[s].values);
         by_cost.sort_by(|&a, &b| compare(cost(a), cost(b)));
@@ -187,45 +201,15 @@ impl<'a> PlanSearch<'a> {
         let all = self.by_cost.iter().map(|&s| self.choice(&[s]));
         let enough = all.filter(|choice| self.reaches(choice.right));
         let cost = |choice: &SourceChoice| {
-            let drag_s = if self.is_dragged(&choice.sources) {
-                (self.needed_s)(&choice.sources)
-            } else {
-                None
-            };
+            let dragged = self.is_dragged(&choice.sources);
+            let found = if dragged { (self.scan_time)(&choice.sources) } else { None };
+            let drag_s = found.and_then(|found| found.scan_s());
             let source = &self.study.sources[choice.sources[0]];
             (self.scan_s(&choice.sources, drag_s), source.work(drag_s))
         };
         let costs: Vec<((f64, f64), SourceChoice)> =
             enough.map(|choice| (cost(&choice), choice)).collect();
         costs.into_iter().min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
-    }
-
-    /// Scans as long as left-out trials ask for, and their outcome; whole scans
-    /// where the target is missed, or nothing shorter is known to be enough.
-    fn shortened<'t>(
-        &mut self,
-        choice: &SourceChoice,
-        whole: Trying<'t>,
-        progress: ProgressFn<'_>,
-    ) -> Result<(Trying<'t>, Outcome), EvaluateError> {
-        let whole_s = self.scan_s(&choice.sources, None);
-        let wanted = self.reaches(choice.right) && self.is_dragged(&choice.sources);
-        let needed_s = if wanted { (self.needed_s)(&choice.sources) } else { None };
-        if let Some(scan_s) = needed_s.filter(|scan_s| *scan_s < whole_s - 1e-9) {
-            let on = Trying { scan_s: Some(scan_s), ..whole };
-            let outcome = on.outcome(progress)?;
-            let right = outcome.share.right;
-            let enough = self.reaches(right);
-            let what = if enough { "is enough" } else { "is not enough here" };
-            self.steps.push(format!(
-                "a scan of {scan_s:.1} s {what}: {right} of {} right",
-                self.study.queries()
-            ));
-            if enough {
-                return Ok((on, outcome));
-            }
-        }
-        Ok((whole, whole.outcome(progress)?))
     }
 
     /// Adds, one at a time, the source that helps most (of equals the cheapest), until the target
@@ -289,20 +273,19 @@ impl<'a> PlanSearch<'a> {
         drag_s: Option<f64>,
         protocol: Protocol,
     ) -> Expected {
-        let Share { right, of: queries } = outcome.share;
         let (accuracy_low, accuracy_high) = outcome.share.interval();
         Expected {
             target: self.target,
-            reached: reaches(right, queries, self.target),
-            shown: can_show(queries, self.target),
+            reached: self.reaches(choice.right),
+            shown: accuracy_low >= self.target,
             accuracy: outcome.share.value(),
             accuracy_low,
             accuracy_high,
-            queries,
+            queries: outcome.share.of,
             surfaces: outcome.classes,
             protocol: protocol.name().into(),
             latency_ms: outcome.query_ms_p50,
-            scan_s: self.scan_s(&choice.sources, drag_s),
+            scan_s: drag_s.unwrap_or_else(|| self.scan_s(&choice.sources, None)),
         }
     }
 

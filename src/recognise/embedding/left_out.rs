@@ -278,6 +278,9 @@ impl FollowedTrial {
             group: self.group,
             scan_s: self.drag_s,
             right: looked_after(self.drag_s).map(right).collect(),
+            judged: (looked_after(self.drag_s))
+                .map(|step| self.looks[step - 1].p_value.is_some())
+                .collect(),
             right_whole: self.whole == self.truth,
         }
     }

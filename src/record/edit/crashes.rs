@@ -7,12 +7,12 @@ use super::disk::stops::{Stop, until};
 use super::tests::{held, library};
 use super::*;
 
-/// What is called what: the bytes of each trial, there or among what was removed, and its name.
+/// The name of each trial by its bytes, there or among the removed ones.
 fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     let mut state = BTreeMap::new();
     let of = |entries: Vec<Entry>, place: &str| -> Vec<_> {
         let one = |entry: &Entry| {
-            let bytes = fs::read(entry.folder().unwrap().join("ir.wav")).unwrap();
+            let bytes = fs::read(entry.places()[0].join("ir.wav")).unwrap();
             (bytes, format!("{place}{}", entry.key))
         };
         entries.iter().map(one).collect()
@@ -43,7 +43,7 @@ fn copy(from: &Path, to: &Path) {
 
 type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
 
-/// What is done before, and the edit that is cut short.
+/// Preparations, and the edit that is cut short.
 const EDITS: [(&str, Edit, Edit); 9] = [
     ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
     ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),

@@ -9,6 +9,24 @@ pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)
 }
 
+/// Renames what nothing else may make room for: neither a file nor a folder of that name is replaced.
+pub(super) fn move_to(from: &Path, to: &Path) -> io::Result<()> {
+    point()?;
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+            // A file system that cannot promise it.
+            Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => {}
+            moved => return Ok(moved?),
+        }
+    }
+    if fs::symlink_metadata(to).is_ok() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    fs::rename(from, to)
+}
+
 /// Writes at the end of a file, and waits until the disk holds it.
 pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     let (first, second) = bytes.split_at(bytes.len() / 2);
@@ -70,7 +88,7 @@ pub(super) mod stops {
     use std::io;
     use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-    /// What happens at a change.
+    /// The event at a change.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Stop {
         /// The process ends there: nothing of it runs any more.

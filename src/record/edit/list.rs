@@ -1,21 +1,21 @@
 //! The trials of a library, as edits know them.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use serde::Serialize;
 
 use super::{REMOVED, is_plain};
+use crate::library::files::{self, Listed};
 use crate::library::{About, Entry, LibraryError, recording};
 use crate::scene::{Scene, SourceId};
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::{EXPERT, TrialKey, normal};
 
 /// A trial as it is listed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ListedTrial {
-    /// What edits call it: `SURFACE/TRIAL`; where it has no folder of its own, which edits need, its
-    /// surface and number.
+    /// The name that edits know it by: its folder `SURFACE/TRIAL`, or its first file
+    /// `SURFACE/FILE.wav` where it has no folder of its own.
     pub trial: String,
     /// Its label, user and number.
     #[serde(flatten)]
@@ -28,18 +28,7 @@ pub struct ListedTrial {
     pub seconds: f64,
 }
 
-/// What a trial is called in edits: its folder within the library, `SURFACE/TRIAL`.
-pub fn trial_name(library: &Path, folder: &Path) -> String {
-    let within = folder.strip_prefix(library).unwrap_or(folder);
-    let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
-    parts.collect::<Vec<_>>().join("/")
-}
-
-/// The same of any trial; its surface and number, where it has no folder of its own.
-pub(super) fn name_of(library: &Path, entry: &Entry) -> String {
-    let loose = || format!("{}/{}", entry.key.surface, entry.key.number);
-    entry.folder().map_or_else(loose, |folder| trial_name(library, folder))
-}
+pub(crate) use crate::library::files::name_within as trial_name;
 
 /// The trials of a library that can be read; none, where it holds none.
 pub(super) fn trials(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
@@ -73,40 +62,47 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
     let bin = library.join(REMOVED);
     let entries = removed(library, scene)?;
     let mut all: BTreeMap<String, ListedTrial> = BTreeMap::new();
-    for (surface, trial) in folders(&bin) {
+    let listed_by_another = |name: &str| {
+        let others = |entry: &Entry| {
+            entry.places().into_iter().skip(1).map(|p| trial_name(&bin, p)).collect::<Vec<_>>()
+        };
+        entries.iter().any(|entry| others(entry).iter().any(|other| other == name))
+    };
+    let places = places(&bin).into_iter();
+    for (surface, trial) in places.filter(|(s, t)| !listed_by_another(&format!("{s}/{t}"))) {
         let name = format!("{surface}/{trial}");
-        let number = recording::number_in(&trial).unwrap_or_default();
-        let (key, sources) = (TrialKey::new(&surface, EXPERT, number), Vec::new());
+        let stem = Path::new(&trial).file_stem().unwrap_or_default().to_string_lossy();
+        let number = recording::number_in(&stem).unwrap_or_default();
+        let (key, sources) = (TrialKey::new(normal(&surface), EXPERT, number), Vec::new());
         let one = ListedTrial { trial: name.clone(), key, started_at: None, sources, seconds: 0.0 };
         all.insert(name, one);
     }
-    all.extend(entries.iter().map(|entry| (name_of(&bin, entry), listed(&bin, entry))));
+    all.extend(entries.iter().map(|entry| (entry.name_in(&bin), listed(&bin, entry))));
     Ok(all.into_values().collect())
 }
 
-/// The folders of trials, `(SURFACE, TRIAL)` each.
-fn folders(root: &Path) -> Vec<(String, String)> {
-    let within = |folder: &Path| {
-        let items = fs::read_dir(folder).into_iter().flatten().flatten();
-        let folders = items.filter(|item| item.path().is_dir());
-        let names = folders.filter_map(|item| item.file_name().into_string().ok());
+/// The folders and files of trials, `(SURFACE, TRIAL)` each.
+pub(super) fn places(root: &Path) -> Vec<(String, String)> {
+    let within = |folder: &Path, is_wanted: fn(&Listed) -> bool| {
+        let items = files::list(folder).unwrap_or_default().into_iter();
+        let names = items.filter(is_wanted).map(|item| item.name);
         names.filter(|name| is_plain(name)).collect::<Vec<_>>()
     };
     let of_surface = |surface: String| {
-        let trials = within(&root.join(&surface));
+        let trials = within(&root.join(&surface), |item| item.is_dir || item.is_series());
         trials.into_iter().map(move |trial| (surface.clone(), trial))
     };
-    within(root).into_iter().flat_map(of_surface).collect()
+    within(root, |item| item.is_dir).into_iter().flat_map(of_surface).collect()
 }
 
 fn listed(root: &Path, entry: &Entry) -> ListedTrial {
-    let folder = entry.folder();
-    // What cannot be read of it is left out here, and found by `surfaced check`.
+    let folder = entry.places().into_iter().find(|place| place.is_dir());
+    // Unreadable sources are left out here, and found by `surfaced check`.
     let seconds = entry.outlines().unwrap_or_default();
     let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
     let started_at = |folder| About::read(folder).ok()?.started_at;
     ListedTrial {
-        trial: name_of(root, entry),
+        trial: entry.name_in(root),
         key: entry.key.clone(),
         started_at: folder.and_then(started_at),
         sources: entry.sources.clone(),
@@ -157,6 +153,6 @@ pub(crate) fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -
         about.and_then(|about| about.notes).is_some_and(|found| found == notes)
     };
     let likely = likely.filter(|(surface, trial)| is_plain(surface) && is_plain(trial));
-    let found = likely.filter(is).or_else(|| folders(library).into_iter().find(is));
+    let found = likely.filter(is).or_else(|| places(library).into_iter().find(is));
     found.map(|(surface, trial)| format!("{surface}/{trial}"))
 }

@@ -27,7 +27,7 @@ impl LibraryLock {
     /// file system knows no locks, or nobody may edit the library anyway, there is nothing to keep
     /// off.
     pub fn for_reading(library: &Path) -> Self {
-        // What cannot be read is said by those who need it.
+        // Others say that it cannot be read, if they need it.
         let is_left = || {
             steps::read(library)
                 .is_ok_and(|(all, _)| all.last().is_some_and(|last| last.left().is_some()))

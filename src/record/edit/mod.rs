@@ -24,7 +24,7 @@ use std::time::SystemTime;
 
 use serde::Serialize;
 
-use self::list::{name_of, removed, trials};
+use self::list::{places, removed, trials};
 use self::moves::{carry_out, check, inode, tidy};
 use self::plan::Plan;
 use self::steps::Steps;
@@ -180,7 +180,9 @@ impl Editor {
         let mut plan = Plan::new(&self.root, [entries, &gone], &HashSet::new());
         for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
             let wanted = TrialKey { surface: label.into(), ..entry.key.clone() };
-            plan.rename(self.folder_of(entry)?, &entry.key, &wanted);
+            for place in self.places_of(entry)? {
+                plan.rename(place, &entry.key, &wanted)?;
+            }
         }
         self.take(what, plan.moves)
     }
@@ -196,7 +198,8 @@ impl Editor {
             match self.choose(&self.root, &entries, std::slice::from_ref(name)) {
                 Ok(chosen) => {
                     for entry in chosen {
-                        plan.remove(self.folder_of(entry)?, Some(&entry.key));
+                        let places = self.places_of(entry)?.into_iter();
+                        places.for_each(|place| plan.remove(place, Some(&entry.key)));
                     }
                 }
                 // One that cannot be read is the more worth removing.
@@ -221,7 +224,8 @@ impl Editor {
             match self.choose(&bin, &gone, std::slice::from_ref(name)) {
                 Ok(found) => {
                     for entry in found {
-                        chosen.insert(self.folder_of(entry)?.to_path_buf(), &entry.key);
+                        let places = self.places_of(entry)?.into_iter();
+                        chosen.extend(places.map(|place| (place.to_path_buf(), &entry.key)));
                     }
                 }
                 Err(error) => match self.unreadable(&bin, name) {
@@ -232,8 +236,8 @@ impl Editor {
         }
         let leaving = chosen.keys().cloned().collect();
         let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
-        for (folder, key) in chosen {
-            plan.rename(&folder, key, key);
+        for (place, key) in chosen {
+            plan.rename(&place, key, key)?;
         }
         for (from, to) in damaged {
             plan.add(&from, to, None, None);
@@ -252,7 +256,7 @@ impl Editor {
         let folder = self.root.join(REMOVED).join(gone);
         let (entries, removed) =
             (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
-        let entry = removed.iter().find(|entry| entry.folder() == Some(&*folder));
+        let entry = removed.iter().find(|entry| entry.places() == [&*folder]);
         let surface = gone.split('/').next().unwrap_or_default();
         let was = match entry {
             Some(entry) => entry.key.clone(),
@@ -261,7 +265,7 @@ impl Editor {
         };
         let leaving = HashSet::from([folder.clone()]);
         let mut plan = Plan::new(&self.root, [&entries, &removed], &leaving);
-        plan.rename(&folder, &was, &TrialKey { number: was.number, ..key.clone() });
+        plan.rename(&folder, &was, &TrialKey { number: was.number, ..key.clone() })?;
         let step = self.take(what, plan.moves)?;
         Ok(step.moves.first().map(|one| one.to.clone()))
     }
@@ -295,7 +299,7 @@ impl Editor {
         taken_back.map_or(Ok(Undone { step, gone }), Err)
     }
 
-    /// The trials of some names: `SURFACE/TRIAL`, or `SURFACE` for all of one.
+    /// The trials of some names: `SURFACE/TRIAL`, a file of it, or `SURFACE` for all of one.
     fn choose<'e>(
         &self,
         folder: &Path,
@@ -305,21 +309,27 @@ impl Editor {
         let (mut chosen, mut missing) = (Vec::new(), names.iter().collect::<BTreeSet<_>>());
         let wanted = missing.clone();
         for entry in entries {
-            let both = [name_of(folder, entry), entry.key.surface.clone()];
-            missing.retain(|name| !both.contains(name));
-            if both.iter().any(|name| wanted.contains(name)) {
+            let places = entry.places().into_iter().map(|place| normal(&trial_name(folder, place)));
+            let all: Vec<String> = places.chain([entry.key.surface.clone()]).collect();
+            missing.retain(|name| !all.contains(&normal(name)));
+            if wanted.iter().any(|name| all.contains(&normal(name))) {
                 chosen.push(entry);
             }
         }
         missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(name, entries)))
     }
 
-    /// The folder of a trial, which is what edits move.
-    fn folder_of<'e>(&self, entry: &'e Entry) -> Result<&'e Path, LibraryError> {
-        let problem = "its trials are files that have no folder of their own, and those are not edited \
-                       here: rename or move the files, or put each into SURFACE/TRIAL/SOURCE.wav";
-        let surface = self.root.join(&entry.key.surface);
-        entry.folder().ok_or_else(|| LibraryError::file(&surface, problem))
+    /// The folder of a trial, or its files: edits move these.
+    fn places_of<'e>(&self, entry: &'e Entry) -> Result<Vec<&'e Path>, LibraryError> {
+        let places = entry.places();
+        match places.iter().find(|place| place.parent() == Some(&self.root)) {
+            None => Ok(places),
+            Some(file) => Err(LibraryError::file(
+                file,
+                "it lies in no folder of a surface; make one, named after the surface, and put it \
+                 there",
+            )),
+        }
     }
 
     fn nothing_called(&self, name: &str, entries: &[Entry]) -> LibraryError {
@@ -330,15 +340,18 @@ impl Editor {
             1..=12 => format!("surfaces: {}", surfaces.join(", ")),
             many => format!("there are {many} surfaces; `surfaced library list` names them"),
         };
-        let problem = format!("no surface or trial (SURFACE/TRIAL) is called {name:?}; {there}");
+        let problem = format!(
+            "no surface or trial (SURFACE/TRIAL, SURFACE/FILE.wav) is called {name:?}; {there}"
+        );
         LibraryError::file(&self.root, problem)
     }
 
-    /// The folder of a trial that no reader takes.
+    /// The folder or file of a trial that no reader takes.
     fn unreadable(&self, root: &Path, name: &str) -> Option<PathBuf> {
-        let (surface, trial) = name.split_once('/')?;
-        let folder = root.join(surface).join(trial);
-        (is_plain(surface) && is_plain(trial) && folder.is_dir()).then_some(folder)
+        let all = places(root).into_iter();
+        let mut named =
+            all.filter(|(surface, trial)| normal(&format!("{surface}/{trial}")) == normal(name));
+        named.next().map(|(surface, trial)| root.join(surface).join(trial))
     }
 
     /// Writes a step down, and does it; a step that fails is taken back.

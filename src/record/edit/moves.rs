@@ -15,7 +15,7 @@ pub(super) fn inode(path: &Path) -> Option<u64> {
     fs::symlink_metadata(path).ok().map(|about| about.ino())
 }
 
-/// Where the trial of a move is.
+/// The place of a move's trial.
 #[derive(PartialEq)]
 enum Place {
     Before,
@@ -40,8 +40,11 @@ fn unfinished(folder: &Path) -> PathBuf {
 }
 
 /// The text of a trial's `trial.toml` in another folder, by another name, where it has to change.
-/// The trial lies in the folder `now`.
+/// The trial lies in the folder `now`; a file has its label from the folder that it lies in.
 fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, LibraryError> {
+    if now.is_file() {
+        return Ok(None);
+    }
     let about = About::read(now)?;
     let name = |path: Option<&Path>| {
         path.and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned()
@@ -90,9 +93,8 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
         let (from, to) = ends(one);
         if place(&from, &to, one) == Place::Before {
             let parent = to.parent().unwrap_or(root);
-            // Nothing that exists is replaced, since a trial's folder is never empty.
             disk::create_folder(parent)
-                .and_then(|()| disk::rename(&from, &to))
+                .and_then(|()| disk::move_to(&from, &to))
                 .map_err(|error| refused(&from, &to, error))?;
         }
         if to.is_symlink() && !to.exists() {

@@ -1,38 +1,73 @@
-//! Which folder and which number each trial of a step gets: free ones, and none twice.
+//! The folder, or file, and the number that each trial of a step gets: free ones, and none twice.
 
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use super::moves::inode;
 use super::{Move, REMOVED, trial_folder, trial_name};
-use crate::library::Entry;
-use crate::trial::TrialKey;
+use crate::library::files::{self, Listed};
+use crate::library::{Entry, LibraryError};
+use crate::record::folder_name;
+use crate::trial::{TrialKey, normal};
 
 /// The moves of a step, one after the other.
 pub(super) struct Plan<'a> {
     root: &'a Path,
     /// The names that trials have, also removed ones.
     taken: BTreeSet<TrialKey>,
-    /// Folders on either side of a move.
+    /// Paths on either side of a move.
     folders: HashSet<PathBuf>,
     pub moves: Vec<Move>,
 }
 
 impl<'a> Plan<'a> {
-    /// A step of a library with these trials, there and removed; those in the folders `leaving` give
+    /// A step of a library with these trials, there and removed; those that lie at `leaving` give
     /// their names back.
     pub fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
-        let stays = |entry: &&Entry| entry.folder().is_none_or(|folder| !leaving.contains(folder));
+        let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
         let staying = entries.into_iter().flatten().filter(stays);
         let taken = staying.map(|entry| entry.key.clone()).collect();
         Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
     }
 
-    /// Gives a trial another name, with the same number if that is free.
-    pub fn rename(&mut self, from: &Path, was: &TrialKey, wanted: &TrialKey) {
+    /// Gives a trial another name, with the same number if that is free. A file goes to the folder
+    /// of the surface, where its name is kept.
+    ///
+    /// # Errors
+    /// If a file is to have a label that no folder can have.
+    pub fn rename(
+        &mut self,
+        from: &Path,
+        was: &TrialKey,
+        wanted: &TrialKey,
+    ) -> Result<(), LibraryError> {
+        if from.is_file() {
+            let folder = self.folder_of_label(from, &wanted.surface)?;
+            let to = folder.join(from.file_name().unwrap_or_default());
+            self.add(from, to, Some(was.clone()), Some(wanted.clone()));
+            return Ok(());
+        }
         let is = self.free_key(wanted);
         let to = trial_folder(self.root, &is);
         self.add(from, to, Some(was.clone()), Some(is));
+        Ok(())
+    }
+
+    /// The folder whose name is a label, as it is written on disk.
+    fn folder_of_label(&self, file: &Path, label: &str) -> Result<PathBuf, LibraryError> {
+        let there = files::list(self.root)?.into_iter();
+        let same = |item: &Listed| item.is_dir && !item.is_hidden() && normal(&item.name) == label;
+        match there.filter(same).map(|item| item.path).next() {
+            Some(folder) => Ok(folder),
+            None if folder_name::is_usable(label) => Ok(self.root.join(label)),
+            None => {
+                let problem = format!(
+                    "this file takes its label from its folder, and no folder can be called \
+                     {label:?}; choose another label"
+                );
+                Err(LibraryError::file(file, problem))
+            }
+        }
     }
 
     /// Moves a trial among those that were removed, unless it is on its way already.
@@ -46,8 +81,8 @@ impl<'a> Plan<'a> {
     /// Moves a trial back to where a move took it from, or beside that.
     pub fn reverse(&mut self, one: &Move) {
         let (from, mut to) = (self.root.join(&one.to), self.root.join(&one.from));
-        let is_removed = one.from.starts_with(REMOVED);
-        let was = one.was.as_ref().map(|was| match is_removed {
+        let keeps = one.from.starts_with(REMOVED) || from.is_file();
+        let was = one.was.as_ref().map(|was| match keeps {
             true => was.clone(),
             false => self.free_key(was),
         });
@@ -68,15 +103,22 @@ impl<'a> Plan<'a> {
         key
     }
 
-    /// Moves a trial to a folder, or to one beside it where that is taken.
+    /// Moves a trial to a path, or to one beside it where that is taken.
     pub fn add(&mut self, from: &Path, to: PathBuf, was: Option<TrialKey>, is: Option<TrialKey>) {
-        let name = to.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let is_file = from.is_file();
+        let part = |part: Option<&std::ffi::OsStr>| {
+            part.unwrap_or_default().to_string_lossy().into_owned()
+        };
+        let (stem, end) = match to.extension().filter(|_| is_file) {
+            Some(extension) => (part(to.file_stem()), format!(".{}", part(Some(extension)))),
+            None => (part(to.file_name()), String::new()),
+        };
         let mut free = to;
         for n in 2.. {
             if inode(&free).is_none() && !self.folders.contains(&free) {
                 break;
             }
-            free.set_file_name(format!("{name}-{n}"));
+            free.set_file_name(format!("{stem}-{n}{end}"));
         }
         let (to, inode) = (trial_name(self.root, &free), inode(from));
         self.moves.push(Move { from: trial_name(self.root, from), to, was, is, inode });

@@ -29,11 +29,11 @@ const MOST_BYTES: u64 = 1 << 25;
 /// One edit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// For people: what was done.
+    /// The edit in words.
     pub what: String,
     /// When, in UTC.
     pub at: String,
-    /// Which trials went where.
+    /// The trials, and their places before and after.
     pub moves: Vec<Move>,
 }
 
@@ -44,9 +44,9 @@ pub struct Move {
     pub from: String,
     /// The folder after.
     pub to: String,
-    /// What it was called; `None` for a trial that cannot be read.
+    /// Its name before; `None` for a trial that cannot be read.
     pub was: Option<TrialKey>,
-    /// What it is called now.
+    /// Its name now.
     pub is: Option<TrialKey>,
     /// Its inode, which tells it from another that has come to its place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -171,7 +171,7 @@ impl Steps {
         let fail = |error| failed(&path, error);
         disk::create_folder(&folder).map_err(fail)?;
         let lock = File::open(&folder).map_err(fail)?;
-        // Where there are no locks, nobody is kept off.
+        // Without locks, nobody is kept off.
         let _ = flock(&lock, FlockOperation::LockExclusive);
         let (known, end) = read(library)?;
         let file = OpenOptions::new().append(true).create(true).open(&path).map_err(fail)?;

@@ -91,20 +91,46 @@ fn nothing_moves_while_somebody_reads() {
 }
 
 #[test]
-fn files_without_trial_folders_are_listed_and_not_edited() {
+fn files_without_trial_folders_are_edited_and_keep_their_names() {
     let (dir, scene) = library();
     let root = dir.path();
-    fs::rename(root.join("ash/anna-01/ir.wav"), root.join("ash/ir_7.wav")).unwrap();
-    fs::remove_dir_all(root.join("ash/anna-01")).unwrap();
-    let listed = list(root, &scene).unwrap();
-    let names: Vec<_> = listed.iter().map(|one| one.trial.as_str()).collect();
-    assert_eq!(names, ["ash/7", "oak/anna-01", "oak/anna-02"]);
-    let mut edit = Editor::open(root, &scene).unwrap();
-    let moved = edit.move_to(&one("ash/7"), "elm");
-    for refused in [edit.rename("ash", "elm"), moved] {
-        assert!(refused.unwrap_err().to_string().contains("no folder of their own"));
+    fs::create_dir(root.join("Esche, ge\u{f6}lt")).unwrap();
+    let (old, flat) = (root.join("ash/anna-01"), root.join("Esche, ge\u{f6}lt/ir_7.wav"));
+    fs::copy(old.join("ir.wav"), root.join("ash/ir \u{dc} 3.wav")).unwrap();
+    fs::rename(old.join("ir.wav"), &flat).unwrap();
+    fs::remove_dir_all(old).unwrap();
+    let names = || -> Vec<String> {
+        let mut all: Vec<_> =
+            list(root, &scene).unwrap().into_iter().map(|one| one.trial).collect();
+        all.retain(|name| !name.starts_with("oak/"));
+        all
+    };
+    let before = ["Esche, ge\u{f6}lt/ir_7.wav", "ash/ir \u{dc} 3.wav"];
+    assert_eq!(names(), before);
+    let edit = || Editor::open(root, &scene).unwrap();
+    // A label as it is typed elsewhere, and a file that a name stands for already.
+    edit().rename("Esche, ge\u{f6}lt", "ash").unwrap();
+    assert_eq!(names(), ["ash/ir \u{dc} 3.wav", "ash/ir_7.wav"]);
+    edit().remove(&one("ash/ir_7.wav")).unwrap();
+    assert_eq!(list_removed(root, &scene).unwrap()[0].trial, "ash/ir_7.wav");
+    fs::copy(root.join("ash/ir \u{dc} 3.wav"), root.join("ash/ir_7.wav")).unwrap();
+    edit().restore(&one("ash/ir_7.wav")).unwrap();
+    assert!(root.join("ash/ir_7-2.wav").exists());
+    fs::remove_file(root.join("ash/ir_7.wav")).unwrap();
+    edit().move_to(&one("ash/ir \u{dc} 3.wav"), "elm.1").unwrap();
+    assert_eq!(names(), ["ash/ir_7-2.wav", "elm.1/ir \u{dc} 3.wav"]);
+    for label in ["a/b", "library.toml", ".x"] {
+        let error = edit().rename("ash", label).unwrap_err().to_string();
+        assert!(error.contains("no folder can be called"), "{error}");
     }
-    assert!(edit.remove(&one("ash")).is_err() && edit.undo().is_err(), "nothing has changed");
+    (0..4).for_each(|_| drop(edit().undo().unwrap()));
+    assert_eq!(names(), before);
+    // One that cannot be read can be removed, and comes back.
+    fs::write(root.join("ash/notes.wav"), "what is this").unwrap();
+    edit().remove(&one("ash/notes.wav")).unwrap();
+    assert_eq!(list_removed(root, &scene).unwrap()[0].trial, "ash/notes.wav");
+    edit().restore(&one("ash/notes.wav")).unwrap();
+    assert!(root.join("ash/notes.wav").exists());
 }
 
 /// The name of one trial or surface, as edits want it.

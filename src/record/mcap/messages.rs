@@ -21,7 +21,7 @@ use crate::trial::{Image, Series, Signal, Trial};
 const MESSAGES_A_SECOND: f64 = 10.0;
 /// Quality of pictures, of 100.
 const JPEG_QUALITY: u8 = 75;
-/// What a whole number stands for in samples of 16 bits.
+/// The value of 1 in samples of 16 bits.
 const STEP: f32 = 1.0 / 32768.0;
 /// The schema of samples: a list a channel; a value times the scale is the sample.
 const SAMPLES_SCHEMA: &str = r#"{"title": "surfaced.Samples", "type": "object", "properties": {"rate_hz": {"type": "number"}, "scale": {"type": "number"}, "values": {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}}, "required": ["rate_hz", "scale", "values"]}"#;

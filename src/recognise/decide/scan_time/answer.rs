@@ -1,5 +1,7 @@
 //! The answer: how long to drag, or why that cannot be said.
 
+use crate::recognise::follow::FollowOptions;
+
 /// How well scans are to be named.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
@@ -7,6 +9,21 @@ pub enum Goal {
     Accuracy(f64),
     /// Their accuracy by the whole length, less this share.
     Loss(f64),
+}
+
+impl Goal {
+    /// The accuracy that was asked for; without one, at most a point lost against whole scans.
+    pub fn wanted(accuracy: Option<f64>) -> Self {
+        accuracy.map_or(Self::Loss(FollowOptions::default().loss), Self::Accuracy)
+    }
+
+    /// The share that trials without a mistake must be able to show.
+    pub(super) fn to_show(self) -> f64 {
+        match self {
+            Self::Accuracy(share) => share,
+            Self::Loss(loss) => 1.0 - loss,
+        }
+    }
 }
 
 /// A share of left-out trials that are named right by a time.
@@ -22,7 +39,7 @@ pub struct AccuracyAt {
     pub accuracy_high: f64,
 }
 
-/// Why there is no scan time.
+/// Why no scan time is shown.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shortfall {
     /// No trial can be left out.
@@ -30,14 +47,13 @@ pub enum Shortfall {
         /// the surfaces that have too few, and how many they lack
         lacking: Vec<(String, usize)>,
     },
-    /// So few trials could not show the share even if all were named right.
+    /// So few trials could not show the share even if all were named right: scans last as long as
+    /// they do.
     TooFewTrials {
         /// the share
         share: f64,
-        /// trials to record of each surface
-        of_each: usize,
-        /// number of surfaces
-        surfaces: usize,
+        /// trials to record
+        more: usize,
     },
     /// Not even whole trials reach the target.
     NotReached,
@@ -61,7 +77,7 @@ pub struct ScanTime {
     pub people: usize,
     /// Whether the promise holds for other people: each of these was left out.
     pub across_people: bool,
-    /// Why `enough` is none.
+    /// Why `enough` is none, or the whole length.
     pub shortfall: Option<Shortfall>,
 }
 
@@ -70,7 +86,7 @@ pub struct ScanTime {
 struct ScanTimeDocument {
     /// The share that is to be named right.
     target: f64,
-    /// How long to drag, in seconds; null where `reason` says why.
+    /// How long to drag, in seconds; null, or the whole length, where `reason` says why.
     scan_s: Option<f64>,
     /// The share that is named right by then, and its 95 % interval.
     accuracy: Option<f64>,
@@ -115,12 +131,17 @@ impl ScanTime {
         self.enough.map(|at| at.scan_s)
     }
 
-    /// The answer in one line of text.
+    /// The answer in one line.
     pub fn line(&self) -> String {
-        let Some(at) = self.enough else {
-            let why = self.reason().unwrap_or_default();
-            return format!("how long to drag is not known: {why}");
+        let (at, why) = match (self.enough, self.reason()) {
+            (None, why) => {
+                return format!("how long to drag is not known: {}", why.unwrap_or_default());
+            }
+            (Some(at), why) => (at, why),
         };
+        if let Some(why) = why {
+            return format!("drag for {:.1} s, as long as your trials: {why}", at.scan_s);
+        }
         format!(
             "drag for at least {:.1} s: {} of left-out scans ({} to {}) are named right by then, \
              and {} at full length ({})",
@@ -137,16 +158,16 @@ impl ScanTime {
         self.whole.map_or_else(String::new, |whole| percent(whole.accuracy))
     }
 
-    /// The reason why there is no scan time, as text.
+    /// Why no scan time is shown.
     pub fn reason(&self) -> Option<String> {
         self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
     }
 
-    /// Trials that are lacking, about, where it is for too few that there is no scan time.
+    /// Trials that are lacking, where too few are the reason.
     pub fn more_trials(&self) -> Option<usize> {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
-            Shortfall::TooFewTrials { of_each, surfaces, .. } => Some(of_each * surfaces),
+            Shortfall::TooFewTrials { more, .. } => Some(*more),
             Shortfall::NotReached | Shortfall::NoModel(_) => None,
         }
     }
@@ -173,9 +194,8 @@ impl ScanTime {
                     ),
                 }
             }
-            Shortfall::TooFewTrials { share, of_each, surfaces } => format!(
-                "{} trials could not show {} even without a mistake: record {of_each} more of each \
-                 of the {surfaces} surfaces",
+            Shortfall::TooFewTrials { share, more } => format!(
+                "{} are too few to show {} for a shorter scan; record {more} more",
                 self.trials,
                 percent(*share)
             ),
@@ -235,8 +255,13 @@ mod tests {
     #[test]
     fn without_a_scan_time_the_line_says_why_and_what_to_record() {
         let none = |shortfall| ScanTime { enough: None, shortfall: Some(shortfall), ..answer() };
-        let few = none(Shortfall::TooFewTrials { share: 0.99, of_each: 2, surfaces: 3 });
-        assert!(few.line().ends_with("record 2 more of each of the 3 surfaces"), "{}", few.line());
+        let shortfall = Some(Shortfall::TooFewTrials { share: 0.99, more: 6 });
+        let few = ScanTime { enough: answer().whole, shortfall, trials: 17, ..answer() };
+        assert_eq!(
+            few.line(),
+            "drag for 4.8 s, as long as your trials: 17 are too few to show 99.0 % for a shorter \
+             scan; record 6 more"
+        );
         assert_eq!(few.more_trials(), Some(6));
         let lacking = vec![("ash".into(), 1), ("oak".into(), 2)];
         let nothing = none(Shortfall::NothingLeftOut { lacking });

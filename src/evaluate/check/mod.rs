@@ -1,22 +1,26 @@
 //! The audit of a library: which trials are named right when they are left out, which look
 //! mislabelled, what is damaged, and what to record next.
 
+mod finding;
+mod inspect;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use rayon::prelude::*;
 use serde::ser::{SerializeMap, Serializer};
 
+pub use self::finding::{FaultKind, Finding};
+use self::finding::{Names, resting};
+use self::inspect::{Inspected, inspect};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::Fold;
 use super::outcome::{Confusion, Outcome, Prediction};
 use super::plain::better_plain;
 use super::share::Share;
-use crate::library::audit::{self, Unreadable};
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, Signal, TrialKey, flaws, is_plain};
+use crate::trial::{Flaw, TrialKey};
 
 /// Most folds: more trials of a surface are left out several at a time.
 const MOST_FOLDS: usize = 10;
@@ -39,7 +43,11 @@ pub struct CheckReport {
     pub confusion: Option<Confusion>,
     /// Trial by trial, sorted.
     pub each: Vec<TrialCheck>,
-    /// Things to fix, a line each.
+    /// Accuracy once all findings are mended, a fraction; none where there are none.
+    pub accuracy_mended: Option<f64>,
+    /// Things to fix, the worst first.
+    pub findings: Vec<Finding>,
+    /// The same, a line each.
     pub mend: Vec<String>,
     /// Things to record next, and other advice, a line each.
     pub advice: Vec<String>,
@@ -85,7 +93,7 @@ pub struct TrialCheck {
     pub named: Option<String>,
     /// ln of the ratio by which the answer was ahead of the next.
     pub margin: Option<f64>,
-    /// It is named another surface more clearly than most trials are named theirs.
+    /// It is named another surface more clearly than most trials of that surface are.
     pub mislabelled: bool,
     /// Flaws of its signals, a line each.
     pub flaws: Vec<String>,
@@ -108,27 +116,35 @@ fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Err
     map.end()
 }
 
-/// Audits a library: its trials are left out and named by `method`, up to ten times. Files that
-/// cannot be read are listed and do without. `cache` is the library's folder, if prepared trials are
-/// kept there.
-pub fn check(
-    opened: Opened,
-    scene: &Scene,
-    method: &dyn Method,
-    cache: Option<&Path>,
-    progress: ProgressFn<'_>,
-) -> CheckReport {
-    let mut mend: Vec<String> = opened.bad.iter().map(ToString::to_string).collect();
-    let entries: Vec<Entry> = opened.library.entries.into_iter().map(|e| e.within(scene)).collect();
-    progress("reading all recordings", 0, 1);
-    let unreadable = audit::unreadable(&entries);
-    mend.extend(unreadable.iter().map(|Unreadable { error, .. }| error.to_string()));
-    let entries = audit::without(entries, &unreadable);
-    let inspected: Vec<Inspected> = entries.par_iter().map(|e| inspect(e, scene)).collect();
+/// A library to be audited.
+pub struct Audited<'a> {
+    /// Its folder.
+    pub root: &'a Path,
+    /// Whether `surfaced library` can edit it.
+    pub editable: bool,
+    /// The sources to compare.
+    pub scene: &'a Scene,
+    /// The way to compare.
+    pub method: &'a dyn Method,
+    /// The folder of prepared trials, if they are kept.
+    pub cache: Option<&'a Path>,
+}
+
+/// Audits a library: its trials are left out, with their whole person where there are several, and
+/// named by the others. Files that cannot be read are listed and do without. Each recording is read
+/// once, as far as memory goes.
+pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) -> CheckReport {
+    let names = Names { root: audited.root, editable: audited.editable };
+    let entries = opened.library.entries.into_iter().map(|entry| entry.within(audited.scene));
+    let (inspected, unreadable) = inspect(entries.collect(), audited.scene, progress);
+    let mut findings = finding::unreadable(&opened.bad, &unreadable, &names);
+    let (of_signals, of_sources) = finding::of_signals(&inspected, &names);
+    findings.extend(of_signals);
+    let entries: Vec<Entry> = inspected.iter().map(|one| one.entry.clone()).collect();
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let mut advice = opened.library.remarks;
-    let folds = left_out(&keys);
-    let measured = measure(&entries, &folds, scene, method, cache, progress);
+    advice.extend(of_sources);
+    let measured = measure(&entries, audited, progress);
     let (predictions, outcome) = match measured {
         Ok((predictions, outcome, better)) => {
             advice.extend(better);
@@ -139,29 +155,93 @@ pub fn check(
             (Vec::new(), None)
         }
     };
-    let each = trials(&keys, &predictions, &inspected);
+    // Damaged trials mislead the others: labels are judged without them.
+    let damaged: BTreeSet<String> = (findings.iter())
+        .filter(|finding| finding.kind < FaultKind::Mislabelled)
+        .flat_map(|finding| finding.trials.clone())
+        .collect();
+    let sound: Vec<Entry> =
+        entries.iter().filter(|entry| !damaged.contains(&names.of(entry))).cloned().collect();
+    let of_sound = match sound.len() == entries.len() {
+        true => None,
+        false => measure(&sound, audited, progress).ok().map(|measured| measured.0),
+    };
+    let judged = of_sound.as_ref().unwrap_or(&predictions);
+    let suspects = suspects(judged);
+    let wrong: Vec<(String, String)> = (sound.iter())
+        .filter_map(|entry| Some((names.of(entry), (*suspects.get(&entry.key)?).to_string())))
+        .collect();
+    findings.extend(finding::mislabelled(&wrong, &names));
+    findings.sort_by_key(|finding| finding.kind);
+    let accuracy_mended = match (findings.is_empty(), wrong.is_empty()) {
+        (true, _) => None,
+        (false, true) => Some(Share::count(judged.iter().map(Prediction::is_correct)).value()),
+        (false, false) => {
+            let mended: Vec<Entry> =
+                sound.iter().map(|entry| relabelled(entry, &suspects)).collect();
+            let mended = measure(&mended, &Audited { cache: None, ..*audited }, progress);
+            mended.ok().map(|(_, outcome, _)| outcome.share.value())
+        }
+    };
+    let each = trials(&keys, &predictions, &inspected, &suspects);
     let surfaces = surfaces(&keys, &predictions);
-    mend.extend(flawed(&each));
-    mend.extend(duplicates(&keys, &inspected));
-    mend.extend(each.iter().filter(|trial| trial.mislabelled).map(|trial| {
-        let named = trial.named.as_deref().unwrap_or_default();
-        format!("{} looks mislabelled: left out, it is clearly named {named}", trial.key)
-    }));
     advice.extend(missing(&entries));
     advice.extend(next(&surfaces, &keys));
+    let line = |finding: &Finding| match &finding.command {
+        Some(command) => format!("{}: {command}", finding.text),
+        None => finding.text.clone(),
+    };
     CheckReport {
         trials: keys.len(),
         share: outcome.as_ref().map(|outcome| outcome.share),
         confusion: outcome.map(|outcome| outcome.confusion),
         surfaces,
         each,
-        mend,
+        accuracy_mended,
+        mend: findings.iter().map(line).collect(),
+        findings,
         advice,
     }
 }
 
-/// Fold k leaves out the k-th trial of every surface that has another one.
+/// The entry under the label that it was named, if it looks mislabelled, with a number of its own.
+fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
+    let Some(label) = suspects.get(&entry.key) else { return entry.clone() };
+    let key = TrialKey {
+        surface: (*label).to_string(),
+        number: entry.key.number.wrapping_add(u32::MAX / 2),
+        ..entry.key.clone()
+    };
+    entry.clone().renamed(key)
+}
+
+/// The folds: every person in turn, where there are several; trials of surfaces that one person alone
+/// has, and of a single person, k-th by k-th.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
+    let people: BTreeSet<&str> = keys.iter().map(|key| key.user.as_str()).collect();
+    let mut folds = Vec::new();
+    if people.len() > 1 {
+        for user in people {
+            let library: Vec<usize> = (0..keys.len()).filter(|&i| keys[i].user != user).collect();
+            let known: BTreeSet<&str> = library.iter().map(|&i| &*keys[i].surface).collect();
+            let is_known = |&i: &usize| keys[i].user == user && known.contains(&*keys[i].surface);
+            let queries: Vec<usize> = (0..keys.len()).filter(is_known).collect();
+            if known.len() > 1 && !queries.is_empty() {
+                folds.push(Fold { name: user.into(), library, queries });
+            }
+        }
+    }
+    let done: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
+    let rest = by_parts(keys).into_iter().map(|fold| {
+        let queries = fold.queries.iter().copied().filter(|i| !done.contains(i)).collect();
+        Fold { queries, ..fold }
+    });
+    folds.extend(rest.filter(|fold| !fold.queries.is_empty()));
+    folds
+}
+
+/// Fold k leaves out the k-th trial of every surface that has another one.
+fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     let mut of_surface: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {
         of_surface.entry(&key.surface).or_default().push(i);
@@ -186,13 +266,13 @@ fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
 
 fn measure(
     entries: &[Entry],
-    folds: &[Fold],
-    scene: &Scene,
-    method: &dyn Method,
-    cache: Option<&Path>,
+    audited: &Audited<'_>,
     progress: ProgressFn<'_>,
 ) -> Result<(Vec<Prediction>, Outcome, Option<String>), String> {
-    let surfaces: BTreeSet<&str> = entries.iter().map(|e| e.key.surface.as_str()).collect();
+    let Audited { scene, method, cache, .. } = *audited;
+    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let folds = left_out(&keys);
+    let surfaces: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
         return Err(
             "no trial can be left out and named: that takes two surfaces, and two trials of \
@@ -200,7 +280,7 @@ fn measure(
                 .into(),
         );
     }
-    let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, folds) };
+    let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let measured = run.measure().map_err(|error| error.to_string())?;
     let is_default = method.name() == MethodName::Embedding.as_str();
@@ -208,21 +288,30 @@ fn measure(
     Ok((measured.predictions, measured.outcome, better))
 }
 
+/// The trials that are named another surface more clearly than most trials of that surface are, and
+/// that surface.
+fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
+    let right = predictions.iter().filter(|p| p.is_correct());
+    let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
+    margins.values_mut().for_each(|margins| margins.sort_by(f64::total_cmp));
+    // If most are wrong, nothing is clear.
+    let mostly_right = margins.values().map(Vec::len).sum::<usize>() * 2 > predictions.len();
+    let is_clear = |p: &&Prediction| {
+        let usual = margins.get(&*p.surface).map(|margins| margins[margins.len() / 2]);
+        mostly_right && !p.is_correct() && usual.is_some_and(|usual| p.margin >= usual)
+    };
+    predictions.iter().filter(is_clear).map(|p| (&p.key, p.surface.as_str())).collect()
+}
+
 fn trials(
     keys: &[TrialKey],
     predictions: &[Prediction],
     inspected: &[Inspected],
+    suspects: &BTreeMap<&TrialKey, &str>,
 ) -> Vec<TrialCheck> {
     let by_key: BTreeMap<&TrialKey, &Prediction> =
         predictions.iter().map(|prediction| (&prediction.key, prediction)).collect();
-    let mut right: Vec<f64> =
-        predictions.iter().filter(|p| p.is_correct()).map(|p| p.margin).collect();
-    right.sort_by(f64::total_cmp);
-    // If most are wrong, nothing is clear.
-    let clear = match right.len() * 2 > predictions.len() {
-        true => right[right.len() / 2],
-        false => f64::INFINITY,
-    };
     let usual = resting(inspected);
     let one = |(key, inspected): (&TrialKey, &Inspected)| {
         let prediction = by_key.get(key).copied();
@@ -242,7 +331,7 @@ fn trials(
             },
             named: prediction.map(|p| p.surface.clone()).filter(|named| !named.is_empty()),
             margin: prediction.map(|p| p.margin),
-            mislabelled: is_right == Some(false) && prediction.is_some_and(|p| p.margin >= clear),
+            mislabelled: suspects.contains_key(key),
             flaws: flaws.chain(plain).collect(),
         }
     };
@@ -256,7 +345,8 @@ fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> 
         let queries: Vec<_> = predictions.iter().filter(|p| p.key.surface == label).collect();
         let share = Share::count(queries.iter().map(|p| p.is_correct()));
         let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
-        queries.iter().filter(|p| !p.is_correct()).for_each(|p| {
+        let named = |p: &&&Prediction| !p.is_correct() && !p.surface.is_empty();
+        queries.iter().filter(named).for_each(|p| {
             *taken.entry(p.surface.as_str()).or_default() += 1;
         });
         let mut taken_for: Vec<_> = taken.into_iter().map(|(s, n)| (s.to_string(), n)).collect();
@@ -270,12 +360,6 @@ fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> 
         }
     };
     labels.into_iter().map(of).collect()
-}
-
-/// Flaws, the same of many trials as one line.
-fn flawed(each: &[TrialCheck]) -> Vec<String> {
-    let lines = each.iter().flat_map(|trial| trial.flaws.iter().map(move |f| (f, &trial.key)));
-    lines.map(|(flaw, key)| format!("{key}: {flaw}")).collect()
 }
 
 fn missing(entries: &[Entry]) -> Vec<String> {
@@ -323,65 +407,6 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     advice
 }
 
-/// The flaws of one trial's signals.
-struct Inspected {
-    flaws: Vec<(SourceId, Flaw)>,
-    plain: Vec<SourceId>,
-    /// A number for each series that changes.
-    hashes: Vec<(SourceId, u64)>,
-}
-
-/// Reads a trial.
-fn inspect(entry: &Entry, scene: &Scene) -> Inspected {
-    let mut found = Inspected { flaws: Vec::new(), plain: Vec::new(), hashes: Vec::new() };
-    // All of it could be read a moment ago.
-    let Ok(trial) = entry.load() else { return found };
-    for (id, signal) in &trial.signals {
-        let is_switch = scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some());
-        match signal {
-            Signal::Image(image) if is_plain(image) => found.plain.push(id.clone()),
-            Signal::Series(series) if !is_switch => {
-                found.flaws.extend(flaws(series).into_iter().map(|flaw| (id.clone(), flaw)));
-                if !series.is_constant() {
-                    found.hashes.push((id.clone(), signal.content_hash()));
-                }
-            }
-            Signal::Image(_) | Signal::Series(_) => {}
-        }
-    }
-    found
-}
-
-/// Channels that rest in half of the trials or more: that is how they are.
-fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
-    let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
-    for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
-        if let Flaw::Constant { channel, .. } = flaw {
-            *counts.entry((id, *channel)).or_default() += 1;
-        }
-    }
-    counts.retain(|_, count| *count * 2 >= inspected.len());
-    counts.into_keys().collect()
-}
-
-/// Trials with a series that another one has.
-fn duplicates(keys: &[TrialKey], inspected: &[Inspected]) -> Vec<String> {
-    let mut seen: BTreeMap<(&SourceId, u64), &TrialKey> = BTreeMap::new();
-    let mut twice: BTreeMap<(&TrialKey, &TrialKey), Vec<&str>> = BTreeMap::new();
-    for (key, inspected) in keys.iter().zip(inspected) {
-        for (id, hash) in &inspected.hashes {
-            match seen.get(&(id, *hash)) {
-                Some(first) => twice.entry((first, key)).or_default().push(id.as_str()),
-                None => drop(seen.insert((id, *hash), key)),
-            }
-        }
-    }
-    let say = |((first, second), sources): ((&TrialKey, &TrialKey), Vec<&str>)| {
-        format!("{second} is a copy of {first} ({}); remove one", sources.join(", "))
-    };
-    twice.into_iter().map(say).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -401,5 +426,23 @@ mod tests {
                 assert!(fold.library.iter().any(|&i| keys[i].surface == surface));
             }
         }
+    }
+
+    #[test]
+    fn every_person_is_left_out_where_there_are_several() {
+        let people = ["anna", "ben"];
+        let mut keys: Vec<TrialKey> = Vec::new();
+        for user in people {
+            keys.extend(["a", "b"].map(|surface| TrialKey::new(surface, user, 1)));
+        }
+        // Only one person has this one.
+        keys.extend((1..=2).map(|n| TrialKey::new("c", "anna", n)));
+        let folds = left_out(&keys);
+        let names: Vec<&str> = folds.iter().map(|fold| &*fold.name).collect();
+        assert_eq!(names, ["anna", "ben", "part 1", "part 2"]);
+        assert!(folds[0].queries == [0, 1] && folds[0].library == [2, 3]);
+        let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
+        left.sort_unstable();
+        assert_eq!(left, (0..6).collect::<Vec<_>>());
     }
 }

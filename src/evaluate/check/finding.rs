@@ -1,0 +1,315 @@
+//! Faults of a library: a line for each source and kind of fault, the worst first, and the
+//! command that mends it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use super::inspect::Inspected;
+use crate::library::audit::Unreadable;
+use crate::library::{Entry, LibraryError};
+use crate::printable::quoted;
+use crate::scene::SourceId;
+use crate::trial::Flaw;
+
+/// ln of the ratio to its surface's level that makes a trial loud or quiet: 20 dB.
+const LOUD: f64 = std::f64::consts::LN_10;
+/// ln of the ratio to its source's level below which a trial is silent: 40 dB.
+const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
+/// A trial is short below this share of the usual length.
+const SHORT: f64 = 1.0 / 3.0;
+/// Trials that it takes to know what is usual.
+const FEWEST: usize = 3;
+/// Names that are shown of a finding.
+const SHOWN: usize = 3;
+
+/// A kind of fault, the worst first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FaultKind {
+    /// It cannot be read.
+    Unreadable,
+    /// Another trial has the same samples.
+    Copy,
+    /// It never changes, or is 40 dB below the other trials.
+    Silent,
+    /// It is shorter than a third of the usual.
+    Short,
+    /// It runs into its limits.
+    Clipped,
+    /// A channel is stuck, or a picture of one colour.
+    Stuck,
+    /// It is named another surface, clearly.
+    Mislabelled,
+    /// It is 20 dB above or below the other trials of its surface.
+    Level,
+}
+
+/// Trials of a library with one kind of fault.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Finding {
+    /// The kind.
+    pub kind: FaultKind,
+    /// The source, where it is about one.
+    pub source: Option<SourceId>,
+    /// The trials, as `surfaced library` takes them.
+    pub trials: Vec<String>,
+    /// The fault in a line.
+    pub text: String,
+    /// The command that mends it, where one can.
+    pub command: Option<String>,
+}
+
+/// A fault of one trial.
+struct Fault {
+    kind: FaultKind,
+    source: Option<SourceId>,
+    /// The fault, without the source and the trial.
+    what: &'static str,
+    trial: String,
+    /// Numbers of this trial, for the line.
+    detail: String,
+}
+
+/// The names of trials in a library that may be edited.
+pub(super) struct Names<'a> {
+    pub root: &'a Path,
+    /// Whether `surfaced library` can edit it.
+    pub editable: bool,
+}
+
+impl Names<'_> {
+    pub fn of(&self, entry: &Entry) -> String {
+        entry.name_in(self.root)
+    }
+
+    /// The command that removes trials.
+    fn remove(&self, trials: &[String]) -> Option<String> {
+        self.command("remove", trials)
+    }
+
+    /// The command that gives trials another label.
+    fn relabel(&self, trials: &[String], label: &str) -> Option<String> {
+        self.command(&format!("move --to={}", quoted(label)), trials)
+    }
+
+    fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
+        let library = quoted(&self.root.display().to_string());
+        let names = trials.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(" ");
+        let dash = trials.iter().chain([&library]).any(|name| name.starts_with('-'));
+        let dashes = if dash { "-- " } else { "" };
+        let is_editable = self.editable && !trials.is_empty();
+        is_editable.then(|| format!("surfaced library {edit} {dashes}{library} {names}"))
+    }
+
+    /// The trial that a file belongs to, and why it cannot be used.
+    fn unreadable(&self, error: &LibraryError) -> (Option<String>, String) {
+        let Some(path) = error.path() else { return (None, error.to_string()) };
+        let within = path.strip_prefix(self.root).unwrap_or(path);
+        let parts: Vec<_> = within.iter().map(|part| part.to_string_lossy()).collect();
+        let trial = match &parts[..] {
+            [surface, trial] | [surface, trial, _] => Some(format!("{surface}/{trial}")),
+            _ => None,
+        };
+        let said = error.to_string();
+        let why = said.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&said);
+        let file = parts.get(2).map(|file| format!("{file}: ")).unwrap_or_default();
+        (trial, format!("{file}{why}"))
+    }
+}
+
+/// Faults of the files that cannot be read.
+pub(super) fn unreadable(
+    bad: &[LibraryError],
+    unreadable: &[Unreadable],
+    names: &Names<'_>,
+) -> Vec<Finding> {
+    let errors = bad.iter().map(|error| (None, error));
+    let errors = errors.chain(unreadable.iter().map(|u| (Some(&u.source), &u.error)));
+    let (mut faults, mut others) = (Vec::new(), Vec::new());
+    for (source, error) in errors {
+        let (kind, source) = (FaultKind::Unreadable, source.cloned());
+        match names.unreadable(error) {
+            (Some(trial), detail) => {
+                faults.push(Fault { kind, source, what: "cannot be read", trial, detail });
+            }
+            (None, _) => others.push(Finding {
+                kind,
+                source,
+                trials: Vec::new(),
+                text: error.to_string(),
+                command: None,
+            }),
+        }
+    }
+    let mut found = grouped(faults, usize::MAX, names).0;
+    found.extend(others);
+    found
+}
+
+/// The faults of the signals: findings, and advice where most trials have the same.
+pub(super) fn of_signals(
+    inspected: &[Inspected],
+    names: &Names<'_>,
+) -> (Vec<Finding>, Vec<String>) {
+    let mut faults = copies(inspected, names);
+    let levels = |source: &SourceId, surface: Option<&str>| {
+        let of = inspected
+            .iter()
+            .filter(|one| surface.is_none_or(|surface| one.entry.key.surface == surface));
+        median(of.filter_map(|one| Some(one.series.get(source)?.level)).collect())
+    };
+    let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
+    let usual_s: BTreeMap<&SourceId, Option<f64>> = (sources.iter())
+        .map(|id| {
+            let lengths = inspected.iter().filter_map(|one| Some(one.series.get(*id)?.seconds));
+            (*id, median(lengths.collect()))
+        })
+        .collect();
+    let usual_level: BTreeMap<&SourceId, Option<f64>> =
+        sources.iter().map(|id| (*id, levels(id, None))).collect();
+    let resting = resting(inspected);
+    for one in inspected {
+        let surface = &*one.entry.key.surface;
+        let trial = names.of(&one.entry);
+        let mut add = |kind, source: &SourceId, what, detail: String| {
+            let (source, trial) = (Some(source.clone()), trial.clone());
+            faults.push(Fault { kind, source, what, trial, detail });
+        };
+        for (id, of) in &one.series {
+            let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
+            let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
+            let rests = of.hash.is_none() && !resting.contains(&(id, 1));
+            let of_surface = levels(id, Some(surface));
+            if rests || below(usual_level[id], SILENT) {
+                add(FaultKind::Silent, id, "is silent", String::new());
+            } else if usual_s[id].is_some_and(|usual| of.seconds < SHORT * usual) {
+                let usual = usual_s[id].unwrap_or_default();
+                let detail = format!("{:.1} s, usually {usual:.1} s", of.seconds);
+                add(FaultKind::Short, id, "is far shorter than usual", detail);
+            } else if above(of_surface, LOUD) || below(of_surface, LOUD) {
+                let db = 20.0 / std::f64::consts::LN_10 * (of.level - of_surface.unwrap_or(0.0));
+                let detail = format!("{db:+.0} dB");
+                add(FaultKind::Level, id, "has not the level of its surface", detail);
+            }
+        }
+        for (id, flaw) in &one.flaws {
+            let channel = format!("channel {}", flaw.channel());
+            match flaw {
+                Flaw::Constant { channel, .. } if resting.contains(&(id, *channel)) => {}
+                Flaw::Saturated { share, .. } => {
+                    let detail = format!("{:.0} % of {channel} at its limit", 100.0 * share);
+                    add(FaultKind::Clipped, id, "is clipped", detail);
+                }
+                Flaw::Constant { .. } | Flaw::Stuck { .. } => {
+                    add(FaultKind::Stuck, id, "is stuck", channel);
+                }
+            }
+        }
+        for id in &one.plain {
+            add(FaultKind::Stuck, id, "is of one colour", String::new());
+        }
+    }
+    grouped(faults, inspected.len(), names)
+}
+
+/// Trials that look mislabelled: the trial, and the surface that it is named.
+pub(super) fn mislabelled(found: &[(String, String)], names: &Names<'_>) -> Vec<Finding> {
+    let mut by_label: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+    for (trial, named) in found {
+        by_label.entry(named).or_default().push(trial.clone());
+    }
+    let finding = |(label, trials): (&str, Vec<String>)| Finding {
+        kind: FaultKind::Mislabelled,
+        source: None,
+        text: format!("{} mislabelled: left out, clearly named {label}", listed(&trials, "looks")),
+        command: names.relabel(&trials, label),
+        trials,
+    };
+    by_label.into_iter().map(finding).collect()
+}
+
+/// `1 trial looks (a)`, `4 trials look (a, b, c and 1 more)`.
+fn listed(trials: &[String], verb: &str) -> String {
+    let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match trials.len() {
+        1 => format!("{shown} {verb}"),
+        n if n <= SHOWN => format!("{n} trials ({shown}) {}", verb.trim_end_matches('s')),
+        n => format!("{n} trials ({shown} and {} more) {}", n - SHOWN, verb.trim_end_matches('s')),
+    }
+}
+
+/// A finding for each source and kind, the worst first; a trial has one fault a source. A kind that
+/// half of `all` trials have is no fault of trials, and becomes advice.
+fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Finding>, Vec<String>) {
+    faults.sort_by(|a, b| (a.kind, &a.source).cmp(&(b.kind, &b.source)));
+    let mut seen = BTreeSet::new();
+    faults.retain(|fault| seen.insert((fault.source.clone(), fault.trial.clone())));
+    let mut groups: BTreeMap<(FaultKind, Option<SourceId>, &str), Vec<Fault>> = BTreeMap::new();
+    for fault in faults {
+        let key = (fault.kind, fault.source.clone(), fault.what);
+        groups.entry(key).or_default().push(fault);
+    }
+    let (mut findings, mut advice) = (Vec::new(), Vec::new());
+    for ((kind, source, what), faults) in groups {
+        let subject = source.as_ref().map_or_else(|| "a recording".into(), ToString::to_string);
+        let count = faults.len();
+        let each = faults.iter().take(SHOWN).map(|fault| match fault.detail.as_str() {
+            "" => fault.trial.clone(),
+            detail => format!("{} ({detail})", fault.trial),
+        });
+        let mut each = each.collect::<Vec<_>>().join("; ");
+        if count > SHOWN {
+            each += &format!("; and {} more", count - SHOWN);
+        }
+        let trials = if count == 1 { "trial" } else { "trials" };
+        let text = format!("{subject} {what} in {count} {trials}: {each}");
+        if count >= FEWEST && count.saturating_mul(2) >= all {
+            advice.push(format!("{subject} {what} in {count} of {all} trials: check its sensor"));
+            continue;
+        }
+        let trials: BTreeSet<String> = faults.into_iter().map(|fault| fault.trial).collect();
+        let trials: Vec<String> = trials.into_iter().collect();
+        findings.push(Finding { kind, source, command: names.remove(&trials), trials, text });
+    }
+    (findings, advice)
+}
+
+/// Trials with a series that another one has.
+fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
+    let mut first: BTreeMap<(&SourceId, u64), &Entry> = BTreeMap::new();
+    let mut faults = Vec::new();
+    for one in inspected {
+        for (id, of) in &one.series {
+            let Some(hash) = of.hash else { continue };
+            match first.get(&(id, hash)) {
+                None => drop(first.insert((id, hash), &one.entry)),
+                Some(other) => faults.push(Fault {
+                    kind: FaultKind::Copy,
+                    source: None,
+                    what: "is a copy of another",
+                    trial: names.of(&one.entry),
+                    detail: format!("that of {}", names.of(other)),
+                }),
+            }
+        }
+    }
+    faults
+}
+
+/// Channels that rest in half of the trials or more: that is how they are.
+pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
+    let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
+    for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
+        if let Flaw::Constant { channel, .. } = flaw {
+            *counts.entry((id, *channel)).or_default() += 1;
+        }
+    }
+    counts.retain(|_, count| *count * 2 >= inspected.len());
+    counts.into_keys().collect()
+}
+
+/// The median; none of fewer than [`FEWEST`] values.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    (values.len() >= FEWEST).then(|| values[values.len() / 2])
+}
