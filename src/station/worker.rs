@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn a_method_that_panics_anywhere_takes_neither_the_thread_nor_the_next_scan_with_it() {
         for (part, names) in
-            [("nothing", true), ("follow", false), ("prepare", false), ("rank", false)]
+            [("nothing", true), ("follow", true), ("prepare", false), ("rank", false)]
         {
             let worker = Worker::start(false).unwrap();
             let model = Arc::new(PanicsIn(part));

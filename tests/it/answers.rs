@@ -279,7 +279,7 @@ fn replay_and_eval_report_the_scan_time_used_and_agree_on_it() {
         (output, stderr)
     };
     // Twelve left-out trials can show a rate of 1 in 13.
-    let (_, stderr) = run("replay", &["embedding"]);
+    let (_, stderr) = run("replay", &["embedding", "--verbose"]);
     assert!(stderr.contains("at most 7.7 % of scans of known surfaces"), "{stderr}");
     let (output, stderr) = run("replay", &["embedding", "--false-rejections", "0", "--json"]);
     assert!(output.status.success(), "{stderr}");
