@@ -61,7 +61,7 @@ pub struct Args {
     /// Use only the first seconds of each query's drag
     #[arg(long, value_name = "X", value_parser = super::common::seconds)]
     query_seconds: Option<f64>,
-    /// Where users are queries: add each user's first N trials of every surface to the library
+    /// Add each user's first N trials of every surface to the library (protocols of users)
     #[arg(long, default_value_t = 0, value_name = "N")]
     enrolled: usize,
     /// Also answer as soon as an answer is settled, and print accuracy and scan time

@@ -57,7 +57,7 @@ pub enum Scores {
 
 /// A way of telling surfaces apart by standardised features.
 pub trait Classifier: Clone + Send + Sync + 'static {
-    /// What is learnt from a library.
+    /// The outcome of learning from a library.
     type Model: Send + Sync;
 
     /// Learns from a library.
@@ -120,7 +120,7 @@ impl<C: Classifier> OnFeatures<C> {
     }
 }
 
-/// Where a source's features stand among all, and how they are standardised.
+/// Place of a source's features among all, and their standardisation.
 #[derive(Clone, Debug)]
 struct Columns {
     first: usize,
