@@ -50,7 +50,7 @@ pub trait Method: Send + Sync {
         None
     }
 
-    /// The model that [`EmbeddingModel::store`] gave these bytes for; `None` if there is none.
+    /// The model that [`EmbeddingModel`] gave these bytes for; `None` if there is none.
     fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
         None
     }

@@ -12,7 +12,8 @@ const PLAIN: &str = "the picture is of one colour";
 /// compare.
 ///
 /// `moves` says whether a channel of a source, counted from 0, moves in the library
-/// ([`crate::recognise::Model::moves`]). Libraries are taken as they are: what is in them was looked at when it was enrolled.
+/// ([`crate::recognise::EmbeddingModel::moves`]). Libraries are taken as they are: their trials were
+/// looked at when they were enrolled.
 pub fn without_flawed(
     mut trial: Trial,
     scene: &Scene,
