@@ -108,12 +108,17 @@ impl ChannelLimits {
         self.run = if x == self.last { self.run + 1 } else { 1 };
         self.last = x;
         let at_limit = x <= self.low || x >= self.high;
+        if x < self.low || x > self.high {
+            // A value that the signal passes is no limit.
+            self.rested = [0.0, self.rested[0] + self.rested[1]];
+        }
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
         self.between = self.between.saturating_add(usize::from(!at_limit && self.run == 1));
         let rests = self.run >= RUN;
         self.rested = self.rested.map(|rested| rested * MEMORY);
         self.rested[usize::from(!at_limit)] += f32::from(u8::from(rests));
-        let outstanding = self.rested[0] > self.rested[1] && self.between >= FEWEST_BETWEEN;
+        let [at_limits, elsewhere] = self.rested;
+        let outstanding = at_limits > elsewhere.max(RUN as f32) && self.between >= FEWEST_BETWEEN;
         // Zero is a sensor at rest.
         at_limit && x != 0.0 && rests && outstanding
     }
