@@ -90,6 +90,10 @@ struct ChannelLimits {
 const RUN: usize = 3;
 /// Share of that memory that a sample leaves: it lasts some thousand samples.
 const MEMORY: f32 = 1.0 - 1.0 / 4096.0;
+/// Limits hold this many times as many resting samples as all other values.
+const ABOVE_ELSEWHERE: f32 = 4.0;
+/// Fewer resting samples at its limits are the crest of a slow signal.
+const FEWEST_AT_LIMITS: f32 = 16.0;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
 
@@ -118,7 +122,8 @@ impl ChannelLimits {
         self.rested = self.rested.map(|rested| rested * MEMORY);
         self.rested[usize::from(!at_limit)] += f32::from(u8::from(rests));
         let [at_limits, elsewhere] = self.rested;
-        let outstanding = at_limits > elsewhere.max(RUN as f32) && self.between >= FEWEST_BETWEEN;
+        let outstanding = at_limits > (ABOVE_ELSEWHERE * elsewhere).max(FEWEST_AT_LIMITS)
+            && self.between >= FEWEST_BETWEEN;
         // Zero is a sensor at rest.
         at_limit && x != 0.0 && rests && outstanding
     }
