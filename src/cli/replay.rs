@@ -17,7 +17,8 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
-use crate::library::{Entry, Library};
+use crate::library::Entry;
+use crate::library::audit::{self, Unreadable};
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
@@ -91,7 +92,7 @@ pub fn run(args: &Args) -> Done {
         (Some(data), None) => by_protocol(&how, data, args.protocol)?,
         (Some(data), Some(library)) => against(&how, data, library)?,
     };
-    play(args, &how, &stage, library)?;
+    play(args, &how, stage, library)?;
     if !args.json {
         advise(args);
     }
@@ -156,10 +157,9 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         )));
     }
     let cache = how.cache_in(library);
-    let readable = |path: &Path| -> Result<Library, Failure> {
-        Ok(bad_files::readable(path, super::open_held(path)?)?.0)
-    };
-    let (data, library) = (readable(data)?, readable(library)?);
+    // All data are played; of the library, what is kept of it may do.
+    let (data, _) = bad_files::readable(data, super::open_held(data)?)?;
+    let library = super::open_held(library)?;
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;
@@ -175,7 +175,12 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
 }
 
 /// Plays the stage's queries, and names them. `reading` keeps edits off the library until it is read.
-fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<LibraryLock>) -> Done {
+fn play(
+    args: &Args,
+    how: &Comparing,
+    mut stage: ReplayStage,
+    reading: Option<LibraryLock>,
+) -> Done {
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
@@ -210,7 +215,15 @@ fn play(args: &Args, how: &Comparing, stage: &ReplayStage, reading: Option<Libra
     let (mut station, server) = args.serve.start(station, settings)?;
     // The page is there while the models are made. Until then, a signal ends the program as usual.
     station.emit(&StationEvent::Reading);
-    let (recogniser, follows) = recogniser(args, how, stage)?;
+    let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {
+        (Err(error), Some(folder)) => {
+            if !stage.leaves_unreadable_out(folder)? {
+                return Err(error);
+            }
+            recogniser(args, how, &stage)?
+        }
+        (made, _) => made?,
+    };
     drop(reading);
     station = station.recogniser(Arc::new(recogniser));
     if follows {
@@ -276,6 +289,25 @@ impl ReplayStage {
         };
         let all = self.folds.iter().enumerate().flat_map(of_fold);
         all.map(|(fold, query)| (fold, &self.entries[query]))
+    }
+
+    /// Leaves recordings of the library in a folder out that cannot be read, and says so; false if all
+    /// can be.
+    ///
+    /// # Errors
+    /// With `--strict`, if there are any.
+    fn leaves_unreadable_out(&mut self, folder: &Path) -> Result<bool, Failure> {
+        let unreadable = audit::unreadable(&self.compared());
+        let Self { entries, folds, .. } = self;
+        for fold in folds {
+            for Unreadable { entry, source, .. } in &unreadable {
+                entries[fold.library[*entry]].sources.retain(|id| id != source);
+            }
+            fold.library.retain(|&i| !entries[i].sources.is_empty());
+        }
+        let some = !unreadable.is_empty();
+        bad_files::skip(folder, unreadable.into_iter().map(|one| one.error).collect())?;
+        Ok(some)
     }
 
     /// The trials that stand in the library of some fold.
