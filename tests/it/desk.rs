@@ -2,26 +2,13 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::Output;
 
 use crate::bench::Bench;
 use crate::common::http::Client;
 use crate::common::{says, simulate, temp, write_file, write_wav};
-use assert_cmd::Command;
+use crate::plan::{said, surfaced, text};
 use serde_json::Value;
 use surfaced::seed;
-
-fn surfaced(args: &[&str]) -> Output {
-    Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
-}
-
-fn said(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 /// A dragging sound of 16 bits: noise with a correlation time of `tau` samples.
 fn sound(tau: f64, seconds: f64, rate_hz: u32, seed: u64) -> Vec<i16> {

@@ -82,15 +82,15 @@ fn a_hundred_and_eight_surfaces_need_several() {
     assert!(said.ends_with(&format!(": {right} of 324 right")), "{said}, but {right}");
 }
 
-fn surfaced(args: &[&str]) -> Output {
+pub fn surfaced(args: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
 }
 
-fn said(output: &Output) -> String {
+pub fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-fn text(path: &Path) -> &str {
+pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
