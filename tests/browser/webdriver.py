@@ -54,7 +54,8 @@ class Browser:
             with urllib.request.urlopen(request, timeout=60) as answer:
                 return json.load(answer)["value"]
         except urllib.error.HTTPError as error:
-            raise RuntimeError(json.load(error)["value"]["message"].splitlines()[0]) from error
+            said = json.load(error)["value"]["message"].splitlines()[0]
+            raise RuntimeError(f"{method} {path}: {said}") from None
 
     def __enter__(self):
         return self
@@ -81,11 +82,25 @@ class Browser:
         body = {"using": "css selector", "value": selector}
         return self.call("POST", f"{self.session}/element", body)[ELEMENT]
 
+    def act(self, selector, action, body=None, seconds=10):
+        """Acts on an element as soon as a person could: a page that draws itself anew hides elements, and
+        makes others of them, for moments."""
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                return self.call("POST", f"{self.session}/element/{self.element(selector)}/{action}", body)
+            except RuntimeError as error:
+                if time.monotonic() > end:
+                    seen = self.run("return [location.hash, document.querySelector(arguments[0])?.outerHTML,"
+                                    "[...document.querySelectorAll('dialog[open]')].map(d => d.innerText)]", selector)
+                    raise AssertionError(f"{action} {selector}: {error}; the page shows {seen}") from None
+            time.sleep(0.1)
+
     def click(self, selector):
-        self.call("POST", f"{self.session}/element/{self.element(selector)}/click")
+        self.act(selector, "click")
 
     def type(self, selector, text):
-        self.call("POST", f"{self.session}/element/{self.element(selector)}/value", {"text": text})
+        self.act(selector, "value", {"text": text})
 
     def keys(self, text):
         """Presses keys, wherever the focus is."""
