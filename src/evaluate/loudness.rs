@@ -114,7 +114,6 @@ impl Model for Levels {
     }
 }
 
-/// ln of the root mean square over time and channels, each channel's mean taken out.
 /// ln of the root mean square over time and channels, after the mean of each is taken out.
 pub(super) fn level_of(samples: &[f32], channels: usize) -> f64 {
     let power: f64 = (0..channels)

@@ -65,9 +65,10 @@ def until(browser, what, wanted, seconds=60):
 
 
 def open_newest(browser, station):
-    """Opens the newest scan that is whole and whose signals are kept, by its row; gives it."""
+    """Opens the newest scan that is whole, not corrected, and whose signals are kept, by its row; gives it."""
+    fresh = lambda scan: scan["kept"] and not scan["spoiled"] and not scan["correction"]
     scan = until(browser, "a scan that is kept", lambda: next(
-        (s for s in get(station, "/api/v1/scans?limit=5")["scans"] if s["kept"] and not s["spoiled"]), None))
+        filter(fresh, get(station, "/api/v1/scans?limit=5")["scans"]), None))
     row = f"#scans tr[data-id='{scan['id']}'] button"
     until(browser, "its row", lambda: browser.run("return !!document.querySelector(arguments[0])", row))
     browser.run("document.querySelector(arguments[0]).click()", row)

@@ -82,25 +82,11 @@ class Browser:
         body = {"using": "css selector", "value": selector}
         return self.call("POST", f"{self.session}/element", body)[ELEMENT]
 
-    def act(self, selector, action, body=None, seconds=10):
-        """Acts on an element as soon as a person could: a page that draws itself anew hides elements, and
-        makes others of them, for moments."""
-        end = time.monotonic() + seconds
-        while True:
-            try:
-                return self.call("POST", f"{self.session}/element/{self.element(selector)}/{action}", body)
-            except RuntimeError as error:
-                if time.monotonic() > end:
-                    seen = self.run("return [location.hash, document.querySelector(arguments[0])?.outerHTML,"
-                                    "[...document.querySelectorAll('dialog[open]')].map(d => d.innerText)]", selector)
-                    raise AssertionError(f"{action} {selector}: {error}; the page shows {seen}") from None
-            time.sleep(0.1)
-
     def click(self, selector):
-        self.act(selector, "click")
+        self.call("POST", f"{self.session}/element/{self.element(selector)}/click")
 
     def type(self, selector, text):
-        self.act(selector, "value", {"text": text})
+        self.call("POST", f"{self.session}/element/{self.element(selector)}/value", {"text": text})
 
     def keys(self, text):
         """Presses keys, wherever the focus is."""
