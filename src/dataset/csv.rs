@@ -260,7 +260,6 @@ pub struct NamePattern(pub String);
 /// The labels in a name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NameParts {
-    /// The surface.
     pub surface: Option<String>,
     /// The person.
     pub user: Option<String>,

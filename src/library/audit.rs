@@ -10,7 +10,6 @@ use crate::scene::SourceId;
 pub struct Unreadable {
     /// Index of the trial among the entries.
     pub entry: usize,
-    /// The source.
     pub source: SourceId,
     /// Why.
     pub error: LibraryError,

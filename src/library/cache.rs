@@ -61,7 +61,6 @@ struct Place {
 
 /// One trial to be stored.
 pub(crate) struct Record<'a> {
-    /// Its name.
     pub name: String,
     /// Stands for the files that it was prepared from.
     pub stamp: u64,

@@ -14,7 +14,6 @@ use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 pub(crate) enum SourceFiles {
     /// One WAV or FLAC file, what its header said, and whether its two channels become one.
     Series { path: PathBuf, header: Header, mixed: bool },
-    /// One picture.
     Picture(PathBuf),
     /// One text file a channel.
     Columns { paths: Vec<PathBuf>, rate_hz: f64 },

@@ -145,7 +145,6 @@ pub(super) fn sent(marked: &mut Marked, step: u64, lengths: &SnapshotLengths) {
     }
 }
 
-/// The lengths of a snapshot, by source.
 pub(super) struct SnapshotLengths(Vec<(SourceId, u64)>);
 
 impl SnapshotLengths {

@@ -183,7 +183,6 @@ const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.05 };
 const UNKNOWN: usize = 12;
 /// The scan whose acceleration is a dead line.
 const DEAD: (usize, u32) = (5, 2);
-/// The source that is dead in it.
 const DEAD_SOURCE: &str = "ac";
 
 /// The scene, and what to look for in it.

@@ -136,7 +136,6 @@ impl DurationReport {
     }
 }
 
-/// A column of the table.
 struct Column {
     /// As [`table`] takes it.
     head: &'static str,

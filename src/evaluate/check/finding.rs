@@ -47,7 +47,6 @@ pub enum FaultKind {
 /// Trials of a library with one kind of fault.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Finding {
-    /// The kind.
     pub kind: FaultKind,
     /// The source, where it is about one.
     pub source: Option<SourceId>,

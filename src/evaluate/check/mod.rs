@@ -58,7 +58,6 @@ pub struct CheckReport {
 pub struct SurfaceCheck {
     /// The label.
     pub surface: String,
-    /// Its trials.
     pub trials: usize,
     /// The people who dragged.
     pub users: usize,
@@ -84,7 +83,6 @@ pub enum TrialVerdict {
 /// The audit of a trial.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TrialCheck {
-    /// The trial.
     #[serde(flatten)]
     pub key: TrialKey,
     /// The answer when it was left out.

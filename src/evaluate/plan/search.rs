@@ -27,7 +27,6 @@ pub struct PlanOptions {
 /// One source, what it costs and what it can do alone.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceCost {
-    /// The source.
     pub source: SourceId,
     /// Time to compare it alone with the library by `embedding`, in milliseconds (median).
     pub latency_ms: f64,
@@ -42,7 +41,6 @@ pub struct SourceCost {
 /// A plan, and what was seen on the way.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Planned {
-    /// The plan.
     pub plan: Plan,
     /// All sources, the cheapest first.
     pub sources: Vec<SourceCost>,

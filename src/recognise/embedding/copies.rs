@@ -48,7 +48,6 @@ pub struct Copy {
     pub quarter: usize,
 }
 
-/// The copies of a trial.
 pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     let mut rng = rng(key, seed, "copies");
     std::array::from_fn(|i| Copy {

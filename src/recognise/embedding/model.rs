@@ -173,7 +173,6 @@ impl EmbeddingModel {
         self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
     }
 
-    /// The ranking of a vector.
     pub(super) fn ranking(&self, vector: &[f32], present: &Present, scan_s: f64) -> Ranking {
         let posterior = self.posterior(vector, present, scan_s);
         let best = posterior.best();

@@ -168,7 +168,6 @@ impl SeriesEmbedder {
     }
 }
 
-/// The frames of one view, counted.
 pub(super) fn counted(views: &SourceViews, frames: &PackedFrames, view: usize) -> BandSums {
     let (width, channels) = (views.0[view].width(), views.0[view].channels);
     let mut sums = BandSums::new(channels, width);

@@ -46,7 +46,6 @@ pub const STACKED: usize = CHANNELS * DISPLACED.len();
 /// A part of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Part {
-    /// All of it.
     Whole,
     /// One of four quarters, by its number.
     Quarter(usize),

@@ -158,12 +158,10 @@ impl Training {
         if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
     }
 
-    /// The whole of a trial.
     pub fn whole(&self, trial: usize) -> ArrayView1<'_, f32> {
         self.rows.row(trial)
     }
 
-    /// The excerpts of a trial.
     pub fn excerpts(&self, trial: usize) -> Vec<Vec<f32>> {
         let first = self.present.len() + trial * COPIES;
         (first..first + EXCERPTS).map(|row| self.rows.row(row).to_vec()).collect()

@@ -49,7 +49,6 @@ pub struct LeftOutScan {
 /// The people and surfaces of a library: for whom a promise holds, and what is lacking.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryCounts {
-    /// Its people.
     pub people: usize,
     /// Whether they were left out, one after the other.
     pub across_people: bool,
