@@ -5,19 +5,18 @@ use image::{ExtendedColorType, ImageEncoder, ImageResult};
 
 use crate::trial::Image;
 
-/// A picture as a JPEG file, of a quality from 1 to 100.
-pub(crate) fn encode(image: &Image, quality: u8) -> ImageResult<Vec<u8>> {
-    encode_rgb(image.rgb(), (Image::COLS as u32, Image::ROWS as u32), quality)
+/// Quality of all pictures that are written, from 1 to 100: to be looked at, never compared.
+const QUALITY: u8 = 80;
+
+/// A picture as a JPEG file.
+pub(crate) fn encode(image: &Image) -> ImageResult<Vec<u8>> {
+    encode_rgb(image.rgb(), (Image::COLS as u32, Image::ROWS as u32))
 }
 
-/// Three bytes a pixel, row by row, as a JPEG file, of a quality from 1 to 100.
-pub(crate) fn encode_rgb(
-    rgb: &[u8],
-    (width, height): (u32, u32),
-    quality: u8,
-) -> ImageResult<Vec<u8>> {
+/// Three bytes a pixel, row by row, as a JPEG file.
+pub(crate) fn encode_rgb(rgb: &[u8], (width, height): (u32, u32)) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
     encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8)?;
     Ok(bytes)
 }

@@ -45,7 +45,9 @@
 //!
 //! [`scene`] describes the sources, [`trial`] holds one recorded interaction, [`seed`] makes every random
 //! draw repeatable, and [`spectrum`] has the amplitude spectra that methods and the page share. Decoders,
-//! kernels and statistics are pure: no I/O, no clock, no global state.
+//! kernels and statistics are pure: no I/O, no clock, no global state. The defaults of a station
+//! (detection, devices, history, enrolment) are in `configs/stylus.toml`, which is embedded; those of a
+//! method are in its options.
 //!
 //! # Stability
 //! Before version 1.0, a minor version may change this interface; `CHANGELOG.md` then says so. The items

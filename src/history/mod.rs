@@ -1,4 +1,5 @@
-//! Past scans: every answer, and the signals of as many scans as fit a bounded space on disk.
+//! Past scans: every answer, and the signals of as many scans as fit a bounded space on disk
+//! (`[history] keep_mb` in `configs/stylus.toml`).
 //!
 //! ```text
 //! HISTORY/

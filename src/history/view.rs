@@ -11,8 +11,6 @@ use crate::trial::{Image, Series, Signal, Trial};
 const BINS: usize = 400;
 /// Frames of a window of the spectrum.
 const WINDOW: usize = 4096;
-/// Quality of pictures, of 100.
-const QUALITY: u8 = 80;
 /// Samples a second from which a source can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
@@ -88,7 +86,7 @@ impl SeriesView {
 
 /// A picture as JPEG; `None` if there is no memory for it.
 pub fn jpeg(image: &Image) -> Option<Vec<u8>> {
-    jpeg::encode(image, QUALITY).ok()
+    jpeg::encode(image).ok()
 }
 
 /// A number that is short when printed: about four digits, which is finer than any screen.

@@ -1,4 +1,5 @@
-//! Trials that lie in files: what was promised when the library was opened, read when needed.
+//! Trials in files: their headers are read and checked against each other when the library is opened
+//! (rates, channels), their samples when they are needed.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -26,6 +26,7 @@ pub struct DetectorConfig {
     pub longest_drag_s: f64,
 }
 
+/// For tests. A station's are from `[detection]` in `configs/stylus.toml`, which a test holds equal.
 impl Default for DetectorConfig {
     fn default() -> Self {
         Self {

@@ -1,5 +1,6 @@
 //! Shows the whole picture of a camera to several readers: the picture, the region of it that is
-//! compared, and the light.
+//! compared, and the light. It holds the newest; the page (`serve/page/camera.js`) asks for it at most
+//! twice a second.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,9 +10,6 @@ use super::Rgb;
 use super::upright::{Region, Turn, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
-
-/// Quality of pictures, of 100.
-const QUALITY: u8 = 80;
 
 /// The state of the light of a camera, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -84,7 +82,7 @@ impl Viewfinder {
     pub fn jpeg(&self) -> Option<Vec<u8>> {
         let (picture, turn) = self.lock().picture.clone()?;
         let Rgb { width, height, bytes } = small(&picture, turn)?;
-        jpeg::encode_rgb(&bytes, (width as u32, height as u32), QUALITY).ok()
+        jpeg::encode_rgb(&bytes, (width as u32, height as u32)).ok()
     }
 }
 

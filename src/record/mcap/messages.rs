@@ -19,8 +19,6 @@ use crate::trial::{Image, Series, Signal, Trial};
 
 /// Messages a second.
 const MESSAGES_A_SECOND: f64 = 10.0;
-/// Quality of pictures, of 100.
-const JPEG_QUALITY: u8 = 75;
 /// The value of 1 in samples of 16 bits.
 const STEP: f32 = 1.0 / 32768.0;
 /// The schema of samples: a list a channel; a value times the scale is the sample.
@@ -104,7 +102,7 @@ fn picture(
     image: &Image,
     begin_s: f64,
 ) -> mcap::McapResult<()> {
-    let jpeg = jpeg::encode(image, JPEG_QUALITY).map_err(std::io::Error::other)?;
+    let jpeg = jpeg::encode(image).map_err(std::io::Error::other)?;
     let data = base64::engine::general_purpose::STANDARD.encode(jpeg);
     let time = json!({ "sec": begin_s as u64, "nsec": (begin_s.fract() * 1e9) as u32 });
     let message = json!({ "timestamp": time, "frame_id": "", "data": data, "format": "jpeg" });

@@ -4,6 +4,8 @@ import { make, plain, sourceName } from "./dom.js";
 
 // Without a picture for so long, a camera is shown as stalled: it takes its time between two.
 const STALLED_MS = 3500;
+// At most two pictures a second.
+const LEAST_MS = 500;
 const cameras = new Map();
 // How the station's own camera is: its source, the region that is compared, its light.
 let own = null;
@@ -57,7 +59,7 @@ export function picture(place, source) {
   camera.arrived = performance.now();
   delete camera.figure.dataset.stalled;
   describe(camera);
-  if (camera.busy || camera.arrived - camera.asked < 500 || document.hidden) return;
+  if (camera.busy || camera.arrived - camera.asked < LEAST_MS || document.hidden) return;
   [camera.busy, camera.asked] = [true, camera.arrived];
   camera.image.src = `/api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
 }
