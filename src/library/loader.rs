@@ -14,10 +14,17 @@ use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
     /// One WAV or FLAC file, what its header said, and whether its two channels become one.
-    Series { path: PathBuf, header: Header, mixed: bool },
+    Series {
+        path: PathBuf,
+        header: Header,
+        mixed: bool,
+    },
     Picture(PathBuf),
     /// One text file a channel.
-    Columns { paths: Vec<PathBuf>, rate_hz: f64 },
+    Columns {
+        paths: Vec<PathBuf>,
+        rate_hz: f64,
+    },
 }
 
 /// Reads one trial from its files.
