@@ -86,4 +86,5 @@ pub mod serve;
 #[doc(hidden)] // For the project's own tests.
 pub mod spectrum;
 pub mod station;
+mod system;
 pub mod trial;

@@ -1,25 +1,20 @@
 //! Keys and signals that end or steer a station.
 
-use std::io::{IsTerminal, Read};
+use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
-use rustix::termios::{self, LocalModes, OptionalActions, Termios};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
 
 use super::{DAMAGED, Failure};
 use crate::station::Command;
+use crate::system::{next_key, restore_terminal, signals, single_keys};
 
 /// The time after the first signal at which the process ends in any case: later than a station does
 /// by
 /// itself, and within the five seconds that it has.
 const LIMIT: Duration = Duration::from_millis(4700);
-
-/// The settings of the terminal before keys were read one by one.
-static BEFORE: OnceLock<Termios> = OnceLock::new();
 
 /// Keys that are read one by one, until it is dropped.
 pub struct Keys;
@@ -27,30 +22,17 @@ pub struct Keys;
 impl Keys {
     /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan, `q` quits.
     pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
-        let stdin = std::io::stdin();
-        let in_front =
-            termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
-        if !in_front || !std::io::stderr().is_terminal() {
+        if !std::io::stderr().is_terminal() || !single_keys() {
             return None;
         }
-        let before = termios::tcgetattr(&stdin).ok()?;
-        let mut single = before.clone();
-        // Signals stay: Ctrl-C still ends the program.
-        single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-        termios::tcsetattr(&stdin, OptionalActions::Now, &single).ok()?;
         let keys = Self;
-        let _ = BEFORE.set(before);
         let read = move || {
-            // This thread may hold the lock of stdin for ever.
-            for key in std::io::stdin().lock().bytes() {
+            while let Some(key) = next_key() {
                 let (command, does) = match key {
-                    Ok(b' ') if scanning.load(Ordering::Acquire) => {
-                        (Command::Stop, "ends the scan")
-                    }
-                    Ok(b' ') => (Command::Start, "begins a scan"),
-                    Ok(b'q' | b'Q') => (Command::Quit, "quits"),
-                    Ok(_) => continue,
-                    Err(_) => return,
+                    ' ' if scanning.load(Ordering::Acquire) => (Command::Stop, "ends the scan"),
+                    ' ' => (Command::Start, "begins a scan"),
+                    'q' | 'Q' => (Command::Quit, "quits"),
+                    _ => continue,
                 };
                 // Said at once, even if the station is busy.
                 say!("the key {does}");
@@ -67,14 +49,7 @@ impl Keys {
 
 impl Drop for Keys {
     fn drop(&mut self) {
-        restore();
-    }
-}
-
-fn restore() {
-    if let Some(before) = BEFORE.get() {
-        // If this fails, the terminal is gone.
-        let _ = termios::tcsetattr(std::io::stdin(), OptionalActions::Now, before);
+        restore_terminal();
     }
 }
 
@@ -90,18 +65,15 @@ impl Signalled {
 
 /// Makes the first signal a command to quit. The second one ends the process at once, as does the
 /// first when there is neither a station nor anybody who waits for it. However the station takes
-/// it, the process ends within [`LIMIT`]. A hang-up that was ignored when the process began, as under
-/// `nohup`, stays ignored.
+/// it, the process ends within [`LIMIT`].
 pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
-    let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
-    // SIGTERM is the last: where it is caught, so are the others.
-    let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
+    let signals = signals()?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {
-        for (count, signal) in signals.forever().enumerate() {
+        for (count, signal) in signals.enumerate() {
             let taken = [commands.send(Command::Quit).is_ok(), send.send(()).is_ok()];
             if count > 0 || taken == [false; 2] {
-                restore();
+                restore_terminal();
                 std::process::exit(128 + signal);
             }
             // If the system gives no thread, the second signal ends it.
@@ -112,13 +84,6 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
     Ok(Signalled(signalled))
 }
 
-fn hangup_is_ignored() -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
-}
-
 /// Ends a process that has not ended by itself in time, such as one whose output nobody reads.
 fn end_late() {
     std::thread::sleep(LIMIT);
@@ -126,6 +91,6 @@ fn end_late() {
     let warn = || say!("warning: the program did not end in time; some data may be lost");
     let _ = std::thread::Builder::new().spawn(warn);
     std::thread::sleep(Duration::from_millis(50));
-    restore();
+    restore_terminal();
     std::process::exit(DAMAGED.into());
 }

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
-use sd_notify::NotifyState;
 
 use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::within;
@@ -30,6 +29,7 @@ use crate::station::{
     Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
     StationEvent, assemble,
 };
+use crate::system;
 
 /// Options that describe the station.
 #[derive(Clone, Debug, clap::Args)]
@@ -305,7 +305,7 @@ impl Supervisor {
     /// # Errors
     /// If no thread can be started.
     pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
-        if let Some(limit) = sd_notify::watchdog_enabled() {
+        if let Some(limit) = system::watchdog() {
             // Three times as often as necessary: two may come late.
             let every = (limit / 3).max(Duration::from_millis(10));
             let ping = move || {
@@ -322,13 +322,12 @@ impl Supervisor {
 impl Listener for Supervisor {
     fn on_event(&mut self, event: &StationEvent) {
         let state = match event {
-            StationEvent::Streams(_) => NotifyState::Ready,
-            StationEvent::Alive => NotifyState::Watchdog,
-            StationEvent::Finished(_) => NotifyState::Stopping,
+            StationEvent::Streams(_) => "READY=1",
+            StationEvent::Alive => "WATCHDOG=1",
+            StationEvent::Finished(_) => "STOPPING=1",
             _ => return,
         };
-        // Fails only without systemd.
-        let _ = sd_notify::notify(&[state]);
+        system::notify_supervisor(state);
     }
 }
 

@@ -5,18 +5,17 @@
 
 use std::fmt;
 use std::io::{self, Write};
-use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
 use crate::printable::Printable;
+use crate::system::{AsOutput, takes_more};
 
 /// The time for which a stalled reader may hold up live devices, once.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -127,7 +126,7 @@ fn write_stderr(text: &str) {
     write(&mut io::stderr().lock(), &STALLED[1], text);
 }
 
-fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
+fn write(out: &mut (impl Write + AsOutput), stalled: &AtomicBool, text: &str) {
     for part in text.as_bytes().chunks(ATOMIC) {
         if LIVE.load(Ordering::Acquire) && !ready(out, stalled) {
             return;
@@ -140,12 +139,9 @@ fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
 }
 
 /// Whether a part can be written without blocking; waits a moment, but only once in a row.
-fn ready(out: &impl AsFd, stalled: &AtomicBool) -> bool {
+fn ready(out: &impl AsOutput, stalled: &AtomicBool) -> bool {
     let wait = if stalled.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
-    let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
-    let mut fds = [PollFd::new(out, PollFlags::OUT)];
-    // A descriptor that cannot be polled is left to the write.
-    let ready = !matches!(poll(&mut fds, Some(&wait)), Ok(0));
+    let ready = takes_more(out, wait);
     stalled.store(!ready, Ordering::Release);
     ready
 }

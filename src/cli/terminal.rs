@@ -3,11 +3,10 @@
 //! Without a terminal there is no status line, and the rest goes to the log. Answers go to stdout.
 
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rustix::termios;
+use console::Term;
 use tracing::Level;
 
 use super::{say, show, shown};
@@ -17,6 +16,7 @@ use crate::scene::{Phase, SourceId};
 use crate::station::{
     Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent,
 };
+use crate::system::has_status_line;
 
 /// Shows a station to people: answers on stdout, all else on stderr.
 pub struct Terminal {
@@ -35,7 +35,7 @@ pub struct Terminal {
 impl Terminal {
     /// Nothing shown yet. `hint` says what to do, and stands where there is nothing else to show.
     pub fn new(json: bool, hint: String) -> Self {
-        let draws = std::io::stderr().is_terminal();
+        let draws = has_status_line();
         say::never_wait();
         say::keep_status_line(draws);
         if !draws {
@@ -88,7 +88,7 @@ impl Terminal {
         let devices: Vec<_> =
             self.devices.iter().map(|(name, state)| format!("{name} {state}")).collect();
         let line = format!("{now} │ {}", devices.join(", "));
-        let columns = termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| size.ws_col);
+        let columns = Term::stderr().size_checked().map_or(80, |(_, columns)| columns);
         let fits: String = line.chars().take(usize::from(columns.max(20)) - 1).collect();
         say::status(&fits);
     }

@@ -3,14 +3,14 @@
 //! Serial lines are not opened for it: that resets some boards.
 
 use std::ffi::OsStr;
-use std::fs;
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use serialport::SerialPortType;
 
 #[cfg(any(feature = "camera", test))]
 use super::OpenError;
+use crate::system::{device_holder, may_use};
 
 /// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
@@ -31,14 +31,17 @@ pub struct ListedDevice {
 /// # Errors
 /// If the system refuses the list.
 pub fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
-    // The crate relies on this folder.
-    if !Path::new("/sys/class/tty").is_dir() {
-        return Ok(Vec::new());
-    }
-    let mut ports: Vec<ListedDevice> =
-        serialport::available_ports()?.iter().map(serial_port).collect();
+    let mut ports: Vec<ListedDevice> = available_ports()?.iter().map(serial_port).collect();
     ports.sort_by(|a, b| a.id.cmp(&b.id));
     Ok(ports)
+}
+
+/// What the crate lists: nothing where the folder is not there that it relies on, as in a container.
+pub(super) fn available_ports() -> Result<Vec<serialport::SerialPortInfo>, serialport::Error> {
+    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
+    serialport::available_ports()
 }
 
 fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
@@ -49,7 +52,8 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
             let words: Vec<_> = words.into_iter().flatten().map(String::as_str).collect();
             let name = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "));
             let alias = alias(Path::new("/dev/serial/by-id"), node);
-            let stays = alias.is_some();
+            // Windows keeps the number of a device.
+            let stays = alias.is_some() || cfg!(windows);
             (alias.unwrap_or_else(|| node.into()), name, stays)
         }
         SerialPortType::PciPort => (node.into(), "PCI".to_string(), true),
@@ -77,11 +81,10 @@ pub(super) fn alias(folder: &Path, node: &Path) -> Option<PathBuf> {
 
 /// The reason why this user cannot use a device node: it is gone, not permitted, or in use.
 pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
-    use rustix::fs::{Access, access};
-    match access(node, Access::READ_OK | Access::WRITE_OK) {
-        Ok(()) => holder(Path::new("/proc"), node)
+    match may_use(node) {
+        Ok(()) => device_holder(node)
             .map(|holder| format!("in use by process {holder}; end it, or name another device")),
-        Err(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM) => {
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {
             Some(format!("permission denied; {}", permission_hint(node, group)))
         }
         Err(error) => Some(error.to_string()),
@@ -99,27 +102,6 @@ pub fn permission_hint(node: &Path, group: &str) -> String {
          KERNEL==\"{kind}[0-9]*\", TAG+=\"uaccess\" and run: sudo udevadm control --reload && \
          sudo udevadm trigger"
     )
-}
-
-/// Number and name of another process that has `node` open, as far as this user may see it.
-fn holder(proc: &Path, node: &Path) -> Option<String> {
-    let device = fs::metadata(node).ok().filter(|node| node.file_type().is_char_device())?.rdev();
-    let has = |process: &Path| {
-        let Ok(open) = fs::read_dir(process.join("fd")) else { return false };
-        open.flatten().any(|entry| {
-            // The name first: looking at what lies behind a link may take long (a dead network).
-            let link = fs::read_link(entry.path()).unwrap_or_default();
-            link.starts_with("/dev")
-                && fs::metadata(entry.path())
-                    .is_ok_and(|m| m.file_type().is_char_device() && m.rdev() == device)
-        })
-    };
-    let own = std::process::id();
-    fs::read_dir(proc).ok()?.flatten().find_map(|entry| {
-        let number: u32 = entry.file_name().to_str()?.parse().ok()?;
-        let name = || fs::read_to_string(entry.path().join("comm")).unwrap_or_default();
-        (number != own && has(&entry.path())).then(|| format!("{number} ({})", name().trim()))
-    })
 }
 
 /// Folders in which udev keeps links to cameras that stay: by model, or by the socket.
@@ -189,26 +171,6 @@ mod tests {
     fn a_node_that_is_gone_is_a_problem() {
         let said = node_problem(Path::new("/dev/no-such-port"), "dialout").unwrap();
         assert!(said.contains("No such file"), "{said}");
-    }
-
-    #[test]
-    fn the_process_that_has_a_node_is_named() {
-        let mut child = std::process::Command::new("sleep")
-            .arg("60")
-            .stdin(fs::File::open("/dev/full").unwrap())
-            .spawn()
-            .unwrap();
-        let mut found = None;
-        for _ in 0..100 {
-            found = holder(Path::new("/proc"), Path::new("/dev/full"));
-            if found.as_deref().is_some_and(|text| text.contains("(sleep)")) {
-                break;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(10));
-        }
-        child.kill().unwrap();
-        child.wait().unwrap();
-        assert_eq!(found, Some(format!("{} (sleep)", child.id())));
     }
 
     #[test]

@@ -1,13 +1,12 @@
 //! Accuracy of answers given as soon as they are settled, and the scan time they take.
 
-use rustix::time::{ClockId, clock_gettime};
-
 use super::evaluation::Run;
 use super::{EvaluateError, Share};
 use crate::recognise::{
     FollowOptions, Follower, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
 use crate::scene::{Scene, SourceId};
+use crate::system::processor_s;
 use crate::trial::{Series, Signal, Trial};
 
 /// Answers by the stop rule against answers by the whole scan. Shares are fractions from 0 to 1.
@@ -35,8 +34,8 @@ pub struct SettledOutcome {
     /// Mean length of the whole scans, in seconds.
     pub whole_s_mean: f64,
     /// Processor time of following a scan to its end, ten looks a second, over scan time: 1 is
-    /// one core.
-    pub core_share: f64,
+    /// one core; `None` where the system does not tell (Windows).
+    pub core_share: Option<f64>,
     /// The rule of each fold, and what it promised.
     pub rules: Vec<Settling>,
 }
@@ -58,7 +57,7 @@ impl SettledOutcome {
     pub fn of(run: &Run<'_, '_>, loss: f64) -> Result<Self, EvaluateError> {
         let (scene, folds) = (run.on().scene, run.on().folds);
         let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
-        let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), 0.0);
+        let (mut all, mut rules, mut busy_s) = (Vec::with_capacity(total), Vec::new(), Some(0.0));
         for fold in folds {
             let model = run.fit(&fold.library)?;
             let embedding = (model.clone().embedding())
@@ -71,7 +70,8 @@ impl SettledOutcome {
                 let scan_s = trial.longest_s(|id| scene.is_dragged(id)).unwrap_or(0.0);
                 let start_s = processor_s();
                 let settled = follow(&mut follower, &trial, scene, scan_s)?;
-                busy_s += processor_s() - start_s;
+                let spent_s = processor_s().zip(start_s).map(|(end_s, start_s)| end_s - start_s);
+                busy_s = busy_s.zip(spent_s).map(|(busy_s, spent_s)| busy_s + spent_s);
                 let whole = model.rank(&run.query_of(&model, trial, None)?.prepared)?;
                 all.push(StoppedQuery {
                     truth,
@@ -86,7 +86,12 @@ impl SettledOutcome {
     }
 }
 
-fn sum_up(all: &[StoppedQuery], rules: Vec<Settling>, busy_s: f64, loss: f64) -> SettledOutcome {
+fn sum_up(
+    all: &[StoppedQuery],
+    rules: Vec<Settling>,
+    busy_s: Option<f64>,
+    loss: f64,
+) -> SettledOutcome {
     let by_rule = |s: &StoppedQuery| match &s.settled {
         Some((label, _)) => *label == s.truth,
         None => s.whole == s.truth,
@@ -109,7 +114,7 @@ fn sum_up(all: &[StoppedQuery], rules: Vec<Settling>, busy_s: f64, loss: f64) ->
         scan_s_mean: times.iter().sum::<f64>() / n,
         scan_s_p50: times.get(times.len() / 2).copied().unwrap_or(0.0),
         whole_s_mean: whole_s / n,
-        core_share: busy_s / whole_s.max(LOOK_S),
+        core_share: busy_s.map(|busy_s| busy_s / whole_s.max(LOOK_S)),
         rules,
     }
 }
@@ -161,10 +166,4 @@ fn add(
     let channels = series.channels();
     let samples = &series.samples()[from * channels..to * channels];
     follower.add(FreshFrames { source, rate_hz: series.rate_hz(), channels, samples })
-}
-
-/// Processor time of this process so far, all threads, in seconds.
-fn processor_s() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

@@ -4,12 +4,11 @@ use std::collections::HashSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{FlockOperation, flock, statvfs};
-
 use super::HistoryError;
 use super::log::Log;
 use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
+use crate::system::open_lock;
 
 /// The part of the space that answers may take; the rest is for signals.
 const FOR_ANSWERS: u64 = 8;
@@ -37,8 +36,8 @@ impl Disk {
     pub fn open(root: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let scans = root.join(SCANS);
         fs::create_dir_all(&scans).map_err(HistoryError::io(&scans))?;
-        let lock = File::open(root).map_err(HistoryError::io(root))?;
-        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+        let lock = open_lock(root).map_err(HistoryError::io(root))?;
+        if lock.try_lock().is_err() {
             return Err(HistoryError::InUse(root.to_path_buf()));
         }
         let log = Log::open(&root.join(LOG), false)?;
@@ -112,8 +111,7 @@ impl Disk {
 
     /// Bytes that the disk lacks to have as much free as it should; 0 where that is not known.
     pub fn lacks(&self) -> u64 {
-        statvfs(&self.root)
-            .map_or(0, |disk| lacks(disk.f_blocks * disk.f_frsize, disk.f_bavail * disk.f_frsize))
+        fs4::statvfs(&self.root).map_or(0, |disk| lacks(disk.total_space(), disk.available_space()))
     }
 
     /// Bytes of the signals of a scan.

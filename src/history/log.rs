@@ -10,7 +10,6 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -20,6 +19,7 @@ use super::{AnswerState, Correction, HistoryError};
 use crate::library::files;
 use crate::record::edit::is_plain;
 use crate::station::Answer;
+use crate::system::read_exact_at;
 
 /// Longest line that is read, with its end: an answer of some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
@@ -153,12 +153,12 @@ impl Log {
 
     fn ends_well(&self) -> bool {
         let mut last = [0];
-        self.file.read_exact_at(&mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
+        read_exact_at(&self.file, &mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
     }
 
     pub fn line(&self, span: Span) -> Result<String, HistoryError> {
         let mut text = vec![0; span.length as usize];
-        self.file.read_exact_at(&mut text, span.offset).map_err(HistoryError::io(&self.path))?;
+        read_exact_at(&self.file, &mut text, span.offset).map_err(HistoryError::io(&self.path))?;
         Ok(String::from_utf8_lossy(&text).into_owned())
     }
 

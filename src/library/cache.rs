@@ -15,15 +15,13 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Write};
-use std::os::unix::fs::{FileExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rustix::fs::{FlockOperation, flock};
-
 use super::files;
+use crate::system::{persist, read_exact_at};
 
 const MAGIC: &[u8; 14] = b"surfaced cache";
 /// Raised whenever what prepared trials hold, or how they are stored, changes.
@@ -123,7 +121,7 @@ impl Cache {
             return None;
         }
         let mut bytes = vec![0; usize::try_from(place.length + CHECKSUM).ok()?];
-        self.file.as_ref()?.read_exact_at(&mut bytes, place.begin).ok()?;
+        read_exact_at(self.file.as_ref()?, &mut bytes, place.begin).ok()?;
         let sum = bytes.split_off(place.length as usize);
         (checksum(&head(name, stamp, place.length), &bytes)[..] == sum).then_some(bytes)
     }
@@ -147,10 +145,9 @@ impl Cache {
             .prefix(&[name, OsStr::new(".")].join(OsStr::new("")))
             .rand_bytes(16)
             .suffix(UNFINISHED)
-            .permissions(Permissions::from_mode(0o666))
-            .tempfile_in(folder)?;
+            .make_in(folder, |path| File::create_new(path))?;
         // Without locks, nobody removes anything either.
-        let _ = flock(unfinished.as_file(), FlockOperation::NonBlockingLockExclusive);
+        let _ = unfinished.as_file().try_lock();
         let mut file = BufWriter::with_capacity(1 << 20, unfinished.as_file());
         file.write_all(MAGIC)?;
         file.write_all(&VERSION.to_le_bytes())?;
@@ -163,8 +160,7 @@ impl Cache {
         }
         file.flush()?;
         drop(file);
-        unfinished.persist(&self.path)?;
-        Ok(())
+        persist(unfinished, &self.path)
     }
 }
 
@@ -181,7 +177,7 @@ fn remove_abandoned(folder: &Path, name: &str) {
         let modified = file.metadata().and_then(|about| about.modified());
         let age = modified.ok().and_then(|at| at.elapsed().ok());
         let left = age.is_some_and(|age| age >= ABANDONED);
-        if left && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
+        if left && file.try_lock().is_ok() {
             let _ = fs::remove_file(&path);
         }
     }
@@ -206,13 +202,13 @@ fn checksum(head: &[u8], bytes: &[u8]) -> [u8; CHECKSUM as usize] {
 /// The record that begins at a place of a file of `length` bytes.
 fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
     let mut name_length = [0; 4];
-    file.read_exact_at(&mut name_length, at).ok()?;
+    read_exact_at(file, &mut name_length, at).ok()?;
     let name_length = u32::from_le_bytes(name_length);
     if name_length == 0 || name_length > LONGEST_NAME {
         return None;
     }
     let mut rest = vec![0; name_length as usize + 16];
-    file.read_exact_at(&mut rest, at + 4).ok()?;
+    read_exact_at(file, &mut rest, at + 4).ok()?;
     let (name, numbers) = rest.split_at(name_length as usize);
     let (stamp, count) = numbers.split_at(8);
     let number = |bytes: &[u8]| Some(u64::from_le_bytes(*bytes.first_chunk()?));
@@ -333,7 +329,7 @@ mod tests {
             file.set_modified(long_ago).unwrap();
             (path, file)
         });
-        flock(&locked.1, FlockOperation::NonBlockingLockExclusive).unwrap();
+        locked.1.try_lock().unwrap();
         fresh.1.set_modified(std::time::SystemTime::now()).unwrap();
         let (cache, _) = Cache::open(folder.path(), "m", 5);
         assert_eq!(cache.replace(&records()), None);

@@ -1,15 +1,13 @@
 //! Folders, and errors of the file system that say what to do.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Read};
-use std::os::unix::fs::MetadataExt;
-#[cfg(unix)]
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use super::{LibraryError, series_header};
 use crate::scene::SourceId;
 use crate::seed;
+use crate::system::{file_stamp, open_at_once};
 
 impl LibraryError {
     /// A file that does not hold what it should.
@@ -127,12 +125,7 @@ const SPECIAL: &str = "not used, it is neither a file nor a folder";
 /// # Errors
 /// If it cannot be opened or is no regular file.
 pub(crate) fn open(path: &Path) -> io::Result<(File, u64)> {
-    let mut options = OpenOptions::new();
-    options.read(true);
-    // Without it, opening a pipe waits for its writer.
-    #[cfg(unix)]
-    options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32);
-    let file = options.open(path)?;
+    let file = open_at_once(path)?;
     let about = file.metadata()?;
     if !about.is_file() {
         let problem = "not a regular file; expected a file, not a folder, a pipe or a device";
@@ -238,8 +231,7 @@ mod tests {
     }
 }
 
-/// A number for what files hold, by their device, inode, size and times of change, source by
-/// source; `None` if one of them is not there.
+/// A number for what files hold, by [`file_stamp`], source by source; `None` if one of them is not there.
 pub(crate) fn stamp<'a>(
     sources: impl Iterator<Item = (&'a SourceId, &'a [PathBuf])>,
 ) -> Option<u64> {
@@ -247,7 +239,7 @@ pub(crate) fn stamp<'a>(
     for (id, paths) in sources {
         parts.push(id.as_str().as_bytes().to_vec());
         for path in paths {
-            parts.push(of_file(path)?);
+            parts.push(file_stamp(path)?);
         }
     }
     Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
@@ -255,14 +247,5 @@ pub(crate) fn stamp<'a>(
 
 /// A number for the program that runs: another one after it is built or installed anew.
 pub(crate) fn program_stamp() -> Option<u64> {
-    Some(seed::stable_hash(&[&of_file(&std::env::current_exe().ok()?)?]))
-}
-
-/// Bytes that change whenever a file does.
-fn of_file(path: &Path) -> Option<Vec<u8>> {
-    let about = std::fs::metadata(path).ok()?;
-    let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
-    let mut all = [about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat();
-    all.extend(times.map(i64::to_le_bytes).concat());
-    Some(all)
+    Some(seed::stable_hash(&[&file_stamp(&std::env::current_exe().ok()?)?]))
 }

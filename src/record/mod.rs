@@ -24,6 +24,7 @@ use crate::dataset;
 use crate::library::recording::{DESCRIPTION, UNFINISHED, number_in};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
+use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
 /// The text beside a trial's data, and how all is written.
@@ -58,14 +59,12 @@ pub fn write_library_toml(
     named.name = name.to_string();
     let (path, text) = (dir.join(DESCRIPTION), named.to_library_toml(synthetic));
     let mut file = unfinished(&format!(".{DESCRIPTION}."))
-        .permissions(mode(0o666))
-        .tempfile_in(dir)
+        .make_in(dir, |path| File::create_new(path))
         .map_err(|error| failed(dir, error))?;
     file.write_all(text.as_bytes())
         .and_then(|()| file.as_file().sync_all())
         .map_err(|error| failed(file.path(), error))?;
-    file.persist(&path).map_err(|error| failed(&path, error.error))?;
-    Ok(())
+    system::persist(file, &path).map_err(|error| failed(&path, error))
 }
 
 /// Makes sure that trials can be written into a library, making its folder if need be.
@@ -177,7 +176,9 @@ impl<'a> UnfinishedTrial<'a> {
         let name = format!(".{}.", trial_name(key));
         let create = || {
             fs::create_dir_all(&surface)?;
-            unfinished(&name).permissions(mode(0o777)).tempdir_in(&surface)
+            let mut builder = unfinished(&name);
+            system::usual_permissions(&mut builder);
+            builder.tempdir_in(&surface)
         };
         // An edit may take the empty folder of a surface away at this very moment.
         let folder = create().or_else(|_| create()).map_err(|error| failed(&surface, error))?;
@@ -203,8 +204,7 @@ impl<'a> UnfinishedTrial<'a> {
     /// Gives it its name. False if another trial has it.
     fn finish(&self, folder: &Path) -> Result<bool, LibraryError> {
         use std::io::ErrorKind::{AlreadyExists, DirectoryNotEmpty, NotADirectory};
-        // Nothing that exists is replaced, since a trial's folder is never empty.
-        match fs::rename(self.folder.path(), folder) {
+        match system::rename_new(self.folder.path(), folder) {
             Ok(()) => {}
             Err(error)
                 if matches!(error.kind(), DirectoryNotEmpty | AlreadyExists | NotADirectory) =>
@@ -226,11 +226,6 @@ fn unfinished(prefix: &str) -> tempfile::Builder<'_, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(prefix).rand_bytes(16).suffix(UNFINISHED);
     builder
-}
-
-/// These permissions, as far as the user's mask leaves them.
-fn mode(bits: u32) -> fs::Permissions {
-    std::os::unix::fs::PermissionsExt::from_mode(bits)
 }
 
 /// The folder that a trial of this name is written into.
@@ -324,12 +319,9 @@ fn write_file(path: &Path, bytes: &[u8], durable: bool) -> Result<(), LibraryErr
     write().map_err(|error| failed(path, error))
 }
 
-/// Makes new names in a folder last; only Unix can and needs to.
+/// Makes new names in a folder last.
 fn sync_folder(dir: &Path) -> Result<(), LibraryError> {
-    if cfg!(unix) {
-        File::open(dir).and_then(|folder| folder.sync_all()).map_err(|error| failed(dir, error))?;
-    }
-    Ok(())
+    system::names_written(dir).map_err(|error| failed(dir, error))
 }
 
 fn failed(path: &Path, error: std::io::Error) -> LibraryError {

@@ -143,7 +143,9 @@ fn print_settled(s: &SettledOutcome) {
         percent(s.stated_loss),
         s.rules.len()
     );
-    result!("           following takes {} of one core", percent(s.core_share));
+    if let Some(share) = s.core_share {
+        result!("           following takes {} of one core", percent(share));
+    }
 }
 
 fn print_unknown(u: &UnknownOutcome) {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
 
 use crate::device::OpenError;
-use crate::device::list::permission_hint;
+use crate::device::list::{available_ports, permission_hint};
 
 /// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
 pub const BAUD: u32 = 3_000_000;
@@ -135,12 +135,8 @@ impl OpenPort for Selector {
     fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
         let path = match self {
             Self::Path(path) => path.display().to_string(),
-            // The crate relies on this folder, which a container may lack.
-            _ if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() => {
-                return Err(OpenError::Absent(self.to_string()));
-            }
             _ => {
-                let ports = serialport::available_ports()
+                let ports = available_ports()
                     .map_err(|error| failed("the list of serial ports", &error))?;
                 self.choose(&ports)?
             }

@@ -1,8 +1,10 @@
 //! Each change that an edit makes on disk passes through here, so that a test can stop at each.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Seek, Write};
 use std::path::Path;
+
+use crate::system;
 
 pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
     point()?;
@@ -12,24 +14,13 @@ pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// Renames what nothing else may make room for: neither a file nor a folder of that name is replaced.
 pub(super) fn move_to(from: &Path, to: &Path) -> io::Result<()> {
     point()?;
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{CWD, RenameFlags, renameat_with};
-        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-            // A file system that cannot promise it.
-            Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => {}
-            moved => return Ok(moved?),
-        }
-    }
-    if fs::symlink_metadata(to).is_ok() {
-        return Err(io::ErrorKind::AlreadyExists.into());
-    }
-    fs::rename(from, to)
+    system::rename_new(from, to)
 }
 
 /// Writes at the end of a file, and waits until the disk holds it.
 pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     let (first, second) = bytes.split_at(bytes.len() / 2);
+    file.seek(io::SeekFrom::End(0))?;
     file.write_all(first)?;
     point()?;
     file.write_all(second)?;
@@ -45,13 +36,14 @@ pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes a file, without waiting for the disk.
+/// Writes a file, for which [`sync_all`] waits.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     point()?;
     file.write_all(&bytes[..bytes.len() / 2])?;
     point()?;
-    file.write_all(&bytes[bytes.len() / 2..])
+    file.write_all(&bytes[bytes.len() / 2..])?;
+    if cfg!(test) { Ok(()) } else { system::file_written(&file) }
 }
 
 pub(super) fn create_folder(path: &Path) -> io::Result<()> {
@@ -61,17 +53,13 @@ pub(super) fn create_folder(path: &Path) -> io::Result<()> {
 
 pub(super) fn link(target: &Path, path: &Path) -> io::Result<()> {
     point()?;
-    std::os::unix::fs::symlink(target, path)
+    system::link_folder(target, path)
 }
 
 /// Waits until the disk holds all that was done below a folder: once, however many files that were.
 pub(super) fn sync_all(folder: &Path) -> io::Result<()> {
     point()?;
-    #[cfg(all(target_os = "linux", not(test)))]
-    rustix::fs::syncfs(File::open(folder)?)?;
-    #[cfg(not(all(target_os = "linux", not(test))))]
-    let _ = folder;
-    Ok(())
+    if cfg!(test) { Ok(()) } else { system::file_system_written(folder) }
 }
 
 #[cfg(not(test))]

@@ -1,15 +1,13 @@
-//! The lock of a library: it is read by many at a time, or edited by one. It is the system's own
-//! (`flock` of the folder), so that it ends with the process that holds it.
+//! The lock of a library: it is read by many at a time, or edited by one. It is the system's own, so
+//! that it ends with the process that holds it.
 
-use std::fs::{self, File};
-use std::os::unix::fs::MetadataExt;
+use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, flock, major, minor};
-
 use super::{Editor, steps};
 use crate::library::LibraryError;
+use crate::system::{lock_holder, open_lock};
 
 /// How long an edit waits for readers: less than a browser does.
 const PATIENCE: Duration = Duration::from_secs(8);
@@ -41,8 +39,7 @@ impl LibraryLock {
                 library.display()
             );
         }
-        let file = File::open(library).ok();
-        Self(file.filter(|file| wait(file, library, FlockOperation::NonBlockingLockShared, None)))
+        Self(open_lock(library).ok().filter(|file| wait(file, library, None)))
     }
 
     /// Waits until nobody reads the library, and keeps readers off.
@@ -50,9 +47,9 @@ impl LibraryLock {
     /// # Errors
     /// If it cannot be opened, or is read all the time.
     pub fn for_editing(library: &Path) -> Result<Self, LibraryError> {
-        let file = File::open(library).map_err(|error| LibraryError::io(library, error))?;
-        if !wait(&file, library, FlockOperation::NonBlockingLockExclusive, Some(PATIENCE)) {
-            let who = holder(&file).unwrap_or_else(|| "another program".into());
+        let file = open_lock(library).map_err(|error| LibraryError::io(library, error))?;
+        if !wait(&file, library, Some(PATIENCE)) {
+            let who = lock_holder(&file).unwrap_or_else(|| "another program".into());
             let problem = format!("{who} reads it all the time; try again when that has ended");
             return Err(LibraryError::file(library, problem));
         }
@@ -60,13 +57,15 @@ impl LibraryLock {
     }
 }
 
-/// Waits for a lock; false if it does not come, or there are none here.
-fn wait(file: &File, library: &Path, lock: FlockOperation, patience: Option<Duration>) -> bool {
+/// Waits for a lock, that of an editor if it has only so much patience; false if it does not come, or
+/// there are none here.
+fn wait(file: &File, library: &Path, patience: Option<Duration>) -> bool {
     let (begin, mut is_said) = (Instant::now(), false);
     loop {
-        match flock(file, lock) {
+        let lock = if patience.is_some() { file.try_lock() } else { file.try_lock_shared() };
+        match lock {
             Ok(()) => return true,
-            Err(rustix::io::Errno::WOULDBLOCK) => {}
+            Err(TryLockError::WouldBlock) => {}
             // A reader goes on without, where there are no locks.
             Err(_) if patience.is_none() => return false,
             Err(_) => {}
@@ -77,30 +76,10 @@ fn wait(file: &File, library: &Path, lock: FlockOperation, patience: Option<Dura
         }
         if waited > SILENT && !is_said {
             is_said = true;
-            let who = holder(file).unwrap_or_else(|| "another program".into());
+            let who = lock_holder(file).unwrap_or_else(|| "another program".into());
             let does = if patience.is_some() { "reads" } else { "edits" };
             tracing::info!("{}: waiting for {who}, which {does} it", library.display());
         }
         std::thread::sleep(PAUSE);
     }
-}
-
-/// The process that holds a lock of a file: its command and its number, where the system tells.
-fn holder(file: &File) -> Option<String> {
-    let about = file.metadata().ok()?;
-    let place = format!("{:02x}:{:02x}:{}", major(about.dev()), minor(about.dev()), about.ino());
-    let locks = fs::read_to_string("/proc/locks").ok()?;
-    let pid = locks.lines().find_map(|line| {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        // "1: FLOCK ADVISORY WRITE 4711 08:01:1234 0 EOF"; those who wait are listed with an arrow.
-        let [_, "FLOCK", _, _, pid, at, ..] = words[..] else { return None };
-        (at == place).then(|| pid.to_string())
-    })?;
-    let command = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-    let words = command.split(|&byte| byte == 0).take(3).map(String::from_utf8_lossy);
-    let words: Vec<_> = words.filter(|word| !word.is_empty()).collect();
-    let program = words.first()?.rsplit('/').next()?.to_string();
-    let rest =
-        words.iter().skip(1).filter(|word| !word.contains('/')).map(|word| format!(" {word}"));
-    Some(format!("`{program}{}` (process {pid})", rest.collect::<String>()))
 }

@@ -25,12 +25,13 @@ use std::time::SystemTime;
 use serde::Serialize;
 
 use self::list::{places, removed, trials};
-use self::moves::{carry_out, check, inode, tidy};
+use self::moves::{carry_out, check, tidy};
 use self::plan::Plan;
 use self::steps::Steps;
 use super::{TrialOptions, append_trial, trial_folder, utc};
 use crate::library::{Entry, LibraryError};
 use crate::scene::Scene;
+use crate::system::identity;
 use crate::trial::{Trial, TrialKey, normal};
 
 /// The folder of what was removed.
@@ -281,7 +282,7 @@ impl Editor {
         };
         let mut step = last.step.clone();
         let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
-        let is_there = |one: &&Move| inode(&self.root.join(&one.to)).is_some();
+        let is_there = |one: &&Move| identity(&self.root.join(&one.to)).is_some();
         let (there, missing): (Vec<&Move>, Vec<&Move>) =
             step.moves.iter().rev().partition(is_there);
         let leaving = there.iter().map(|one| self.root.join(&one.to)).collect();

@@ -1,19 +1,14 @@
 //! Moving trials: all of a step, forth or back, as often as it takes.
 
 use std::fs;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use super::{Move, REMOVED, disk};
 use crate::library::recording::number_in;
 use crate::library::{ABOUT_FILE, About, LibraryError};
 use crate::record::failed;
+use crate::system::identity;
 use crate::trial::{EXPERT, TrialKey};
-
-/// The inode of what lies at a path, be it a link.
-pub(super) fn inode(path: &Path) -> Option<u64> {
-    fs::symlink_metadata(path).ok().map(|about| about.ino())
-}
 
 /// The place of a move's trial.
 #[derive(PartialEq)]
@@ -25,7 +20,7 @@ enum Place {
 }
 
 fn place(from: &Path, to: &Path, one: &Move) -> Place {
-    match (inode(from), inode(to)) {
+    match (identity(from), identity(to)) {
         (before, _) if before.is_some() && before == one.inode => Place::Before,
         (_, after) if after.is_some() && after == one.inode => Place::After,
         // Of a copy of the library, say.

@@ -3,11 +3,11 @@
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::moves::inode;
 use super::{Move, REMOVED, trial_folder, trial_name};
 use crate::library::files::{self, Listed};
 use crate::library::{Entry, LibraryError};
 use crate::record::folder_name;
+use crate::system::identity;
 use crate::trial::{TrialKey, normal};
 
 /// The moves of a step, one after the other.
@@ -115,12 +115,12 @@ impl<'a> Plan<'a> {
         };
         let mut free = to;
         for n in 2.. {
-            if inode(&free).is_none() && !self.folders.contains(&free) {
+            if identity(&free).is_none() && !self.folders.contains(&free) {
                 break;
             }
             free.set_file_name(format!("{stem}-{n}{end}"));
         }
-        let (to, inode) = (trial_name(self.root, &free), inode(from));
+        let (to, inode) = (trial_name(self.root, &free), identity(from));
         self.moves.push(Move { from: trial_name(self.root, from), to, was, is, inode });
         self.folders.extend([from.to_path_buf(), free]);
     }

@@ -12,12 +12,12 @@ use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
 use super::{REMOVED, disk, is_plain};
 use crate::library::{LibraryError, files};
 use crate::record::failed;
+use crate::system;
 use crate::trial::TrialKey;
 
 /// The list of steps in the folder of what was removed.
@@ -154,6 +154,11 @@ fn is_within(moves: &[Move]) -> bool {
     moves.iter().all(|one| trial(&one.from) && trial(&one.to))
 }
 
+/// Opens the list to be written, and cut: Windows cuts no file that is opened to append.
+fn open(path: &Path) -> std::io::Result<File> {
+    OpenOptions::new().write(true).create(true).truncate(false).open(path)
+}
+
 /// The list, open for one program alone.
 pub(super) struct Steps {
     path: PathBuf,
@@ -170,11 +175,11 @@ impl Steps {
         let path = folder.join(STEPS);
         let fail = |error| failed(&path, error);
         disk::create_folder(&folder).map_err(fail)?;
-        let lock = File::open(&folder).map_err(fail)?;
+        let lock = system::open_lock(&folder).map_err(fail)?;
         // Without locks, nobody is kept off.
-        let _ = flock(&lock, FlockOperation::LockExclusive);
+        let _ = lock.lock();
         let (known, end) = read(library)?;
-        let file = OpenOptions::new().append(true).create(true).open(&path).map_err(fail)?;
+        let file = open(&path).map_err(fail)?;
         Ok(Self { path: path.clone(), file, end, known, _lock: lock })
     }
 
@@ -272,8 +277,8 @@ impl Steps {
             let mut file = super::super::unfinished(".steps.").tempfile_in(folder)?;
             file.write_all(text.as_bytes())?;
             file.as_file().sync_all()?;
-            file.persist(&self.path).map_err(|error| error.error)?;
-            OpenOptions::new().append(true).open(&self.path)
+            system::persist(file, &self.path)?;
+            open(&self.path)
         };
         self.file = replace().map_err(|error| failed(&self.path, error))?;
         self.end = text.len() as u64;

@@ -163,13 +163,13 @@ fn a_trial_that_undo_put_elsewhere_is_found_there_by_the_next_undo() {
     let mut edit = Editor::open(root, &scene).unwrap();
     edit.move_to(&one("oak/anna-02"), "elm").unwrap();
     edit.remove(&one("elm/anna-02")).unwrap();
-    let there = inode(&root.join(".removed/elm/anna-02"));
+    let there = identity(&root.join(".removed/elm/anna-02"));
     copy_trial(&root.join(".removed/elm/anna-02"), &root.join("elm/anna-02"));
     assert_eq!(edit.undo().unwrap().step.moves[0].to, "elm/anna-03");
     drop(edit);
     let mut edit = Editor::open(root, &scene).unwrap();
     assert_eq!(edit.undo().unwrap().step.moves[0].to, "oak/anna-02");
-    assert_eq!(inode(&root.join("oak/anna-02")), there);
+    assert_eq!(identity(&root.join("oak/anna-02")), there);
     assert_eq!(held(root, &scene), ["ash/1", "elm/2", "oak/1", "oak/2"]);
 }
 

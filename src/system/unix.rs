@@ -1,0 +1,236 @@
+//! Linux, macOS and other Unix systems.
+
+pub(crate) use std::os::fd::AsFd as AsOutput;
+
+use std::fs::{self, File, OpenOptions, Permissions};
+use std::io::{self, IsTerminal, Read};
+use std::os::unix::fs::{
+    FileExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt, symlink as link,
+};
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Access, OFlags, access, major, minor};
+use rustix::termios::{self, LocalModes, OptionalActions, Termios};
+use rustix::time::{ClockId, clock_gettime};
+use sd_notify::NotifyState;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+/// The file whose lock stands for a folder: the folder itself.
+///
+/// # Errors
+/// If it cannot be opened.
+pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
+    File::open(folder)
+}
+
+/// The process that holds a lock of a file: its command and its number, where the system tells.
+pub(crate) fn lock_holder(file: &File) -> Option<String> {
+    let about = file.metadata().ok()?;
+    let device = about.dev() as rustix::fs::Dev;
+    let place = format!("{:02x}:{:02x}:{}", major(device), minor(device), about.ino());
+    let locks = fs::read_to_string("/proc/locks").ok()?;
+    let pid = locks.lines().find_map(|line| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        // "1: FLOCK ADVISORY WRITE 4711 08:01:1234 0 EOF"; those who wait are listed with an arrow.
+        let [_, "FLOCK", _, _, pid, at, ..] = words[..] else { return None };
+        (at == place).then(|| pid.to_string())
+    })?;
+    let command = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+    let words = command.split(|&byte| byte == 0).take(3).map(String::from_utf8_lossy);
+    let words: Vec<_> = words.filter(|word| !word.is_empty()).collect();
+    let program = words.first()?.rsplit('/').next()?.to_string();
+    let rest =
+        words.iter().skip(1).filter(|word| !word.contains('/')).map(|word| format!(" {word}"));
+    Some(format!("`{program}{}` (process {pid})", rest.collect::<String>()))
+}
+
+/// Makes new names in a folder last.
+///
+/// # Errors
+/// If the disk refuses.
+pub(crate) fn names_written(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}
+
+/// Lets temporary folders have the permissions of others, as far as the user's mask leaves them.
+pub(crate) fn usual_permissions(builder: &mut tempfile::Builder<'_, '_>) {
+    builder.permissions(Permissions::from_mode(0o777));
+}
+
+/// Makes a link to a folder.
+///
+/// # Errors
+/// If the file system refuses.
+pub(crate) fn link_folder(target: &Path, path: &Path) -> io::Result<()> {
+    link(target, path)
+}
+
+/// A number that a file, folder or link keeps when it is renamed: its inode.
+pub(crate) fn identity(path: &Path) -> Option<u64> {
+    fs::symlink_metadata(path).ok().map(|about| about.ino())
+}
+
+/// Bytes that change whenever a file does: its device, inode, size and times of change.
+pub(crate) fn file_stamp(path: &Path) -> Option<Vec<u8>> {
+    let about = fs::metadata(path).ok()?;
+    let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
+    let mut all = [about.dev(), about.ino(), about.size()].map(u64::to_le_bytes).concat();
+    all.extend(times.map(i64::to_le_bytes).concat());
+    Some(all)
+}
+
+/// Opens a file to be read; a pipe without waiting for its writer.
+///
+/// # Errors
+/// If it cannot be opened.
+pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)
+}
+
+/// Reads at a place of a file.
+///
+/// # Errors
+/// If the file ends before, or cannot be read.
+pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+    file.read_exact_at(bytes, offset)
+}
+
+/// Processor time of this process so far, all threads, in seconds; `None` where it is not known.
+pub(crate) fn processor_s() -> Option<f64> {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
+}
+
+/// Whether this user may read and write a device.
+///
+/// # Errors
+/// If not, or if there is no such device.
+pub(crate) fn may_use(node: &Path) -> io::Result<()> {
+    Ok(access(node, Access::READ_OK | Access::WRITE_OK)?)
+}
+
+/// Number and name of another process that has a device open, as far as this user may see it.
+pub(crate) fn device_holder(node: &Path) -> Option<String> {
+    let device = fs::metadata(node).ok().filter(|node| node.file_type().is_char_device())?.rdev();
+    let has = |process: &Path| {
+        let Ok(open) = fs::read_dir(process.join("fd")) else { return false };
+        open.flatten().any(|entry| {
+            // The name first: looking at what lies behind a link may take long (a dead network).
+            let link = fs::read_link(entry.path()).unwrap_or_default();
+            link.starts_with("/dev")
+                && fs::metadata(entry.path())
+                    .is_ok_and(|m| m.file_type().is_char_device() && m.rdev() == device)
+        })
+    };
+    let own = std::process::id();
+    fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
+        let number: u32 = entry.file_name().to_str()?.parse().ok()?;
+        let name = || fs::read_to_string(entry.path().join("comm")).unwrap_or_default();
+        (number != own && has(&entry.path())).then(|| format!("{number} ({})", name().trim()))
+    })
+}
+
+/// Whether a part can be written without blocking; waits for that at most so long, less than a second.
+/// A descriptor that cannot be polled is left to the write.
+pub(crate) fn takes_more(out: &impl AsOutput, wait: Duration) -> bool {
+    let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
+    !matches!(poll(&mut [PollFd::new(out, PollFlags::OUT)], Some(&wait)), Ok(0))
+}
+
+/// Whether stderr is a terminal that can clear its line.
+pub(crate) fn has_status_line() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// The settings of the terminal before keys were read one by one.
+static BEFORE: OnceLock<Termios> = OnceLock::new();
+
+/// Makes [`next_key`] give each key at once, until [`restore_terminal`]. False where there is no
+/// terminal, or this program is not in its foreground.
+pub(crate) fn single_keys() -> bool {
+    let stdin = io::stdin();
+    let in_front =
+        termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
+    let Some(before) = termios::tcgetattr(&stdin).ok().filter(|_| in_front) else { return false };
+    let mut single = before.clone();
+    // Signals stay: Ctrl-C still ends the program.
+    single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+    let set = termios::tcsetattr(&stdin, OptionalActions::Now, &single).is_ok();
+    if set {
+        let _ = BEFORE.set(before);
+    }
+    set
+}
+
+/// Waits for a key; `None` if there will be no more.
+pub(crate) fn next_key() -> Option<char> {
+    // It may hold the lock of stdin for ever.
+    io::stdin().lock().bytes().next()?.ok().map(char::from)
+}
+
+/// Ends what [`single_keys`] began.
+pub(crate) fn restore_terminal() {
+    if let Some(before) = BEFORE.get() {
+        // If this fails, the terminal is gone.
+        let _ = termios::tcsetattr(io::stdin(), OptionalActions::Now, before);
+    }
+}
+
+/// The signals that ask a program to end, by their numbers, as they come. A hang-up that was ignored
+/// when the process began, as under `nohup`, stays ignored.
+///
+/// # Errors
+/// If the system refuses.
+pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
+    let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
+    // SIGTERM is the last: where it is caught, so are the others.
+    let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
+    Ok(std::iter::from_fn(move || signals.forever().next()))
+}
+
+fn hangup_is_ignored() -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
+}
+
+/// Time within which the supervisor of this service wants to hear of it, again and again.
+pub(crate) fn watchdog() -> Option<Duration> {
+    sd_notify::watchdog_enabled()
+}
+
+/// Tells the supervisor of this service its state, in the words of sd_notify(3).
+pub(crate) fn notify_supervisor(state: &str) {
+    // Fails only without systemd.
+    let _ = sd_notify::notify(&[NotifyState::Custom(state)]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_process_that_has_a_node_is_named() {
+        let mut child = std::process::Command::new("sleep")
+            .arg("60")
+            .stdin(fs::File::open("/dev/full").unwrap())
+            .spawn()
+            .unwrap();
+        let mut found = None;
+        for _ in 0..100 {
+            found = device_holder(Path::new("/dev/full"));
+            if found.as_deref().is_some_and(|text| text.contains("(sleep)")) {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(found, Some(format!("{} (sleep)", child.id())));
+    }
+}
