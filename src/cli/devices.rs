@@ -44,8 +44,8 @@ impl DeviceClass {
     #[cfg(not(all(feature = "microphone", feature = "camera")))]
     fn left_out(feature: &str) -> Self {
         let problem = format!(
-            "this build has no {feature}s; build with `--features live`, or `--features {feature}` \
-             (on Debian, first: apt-get install pkg-config libasound2-dev libclang-dev)"
+            "this build has no {feature}s; on Linux, build with `--features live`, or `--features \
+             {feature}` (on Debian, first: apt-get install pkg-config libasound2-dev libclang-dev)"
         );
         Self { built: false, devices: Vec::new(), problem: Some(problem) }
     }

@@ -127,7 +127,9 @@ impl Cache {
     }
 
     /// Writes a new file in the place of the old one; says what went wrong, if anything did.
-    pub(crate) fn replace(&self, records: &[Record<'_>]) -> Option<String> {
+    pub(crate) fn replace(mut self, records: &[Record<'_>]) -> Option<String> {
+        // Some file systems replace no open file.
+        self.file = None;
         self.write(records).err().map(|error| {
             format!(
                 "{}: {error}; the prepared library is not kept, and will be prepared anew next time",

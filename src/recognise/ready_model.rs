@@ -105,7 +105,7 @@ impl Kept {
         method.restore(&self.cache.get(RECORD, self.stamp)?, shape)
     }
 
-    fn replace(&self, bytes: std::borrow::Cow<'_, [u8]>) -> Option<String> {
+    fn replace(self, bytes: std::borrow::Cow<'_, [u8]>) -> Option<String> {
         self.cache.replace(&[Record { name: RECORD.into(), stamp: self.stamp, bytes }])
     }
 }

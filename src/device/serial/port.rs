@@ -156,7 +156,14 @@ fn failed(path: &str, error: &serialport::Error) -> OpenError {
         ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => {
             OpenError::Denied { device, hint: permission_hint(node, "dialout") }
         }
-        ErrorKind::NoDevice if node.exists() => OpenError::Busy(device),
+        // A port of Windows has a name, and no node.
+        ErrorKind::NoDevice
+            if node.exists()
+                || available_ports()
+                    .is_ok_and(|ports| ports.iter().any(|port| port.port_name == path)) =>
+        {
+            OpenError::Busy(device)
+        }
         ErrorKind::NoDevice | ErrorKind::Io(std::io::ErrorKind::NotFound) => {
             OpenError::Absent(device)
         }
