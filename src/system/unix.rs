@@ -1,12 +1,13 @@
 //! Linux, macOS and other Unix systems.
 
 pub(crate) use std::os::fd::AsFd as AsOutput;
+pub(crate) use std::os::unix::fs::symlink as link_folder;
+
+pub(crate) use sd_notify::watchdog_enabled as watchdog;
 
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, IsTerminal, Read};
-use std::os::unix::fs::{
-    FileExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt, symlink as link,
-};
+use std::os::unix::fs::{FileExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -20,9 +21,6 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 /// The file whose lock stands for a folder: the folder itself.
-///
-/// # Errors
-/// If it cannot be opened.
 pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
     File::open(folder)
 }
@@ -48,25 +46,9 @@ pub(crate) fn lock_holder(file: &File) -> Option<String> {
     Some(format!("`{program}{}` (process {pid})", rest.collect::<String>()))
 }
 
-/// Makes new names in a folder last.
-///
-/// # Errors
-/// If the disk refuses.
-pub(crate) fn names_written(folder: &Path) -> io::Result<()> {
-    File::open(folder)?.sync_all()
-}
-
 /// Lets temporary folders have the permissions of others, as far as the user's mask leaves them.
 pub(crate) fn usual_permissions(builder: &mut tempfile::Builder<'_, '_>) {
     builder.permissions(Permissions::from_mode(0o777));
-}
-
-/// Makes a link to a folder.
-///
-/// # Errors
-/// If the file system refuses.
-pub(crate) fn link_folder(target: &Path, path: &Path) -> io::Result<()> {
-    link(target, path)
 }
 
 /// A number that a file, folder or link keeps when it is renamed: its inode.
@@ -84,17 +66,11 @@ pub(crate) fn file_stamp(path: &Path) -> Option<Vec<u8>> {
 }
 
 /// Opens a file to be read; a pipe without waiting for its writer.
-///
-/// # Errors
-/// If it cannot be opened.
 pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)
 }
 
 /// Reads at a place of a file.
-///
-/// # Errors
-/// If the file ends before, or cannot be read.
 pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     file.read_exact_at(bytes, offset)
 }
@@ -106,9 +82,6 @@ pub(crate) fn processor_s() -> Option<f64> {
 }
 
 /// Whether this user may read and write a device.
-///
-/// # Errors
-/// If not, or if there is no such device.
 pub(crate) fn may_use(node: &Path) -> io::Result<()> {
     Ok(access(node, Access::READ_OK | Access::WRITE_OK)?)
 }
@@ -182,9 +155,6 @@ pub(crate) fn restore_terminal() {
 
 /// The signals that ask a program to end, by their numbers, as they come. A hang-up that was ignored
 /// when the process began, as under `nohup`, stays ignored.
-///
-/// # Errors
-/// If the system refuses.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
     // SIGTERM is the last: where it is caught, so are the others.
@@ -197,11 +167,6 @@ fn hangup_is_ignored() -> bool {
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
-}
-
-/// Time within which the supervisor of this service wants to hear of it, again and again.
-pub(crate) fn watchdog() -> Option<Duration> {
-    sd_notify::watchdog_enabled()
 }
 
 /// Tells the supervisor of this service its state, in the words of sd_notify(3).

@@ -1,10 +1,12 @@
 //! Windows.
 
+/// Windows permits links to administrators and to developers.
+pub(crate) use std::os::windows::fs::symlink_dir as link_folder;
 pub(crate) use std::os::windows::io::AsHandle as AsOutput;
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
-use std::os::windows::fs::{FileExt, symlink_dir};
+use std::os::windows::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::Duration;
@@ -19,9 +21,6 @@ const SIGINT: i32 = 2;
 
 /// The file whose lock stands for a folder, which itself cannot be locked: in a folder of this machine
 /// that all its users share, by a number for the folder's path. Other machines do not see it.
-///
-/// # Errors
-/// If the folder does not exist, or the file cannot be opened.
 pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
     let path = folder.canonicalize()?;
     let id = seed::stable_hash(&[path.as_os_str().as_encoded_bytes()]);
@@ -39,21 +38,8 @@ pub(crate) fn lock_holder(_: &File) -> Option<String> {
     None
 }
 
-/// Makes new names in a folder last, which NTFS does by itself.
-pub(crate) fn names_written(_: &Path) -> io::Result<()> {
-    Ok(())
-}
-
 /// Temporary folders have the permissions of the folder around them already.
 pub(crate) fn usual_permissions(_: &mut tempfile::Builder<'_, '_>) {}
-
-/// Makes a link to a folder; Windows permits that to administrators and to developers.
-///
-/// # Errors
-/// If the system refuses.
-pub(crate) fn link_folder(target: &Path, path: &Path) -> io::Result<()> {
-    symlink_dir(target, path)
-}
 
 /// A number that a file or folder keeps when it is renamed: its index on its volume.
 pub(crate) fn identity(path: &Path) -> Option<u64> {
@@ -73,17 +59,11 @@ fn about(path: &Path) -> Option<file::Information> {
 }
 
 /// Opens a file to be read.
-///
-/// # Errors
-/// If it cannot be opened.
 pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     File::open(path)
 }
 
 /// Reads at a place of a file, and goes there.
-///
-/// # Errors
-/// If the file ends before, or cannot be read.
 pub(crate) fn read_exact_at(file: &File, mut bytes: &mut [u8], mut at: u64) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.seek_read(bytes, at) {
@@ -135,9 +115,6 @@ pub(crate) fn next_key() -> Option<char> {
 pub(crate) fn restore_terminal() {}
 
 /// Orders to end (Ctrl-C, the window that is closed), as they come, by the number of an interrupt.
-///
-/// # Errors
-/// If the system refuses.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     let (send, orders) = mpsc::channel();
     let order = move || {
@@ -148,10 +125,10 @@ pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     Ok(orders.into_iter())
 }
 
-/// There is no supervisor that waits.
+/// Time within which a supervisor wants to hear of this service; there is none.
 pub(crate) fn watchdog() -> Option<Duration> {
     None
 }
 
-/// There is no supervisor to be told.
+/// Tells a supervisor the state of this service; there is none.
 pub(crate) fn notify_supervisor(_: &str) {}
