@@ -31,7 +31,10 @@ pub(in crate::device) enum ConnectionEnd {
 ///
 /// # Errors
 /// If the line is lost: why.
-pub(in crate::device) fn read_some(port: &mut dyn Port, buffer: &mut [u8]) -> Result<usize, String> {
+pub(in crate::device) fn read_some(
+    port: &mut dyn Port,
+    buffer: &mut [u8],
+) -> Result<usize, String> {
     use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
     match port.read(buffer) {
         Ok(0) => Err("the line was hung up".into()),
