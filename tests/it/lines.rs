@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -95,12 +95,11 @@ impl Sensor {
         let (mut line, slave) = TTYPort::pair().unwrap();
         line.set_timeout(Duration::from_millis(1)).unwrap();
         let path = slave.name().unwrap();
-        let put = move |mut bytes: &[u8]| {
+        let put = move |bytes: &[u8]| {
             let _held = &slave;
-            // Like a board, which does not wait: a full line loses the rest.
-            while let Ok(n @ 1..) = line.write(bytes) {
-                bytes = &bytes[n..];
-            }
+            // Like a board, which does not wait: a full line loses the rest. There is room for at
+            // least a byte where the line says that there is any.
+            bytes.iter().take_while(|byte| line.write(&[**byte]).is_ok()).for_each(drop);
         };
         (Self::start(rate_hz, put), path)
     }
@@ -275,41 +274,66 @@ fn recorded(
     rows.into_iter().zip(0..).map(|(row, i)| line(i, row)).collect()
 }
 
-/// Passes what a program printed to `surfaced`, as a pipe does; its lines of JSON.
-fn piped(args: &[&str], text: &str) -> Vec<Value> {
-    let mut run = Surfaced::start(args, Stdio::piped(), Stdio::piped());
-    let mut stdin = run.child.stdin.take().unwrap();
-    stdin.write_all(text.as_bytes()).unwrap();
-    drop(stdin);
+/// Pipes a program to `surfaced`; its lines of JSON.
+fn piped(args: &[&str], mut program: Child) -> Vec<Value> {
+    let from = program.stdout.take().unwrap();
+    let mut run = Surfaced::start(args, from.into(), Stdio::piped());
     assert_eq!(run.end_while(wait).code(), Some(0), "{}", run.said());
+    assert!(program.wait().unwrap().success());
     run.rest()
 }
 
-/// A library and a scan by way of pipes from another program.
-fn through_a_pipe(lines: &str, rate_hz: f64, line: fn(u64, [f64; 3]) -> String) {
+/// A library and a scan of each of its surfaces by way of pipes from a program, which `open` starts
+/// with a file that holds what the sensor gives.
+fn through_a_pipe(
+    (lines, rate_hz): (&str, f64),
+    line: fn(u64, [f64; 3]) -> String,
+    open: &dyn Fn(&Path) -> Child,
+) {
     let dir = tempfile::tempdir().unwrap();
     let (library, station) = (dir.path().join("mine"), dir.path().join("station.toml"));
     let alone = "format = 1\n[stylus]\npresent = false\n[microphone]\npresent = false\n\
                  [camera]\npresent = false\n[[lines]]\nport = \"-\"\n";
     std::fs::write(&station, format!("{alone}rate_hz = {rate_hz}\n{lines}")).unwrap();
     let with = ["--config", station.to_str().unwrap(), "--library", library.to_str().unwrap()];
+    let recording = |surface, scans| {
+        let path = dir.path().join("recorded");
+        std::fs::write(&path, recorded(surface, scans, rate_hz, line)).unwrap();
+        open(&path)
+    };
     for (surface, label) in SURFACES.iter().enumerate() {
         let args = [&["record", "--label", label][..], &with].concat();
-        let kept = piped(&args, &recorded(surface, 3, rate_hz, line));
+        let kept = piped(&args, recording(surface, 3));
         assert_eq!(kept.iter().filter(|line| line["trial"].is_u64()).count(), 3, "{kept:?}");
     }
     let args = [&["run", "--lines", "-"][..], &with].concat();
     for (surface, label) in SURFACES.iter().enumerate() {
-        let named = piped(&args, &recorded(surface, 1, rate_hz, line));
+        let named = piped(&args, recording(surface, 1));
         assert_eq!(named[0]["surface"], *label, "{named:?}");
         assert_eq!(named[0]["lost_samples"], 0, "{named:?}");
     }
 }
 
+/// A program whose output is piped on.
+fn spawned(command: &mut Command) -> Child {
+    command.stdout(Stdio::piped()).spawn().unwrap()
+}
+
+/// Whether a program is there; else says that its test is skipped.
+fn is_there(program: &str) -> bool {
+    let found = Command::new("sh").args(["-c", &format!("command -v {program}")]).output().unwrap();
+    if !found.status.success() {
+        let required = std::env::var("SURFACED_REQUIRE_PIPES").is_ok_and(|value| value == "1");
+        assert!(!required, "{program} is absent, but SURFACED_REQUIRE_PIPES=1");
+        let _ = writeln!(std::io::stderr(), "SKIPPED: a test, since {program} is absent");
+    }
+    found.status.success()
+}
+
 #[test]
 fn ros2_topic_echo_csv_of_an_imu_is_a_sensor() {
-    // sensor_msgs/msg/Imu: sec, nanosec, frame_id, orientation and its covariance, angular velocity
-    // and its, linear acceleration and its.
+    // What it prints of sensor_msgs/msg/Imu: sec, nanosec, frame_id, orientation and its covariance,
+    // angular velocity and its, linear acceleration and its.
     let line = |i: u64, [x, y, z]: [f64; 3]| {
         let covariance = ",0.0".repeat(9);
         let (sec, nanosec) = (1_700_000_000 + i / 400, i % 400 * 2_500_000);
@@ -321,21 +345,75 @@ fn ros2_topic_echo_csv_of_an_imu_is_a_sensor() {
             9.81 * z
         )
     };
-    through_a_pipe("[lines.sources]\nimu = [29, 30, 31]\n[lines.scale]\nimu = 0.05\n", 400.0, line);
+    let lines = "[lines.sources]\nimu = [29, 30, 31]\n[lines.scale]\nimu = 0.05\n";
+    through_a_pipe((lines, 400.0), line, &|recorded| spawned(Command::new("cat").arg(recorded)));
 }
 
 #[test]
-fn messages_of_mosquitto_sub_are_a_sensor() {
+fn mosquitto_sub_is_a_sensor() {
+    if !is_there("mosquitto") || !is_there("mosquitto_sub") {
+        return;
+    }
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let mut broker =
+        Command::new("mosquitto").args(["-p", &free]).stderr(Stdio::null()).spawn().unwrap();
+    let up = || std::net::TcpStream::connect(format!("127.0.0.1:{free}")).is_ok();
+    let limit = Instant::now() + Duration::from_secs(10);
+    while !up() && Instant::now() < limit {
+        wait();
+    }
     let line =
         |i: u64, [x, y, z]: [f64; 3]| format!("n={} x={x:.3} y={y:.3} z={z:.3}\n", i % 65_536);
     let lines = "counter = 1\n[lines.sources]\nacc = [2, 3, 4]\n[lines.scale]\nacc = 0.1\n";
-    through_a_pipe(lines, 400.0, line);
+    through_a_pipe((lines, 400.0), line, &|recorded| {
+        let text = std::fs::read_to_string(recorded).unwrap();
+        let count = text.lines().count().to_string();
+        let of = ["-p", &free, "-t", "line/1/acc", "-q", "1"];
+        let sub = spawned(Command::new("mosquitto_sub").args(of).args(["-C", &count]));
+        // Until it has subscribed.
+        std::thread::sleep(Duration::from_millis(500));
+        let mut publish =
+            Command::new("mosquitto_pub").args(of).arg("-l").stdin(Stdio::piped()).spawn().unwrap();
+        let mut to = publish.stdin.take().unwrap();
+        std::thread::spawn(move || {
+            // Slowly enough for the broker's queue.
+            for part in text.lines().collect::<Vec<_>>().chunks(20) {
+                to.write_all((part.join("\n") + "\n").as_bytes()).unwrap();
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            drop(to);
+            publish.wait().unwrap();
+        });
+        sub
+    });
+    broker.kill().unwrap();
+    broker.wait().unwrap();
 }
 
 #[test]
-fn arecord_through_od_is_a_sensor() {
-    // arecord -q -t raw -f S16_LE -r 8000 | od -An -v -td2 -w2
-    let line = |_, [x, _, z]: [f64; 3]| format!(" {:6}\n", ((x + z) * 8000.0) as i16);
+fn arecord_is_a_sensor() {
+    if !is_there("arecord") {
+        return;
+    }
+    let line = |_, [x, _, z]: [f64; 3]| format!("{}\n", ((x + z) * 8000.0) as i16);
     let lines = "[lines.sources]\nsound = [1]\n[lines.scale]\nsound = 3.0517578125e-5\n";
-    through_a_pipe(lines, 8000.0, line);
+    through_a_pipe((lines, 8000.0), line, &|recorded| {
+        let samples: Vec<i16> = (std::fs::read_to_string(recorded).unwrap().lines())
+            .map(|line| line.parse().unwrap())
+            .collect();
+        let raw: Vec<u8> = samples.iter().flat_map(|x| x.to_le_bytes()).collect();
+        let (sound, card) = (recorded.with_extension("raw"), recorded.with_extension("conf"));
+        std::fs::write(&sound, raw).unwrap();
+        // A sound card that records this file.
+        let config = format!(
+            "</usr/share/alsa/alsa.conf>\npcm.card {{ type file slave.pcm null file /dev/null \
+             infile \"{}\" format raw }}\n",
+            sound.display()
+        );
+        std::fs::write(&card, config).unwrap();
+        let arecord =
+            format!("arecord -q -D card -t raw -f S16_LE -c 1 -r 8000 -s {}", samples.len());
+        let pipe = format!("{arecord} | od -An -v -td2 -w2");
+        spawned(Command::new("sh").args(["-c", &pipe]).env("ALSA_CONFIG_PATH", card))
+    });
 }
