@@ -24,7 +24,7 @@
 //! Data flow; no folder imports against the arrow:
 //!
 //! ```text
-//! device (serial · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
+//! device (serial · lines · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · synth)
 //! duration (HSIC, T*) stands on library + kernel, evaluate (protocols, chart, stress, plan) on recognise and
 //! duration; station joins scan, recognise, duration and record, and reads its own configuration; history

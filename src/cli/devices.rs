@@ -1,17 +1,50 @@
-//! `surfaced devices`: lists devices with permanent names, and the problems of each.
+//! `surfaced devices`: lists devices with permanent names, and the problems of each; shows what comes
+//! from one that prints lines of numbers, and writes the configuration that fits it.
 
-use super::{Done, Failure, show};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::{Done, Failure, show, shown};
+use crate::device::lines::{ColumnSurvey, LinesAddress, SURVEY_S, survey_of};
 use crate::device::list::{self, ListedDevice};
+use crate::station::config::fitting;
 
 /// List serial ports, microphones and cameras with stable ids, and the problems of each
+///
+/// With --watch, show what comes from a sensor that prints lines of numbers: rate, columns, ranges.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n\nTime: a second"
-)]
+#[command(after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n  \
+                  surfaced devices --watch /dev/ttyACM0\n  \
+                  surfaced devices --watch tcp://192.168.1.7:5000 --write station.toml\n\n\
+                  Time: a second; with --watch, three seconds from the first line")]
 pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
+    /// Show what comes from here: a serial port (PORT@BAUD), tcp://HOST:PORT, udp://HOST:PORT (to
+    /// listen there), or - for standard input
+    #[arg(long, value_name = "PORT", allow_hyphen_values = true)]
+    watch: Option<LinesAddress>,
+    /// Write the configuration of a station with this sensor
+    #[arg(long, value_name = "FILE", requires = "watch")]
+    write: Option<PathBuf>,
+}
+
+/// The time until the first line, at most: a board that is reset by opening its port needs some.
+pub const SURVEY_PATIENCE: Duration = Duration::from_secs(10);
+
+/// What comes from a sensor.
+#[derive(serde::Serialize)]
+struct Watched {
+    port: String,
+    /// Lines a second; none where that cannot be measured.
+    rate_hz: Option<f64>,
+    columns: Vec<ColumnSurvey>,
+    /// The reason why no configuration fits it, and what to do.
+    problem: Option<String>,
+    /// The configuration that fits it.
+    configuration: Option<String>,
 }
 
 #[derive(serde::Serialize)]
@@ -99,7 +132,67 @@ fn cameras() -> DeviceClass {
     DeviceClass::left_out("camera")
 }
 
+fn watch(address: &LinesAddress, args: &Args) -> Done {
+    say!("watching {address}, for {SURVEY_S} s; leave the sensor at rest");
+    let survey = survey_of(address, SURVEY_PATIENCE).map_err(Failure::Failed)?;
+    let fitting = fitting(address, &survey);
+    let watched = Watched {
+        port: address.to_string(),
+        rate_hz: survey.rate_hz().ok(),
+        columns: survey.columns(),
+        problem: fitting.as_ref().err().cloned(),
+        configuration: fitting.as_ref().ok().cloned(),
+    };
+    match args.json {
+        true => show::json(&watched),
+        false => show_watched(&watched),
+    }
+    let configuration = fitting.map_err(|why| Failure::Failed(format!("{address}: {why}")))?;
+    let Some(file) = &args.write else {
+        show::next(&format!("surfaced devices --watch {address} --write station.toml"));
+        return Ok(());
+    };
+    write_new(file, &configuration)?;
+    show::wrote(&[file]);
+    show::next(&format!(
+        "surfaced enroll LABEL --config {0} --library my-library for each surface, then surfaced \
+         run --config {0} --library my-library",
+        show::quoted(file)
+    ));
+    Ok(())
+}
+
+/// Writes a file that is not there yet.
+fn write_new(path: &Path, text: &str) -> Done {
+    let failed = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::AlreadyExists => Failure::Failed(format!(
+            "{}: it is there already and was left as it is; name another file",
+            shown(path)
+        )),
+        _ => Failure::Failed(format!("{}: {error}", shown(path))),
+    };
+    let mut file = std::fs::File::create_new(path).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(failed)
+}
+
+fn show_watched(Watched { port, rate_hz, columns, .. }: &Watched) {
+    let rate = rate_hz.map_or("an unknown rate".to_string(), |rate_hz| format!("{rate_hz} Hz"));
+    result!("{port}: lines of {} at {rate}", show::counted(columns.len(), "column"));
+    for (at, column) in columns.iter().enumerate() {
+        let name = column.name.as_deref().unwrap_or_default();
+        let range = match (column.lowest, column.highest, column.counts) {
+            (_, _, Some(counts)) => format!("counts {counts}"),
+            (Some(low), Some(high), _) => format!("{low} to {high}"),
+            _ => "no numbers".into(),
+        };
+        result!("  {:>2}  {name:<10}  {range}", at + 1);
+    }
+}
+
 pub fn run(args: &Args) -> Done {
+    if let Some(address) = &args.watch {
+        return watch(address, args);
+    }
     let inventory = Inventory {
         serial_ports: DeviceClass::of(list::serial_ports()),
         microphones: microphones(),

@@ -9,13 +9,16 @@ use crossbeam_channel::Sender;
 
 use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::within;
+use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
 use super::serve::ServeArgs;
+use super::show::counted;
 use super::terminal::Terminal;
 use super::{Done, Failure, bad_files, shown};
 use crate::dataset;
+use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
 use crate::outputs::{HttpOutput, MqttOutput};
@@ -24,7 +27,7 @@ use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
-use crate::station::config::{StationConfig, StylusConfig};
+use crate::station::config::{StationConfig, StylusConfig, fitting};
 use crate::station::{
     Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
     StationEvent, assemble,
@@ -43,6 +46,10 @@ pub struct StationArgs {
     /// The stylus's port, instead of the configured one: `auto`, `usb:VENDOR:PRODUCT` or a path
     #[arg(long, value_name = "PORT")]
     stylus: Option<Selector>,
+    /// A sensor that prints lines of numbers: a serial port (PORT@BAUD), tcp://HOST:PORT,
+    /// udp://HOST:PORT, or - for standard input. Alone, or with the [[lines]] of --config
+    #[arg(long, value_name = "PORT", allow_hyphen_values = true)]
+    lines: Option<LinesAddress>,
     /// Print lines of JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -57,8 +64,22 @@ impl StationArgs {
             Some(path) => {
                 StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()))?
             }
-            None => StationConfig::embedded(),
+            None => match &self.lines {
+                Some(address) => surveyed(address)?,
+                None => StationConfig::embedded(),
+            },
         };
+        if let (Some(address), Some(path)) = (&self.lines, &self.config) {
+            let [lines] = &mut config.lines[..] else {
+                return Err(Failure::Usage(format!(
+                    "{}: it has {} [[lines]], and --lines names the port of one; leave --config \
+                     out to learn a sensor from what it prints",
+                    shown(path),
+                    config.lines.len()
+                )));
+            };
+            lines.address = address.clone();
+        }
         if let Some(library) = &self.library {
             config.library = Some(library.clone());
         }
@@ -68,6 +89,25 @@ impl StationArgs {
         }
         Ok(config)
     }
+}
+
+/// A station of one sensor that nobody has described, by what it prints.
+fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
+    say!("learning what comes from {address}, for {SURVEY_S} s; leave the sensor at rest");
+    let survey = survey_of(address, SURVEY_PATIENCE).map_err(Failure::Failed)?;
+    let text = fitting(address, &survey).map_err(Failure::Failed)?;
+    let parsed = StationConfig::parse(&text, Path::new("what was learnt"));
+    let config = parsed.map_err(|error| Failure::Failed(error.to_string()))?;
+    for lines in &config.lines {
+        let columns = lines.streams.iter().map(|stream| stream.columns.len()).sum::<usize>();
+        let rate_hz = lines.rate_hz.unwrap_or(0.0);
+        say!(
+            "{address}: {} at {rate_hz} Hz; `surfaced devices --watch {address} --write FILE` keeps \
+             this as a configuration",
+            counted(columns, "channel")
+        );
+    }
+    Ok(config)
 }
 
 /// The folder of a station's library.
@@ -338,7 +378,8 @@ impl Listener for Supervisor {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
-                        surfaced run --library my-library --stylus /dev/ttyUSB0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
+                        surfaced run --library my-library --stylus /dev/ttyUSB0\n  \
+                        surfaced run --library my-library --lines /dev/ttyACM0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
 pub struct Args {
     #[command(flatten)]
     station: StationArgs,

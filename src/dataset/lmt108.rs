@@ -225,9 +225,11 @@ fn source_files(
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
         // One file each at least: `complete` saw to it.
-        "mi1" | "mi2" => {
-            headers.series(spec, Declared { rate_hz: None, band: true }, &paths.remove(0))?
-        }
+        "mi1" | "mi2" => headers.series(
+            spec,
+            Declared { band: true, ..Declared::default() },
+            &paths.remove(0),
+        )?,
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

@@ -60,6 +60,8 @@ pub enum DeviceReportKind {
     },
     /// A mark of a scan.
     Mark(Mark),
+    /// The rate of its streams in Hz, where it had to be measured; before the first frame.
+    Rate(f64),
     /// A warning: something was wrong, and the device continues.
     Warning(String),
     /// Its thread has ended; sent by the session.
@@ -120,6 +122,11 @@ impl DeviceLink {
     /// times a second is to be summed up by the device, not reported each time.
     pub fn warn(&self, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(text.into()));
+    }
+
+    /// Reports the rate of all its streams, in Hz, which it had to measure.
+    pub fn rate(&self, rate_hz: f64) {
+        self.send(DeviceReportKind::Rate(rate_hz));
     }
 
     /// Sends what must arrive, waiting for room unless it is time to stop.

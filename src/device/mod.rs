@@ -1,4 +1,5 @@
-//! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
+//! Devices, which produce streams: the stylus, lines of numbers, a microphone, a camera, or a
+//! recording that is played.
 //!
 //! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into
 //! one ring a stream, and reports its state and the marks of scans through its [`DeviceLink`].
@@ -6,6 +7,8 @@
 
 #[doc(hidden)]
 pub mod camera;
+#[doc(hidden)]
+pub mod lines;
 mod link;
 pub(crate) mod list;
 #[doc(hidden)]

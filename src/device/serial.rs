@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use self::connection::{Connection, ConnectionEnd, LinkErrors};
+use self::connection::{Connection, LinkErrors};
 use super::camera::FlashLine;
 use super::open::{RETRY, Retry};
 use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
@@ -25,6 +25,10 @@ use crate::scene::SourceId;
 
 pub use intake::{Intake, IntakeEvent};
 pub use port::{OpenPort, Selector};
+
+pub(super) use connection::{BUFFER, ConnectionEnd, REPORT_EVERY, STALLED, read_some, warn_of};
+pub(super) use intake::gap;
+pub(super) use port::WAIT;
 
 pub(crate) use intake::{Value, Wanted};
 pub(crate) use port::Port;
@@ -106,49 +110,63 @@ impl Device for Stylus {
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
         let begin = Instant::now();
-        let (mut was_there, mut retry) = (false, Retry::new(RETRY));
-        while !link.stopped() {
-            match self.port.open() {
-                Ok((port, path)) => {
-                    retry.opened();
-                    link.state(DeviceState::Opening, path.clone());
-                    intake.reopened();
-                    let now = Instant::now();
-                    let mut connection = Connection {
-                        port,
-                        path,
-                        intake: &mut intake,
-                        sinks,
-                        link,
-                        light: &self.light,
-                        begin,
-                        samples_at: now,
-                        start_sent_at: None,
-                        light_sent_at: None,
-                        status: None,
-                        refused: None,
-                        errors: LinkErrors::default(),
-                        reported_at: now,
-                    };
-                    let end = connection.run();
-                    connection.errors.report(link);
-                    match end {
-                        ConnectionEnd::Stop => return Ok(()),
-                        ConnectionEnd::Lost(why) => {
-                            was_there = true;
-                            link.state(DeviceState::Lost, why);
-                        }
+        keep_open(self.port.as_mut(), link, |port, path| {
+            intake.reopened();
+            let now = Instant::now();
+            let mut connection = Connection {
+                port,
+                path,
+                intake: &mut intake,
+                sinks,
+                link,
+                light: &self.light,
+                begin,
+                samples_at: now,
+                start_sent_at: None,
+                light_sent_at: None,
+                status: None,
+                refused: None,
+                errors: LinkErrors::default(),
+                reported_at: now,
+            };
+            let end = connection.run();
+            connection.errors.report(link);
+            end
+        })
+    }
+}
+
+/// Opens a line, passes it to `talk`, and opens it again whenever that lost it, until a stop.
+///
+/// # Errors
+/// If trying again is useless.
+pub(super) fn keep_open(
+    line: &mut dyn OpenPort,
+    link: &DeviceLink,
+    mut talk: impl FnMut(Box<dyn Port>, String) -> ConnectionEnd,
+) -> Result<(), DeviceError> {
+    let (mut was_there, mut retry) = (false, Retry::new(RETRY));
+    while !link.stopped() {
+        match line.open() {
+            Ok((port, path)) => {
+                retry.opened();
+                link.state(DeviceState::Opening, path.clone());
+                match talk(port, path) {
+                    ConnectionEnd::Stop => return Ok(()),
+                    ConnectionEnd::Lost(why) => {
+                        was_there = true;
+                        link.state(DeviceState::Lost, why);
                     }
                 }
-                Err(error) => {
-                    retry.failed(error, was_there, link)?;
-                    continue;
-                }
             }
-            link.sleep_until(Instant::now() + RETRY);
+            Err(error) => {
+                retry.failed(error, was_there, link)?;
+                continue;
+            }
         }
-        Ok(())
+        link.sleep_until(Instant::now() + RETRY);
     }
+    Ok(())
 }
 
 /// The time that the stylus has to confirm.

@@ -10,14 +10,14 @@
 //!   SURFACE/NAME.wav             without trial folders: a trial a file
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::files::{self, Listed};
-use super::loader::{FileTrial, Headers, SourceFiles};
+use super::loader::{FileTrial, Headers, SourceFiles, channels};
 use super::seen::Seen;
-use super::{About, Entry, Library, LibraryError, Opened, loose, series_header};
+use super::{About, Entry, Library, LibraryError, Opened, loose, series_file, series_header};
 use crate::scene::{Declared, Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
@@ -141,6 +141,8 @@ struct RecordingOpening<'a> {
     declared: BTreeMap<SourceId, Declared>,
     /// The sources that `library.toml` describes.
     own: Vec<SourceId>,
+    /// Those of them whose channels nobody has told, until the first recording does.
+    unknown: BTreeSet<SourceId>,
     synthetic: bool,
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
@@ -157,6 +159,7 @@ impl<'a> RecordingOpening<'a> {
             scene,
             declared: BTreeMap::new(),
             own: Vec::new(),
+            unknown: BTreeSet::new(),
             synthetic: false,
             headers: Headers::default(),
             trials: BTreeMap::new(),
@@ -171,6 +174,11 @@ impl<'a> RecordingOpening<'a> {
             opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
             opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
+            let told = |id: &&SourceId| {
+                opening.declared.get(*id).is_some_and(|d| d.channels)
+                    || opening.scene.get(id.as_str()).is_some()
+            };
+            opening.unknown = opening.own.iter().filter(|id| !told(id)).cloned().collect();
             opening.scene = opening.scene.with(described.sources);
         }
         Ok(opening)
@@ -321,6 +329,26 @@ impl<'a> RecordingOpening<'a> {
         Ok(())
     }
 
+    /// Takes the channels of a source of which nobody has told them from its first recording.
+    fn learn(&mut self, id: SourceId, path: &Path) -> Result<(), LibraryError> {
+        let header = series_file::probe(path)?;
+        if let Some(spec) = self.scene.get_mut(id.as_str()) {
+            spec.channels = header.channels;
+            return Ok(());
+        }
+        self.pass_over(
+            path,
+            format!(
+                "no source is called `{id}`, so it is taken as a series of {} at {} Hz; \
+             [sources.{id}] in {DESCRIPTION} can say more",
+                channels(header.channels),
+                header.rate_hz
+            ),
+        );
+        self.scene.add_unknown(id, header.channels);
+        Ok(())
+    }
+
     /// The source that a file of a trial is, if it is one.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
@@ -333,24 +361,30 @@ impl<'a> RecordingOpening<'a> {
             self.pass_over(&item.path, why);
             return Ok(None);
         }
+        if !picture
+            && self.scene.get(stem).is_none()
+            && let Ok(id) = SourceId::new(stem)
+        {
+            self.learn(id, &item.path)?;
+        }
         let Some(spec) = self.scene.get(stem) else {
             let what = match SourceId::new(stem) {
                 Err(error) => format!("not used: {error}; rename the file"),
-                Ok(id) if picture => format!(
-                    "not used, since no source is called `{id}`; to use it, add to {DESCRIPTION}: \
-                     [sources.{id}] domain = \"image\", channels = 3"
-                ),
                 Ok(id) => format!(
                     "not used, since no source is called `{id}`; to use it, add to {DESCRIPTION}: \
-                     [sources.{id}] domain = \"time\" (or \"spectrum\" with band_hz = [low, high]), \
-                     channels = …, rate_hz = …"
+                     [sources.{id}] domain = \"image\", channels = 3"
                 ),
             };
             self.pass_over(&item.path, what);
             return Ok(None);
         };
         if !picture {
+            let id = spec.id.clone();
             let declared = self.declared.get(stem).copied().unwrap_or_default();
+            if self.unknown.remove(&id) {
+                self.learn(id.clone(), &item.path)?;
+            }
+            let Some(spec) = self.scene.get(stem) else { return Ok(None) };
             let files = self.headers.series(spec, declared, &item.path)?;
             return Ok(Some((spec.id.clone(), files)));
         }

@@ -107,6 +107,13 @@ impl Collector {
             DeviceReportKind::State { state, detail } => {
                 self.event_queue.push(Event::Device { device: name, state, detail });
             }
+            DeviceReportKind::Rate(rate_hz) => {
+                let own = self.streams.iter_mut().filter(|stream| stream.device == device);
+                own.for_each(|stream| stream.set_rate_hz(rate_hz));
+                if let Some(detector) = &mut self.detector {
+                    detector.follow_rates(&self.streams, device);
+                }
+            }
             DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
             DeviceReportKind::Ended(result) => {
                 self.devices[device].1 = true;

@@ -229,6 +229,11 @@ impl StreamLevel {
         }
     }
 
+    /// The level of the same stream at another rate in Hz, without what it has learnt.
+    pub(crate) fn at_rate(&self, rate_hz: f64) -> Self {
+        Self::new(self.kind, self.channels, rate_hz)
+    }
+
     /// Takes interleaved frames and passes `on` the level of every hop that they complete. While
     /// `held`, as during a drag, the floor may sink but not rise. A sample that is not a finite
     /// number counts as the one before it.

@@ -51,6 +51,12 @@ impl Group {
         })
     }
 
+    /// Takes over the rate of its streams, which have had no frame yet.
+    pub fn follow_rate(&mut self, streams: &[Stream]) {
+        self.rate_hz = streams[self.channels[0].0].rate_hz();
+        self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(self.rate_hz));
+    }
+
     /// Whether a drag ended only because its data stopped.
     pub fn cut_off(&self, last: DetectorEvent) -> bool {
         last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }

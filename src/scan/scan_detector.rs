@@ -74,6 +74,13 @@ impl ScanDetector {
         }
     }
 
+    /// Takes over the rates of one device's streams, which have had no frame yet.
+    pub fn follow_rates(&mut self, streams: &[Stream], device: usize) {
+        self.timeline.follow_rates(streams, device);
+        let of = |group: &&mut Group| streams[group.channels[0].0].device == device;
+        self.groups.iter_mut().filter(of).for_each(|group| group.follow_rate(streams));
+    }
+
     /// Looks at what has come out of the rings, and gives the marks that follow from it.
     pub fn update(&mut self, streams: &[Stream]) -> Vec<Mark> {
         let now_s = self.timeline.observe(streams);

@@ -54,6 +54,13 @@ impl Stream {
         }
     }
 
+    /// Sets the rate of a series, in Hz, before its first frame.
+    pub fn set_rate_hz(&mut self, new_hz: f64) {
+        if let StreamBuffer::Series { rate_hz, .. } = &mut self.buffer {
+            *rate_hz = new_hz;
+        }
+    }
+
     pub fn meter(&self) -> &Arc<Meter> {
         match &self.buffer {
             StreamBuffer::Series { tap, .. } => tap.meter(),

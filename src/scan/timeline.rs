@@ -47,6 +47,14 @@ impl Timeline {
         now_s
     }
 
+    /// Takes over the rates of one device's streams, which have had no frame yet.
+    pub fn follow_rates(&mut self, streams: &[Stream], device: usize) {
+        let pairs = streams.iter().zip(&mut self.streams);
+        for (stream, known) in pairs.filter(|(stream, _)| stream.device == device) {
+            known.clock = Clock::new(stream.rate_hz());
+        }
+    }
+
     pub fn now_s(&self) -> ClockSecond {
         self.begin.elapsed().as_secs_f64()
     }

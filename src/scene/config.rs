@@ -32,7 +32,7 @@ enum DomainName {
 }
 
 /// One source as a file describes it.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -46,7 +46,7 @@ pub(crate) struct SourceBlock {
     #[serde(skip_serializing_if = "Option::is_none")]
     colour: Option<Colour>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    channels: Option<usize>,
+    pub channels: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rate_hz: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -96,6 +96,8 @@ pub struct Declared {
     pub rate_hz: Option<f64>,
     /// Whether it gives a band.
     pub band: bool,
+    /// Whether it gives a number of channels.
+    pub channels: bool,
 }
 
 /// The content of a `library.toml`.
@@ -118,8 +120,9 @@ impl LibraryToml {
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
-            let SourceBlock { rate_hz, band_hz, .. } = *block.get_ref();
-            Some((SourceId::new(name).ok()?, Declared { rate_hz, band: band_hz.is_some() }))
+            let SourceBlock { rate_hz, band_hz, channels, .. } = *block.get_ref();
+            let (band, channels) = (band_hz.is_some(), channels.is_some());
+            Some((SourceId::new(name).ok()?, Declared { rate_hz, band, channels }))
         };
         let declared = file.sources.iter().filter_map(declared).collect();
         let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
@@ -259,9 +262,8 @@ impl SourceBlock {
             (Some(DomainName::Time), band_hz) => {
                 Ok(Domain::Time { band_hz: band_hz.map(|[low, high]| (low, high)) })
             }
-            (None, None) => Err("no default is called so; say what it is: domain = \"time\", \
-                                 \"image\", or \"spectrum\" with band_hz = [low, high]"
-                .into()),
+            // A source that no table knows needs no more than its name.
+            (None, None) => Ok(Domain::Time { band_hz: None }),
             (Some(DomainName::Spectrum), None) => {
                 Err("a spectrum needs band_hz = [low, high], in Hz".into())
             }

@@ -223,6 +223,30 @@ impl Scene {
         Ok(self)
     }
 
+    /// One source, to be changed; its name must stay.
+    pub(crate) fn get_mut(&mut self, id: &str) -> Option<&mut SourceSpec> {
+        self.sources.get_mut(id)
+    }
+
+    /// Adds a series of which no more than its name and its channels is known.
+    pub(crate) fn add_unknown(&mut self, id: SourceId, channels: usize) {
+        let spec = SourceSpec {
+            what: id.to_string(),
+            sensor: id.to_string(),
+            phase: Phase::Drag,
+            domain: Domain::Time { band_hz: None },
+            colour: Colour::default(),
+            channels,
+            rate_hz: None,
+            align_mean: false,
+            weight: 1.0,
+            sigma: None,
+            score_offset: 0.0,
+            id: id.clone(),
+        };
+        self.sources.insert(id, spec);
+    }
+
     /// One source.
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
         self.sources.get(id)

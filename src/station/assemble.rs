@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::config::{CameraConfig, MicrophoneConfig, StationConfig, StylusConfig};
+use super::config::{CameraConfig, LinesConfig, MicrophoneConfig, StationConfig, StylusConfig};
 use super::event::{Listener, StationEvent};
 use crate::device::camera::{Shutter, Viewfinder};
+use crate::device::lines::Lines;
 use crate::device::serial::{Light, Stylus};
 use crate::device::{Device, OpenError};
 use crate::scene::Phase;
@@ -41,6 +42,9 @@ impl Listener for Flasher {
 pub fn assemble(config: &StationConfig) -> Assembled {
     let mut all = Assembled::default();
     let light = config.stylus.as_ref().map(|stylus| all.stylus(stylus));
+    for LinesConfig { address, rate_hz, count, streams } in config.lines.iter().cloned() {
+        all.add(Box::new(Lines::new(address, streams, count, rate_hz)));
+    }
     if let Some(microphone) = &config.microphone {
         match sound(microphone) {
             Ok(device) => all.add(device),

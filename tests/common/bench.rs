@@ -111,11 +111,26 @@ impl Bench {
 
     /// The same with another stderr.
     pub fn surfaced_with(&self, args: &[&str], stderr: Stdio) -> Surfaced {
+        let (stylus, station) = (self.path("stylus"), self.path("station.toml"));
+        let own = ["--stylus", stylus.to_str().unwrap(), "--config", station.to_str().unwrap()];
+        Surfaced::start(&[args, &own].concat(), Stdio::null(), stderr)
+    }
+}
+
+/// A process of the program.
+pub struct Surfaced {
+    pub child: Child,
+    lines: Receiver<Value>,
+    said: Arc<Mutex<String>>,
+}
+
+impl Surfaced {
+    /// Runs `surfaced`, which prints lines of JSON.
+    pub fn start(args: &[&str], stdin: Stdio, stderr: Stdio) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_surfaced"))
             .args(args)
-            .args(["--stylus", self.path("stylus").to_str().unwrap()])
-            .args(["--config", self.path("station.toml").to_str().unwrap(), "--json"])
-            .stdin(Stdio::null())
+            .arg("--json")
+            .stdin(stdin)
             .stdout(Stdio::piped())
             .stderr(stderr)
             .spawn()
@@ -136,28 +151,29 @@ impl Bench {
                 }
             });
         }
-        Surfaced { child, lines, said }
+        Self { child, lines, said }
     }
-}
 
-/// A process of the program.
-pub struct Surfaced {
-    child: Child,
-    lines: Receiver<Value>,
-    said: Arc<Mutex<String>>,
-}
-
-impl Surfaced {
     /// The next line of JSON, while the stylus keeps sending.
     pub fn line(&self, fake: &mut Fake) -> Value {
+        self.line_while(|| fake.serve(0.05))
+    }
+
+    /// The next line of JSON, while `serve` is called again and again.
+    pub fn line_while(&self, mut serve: impl FnMut()) -> Value {
         let limit = Instant::now() + Duration::from_secs(60);
         loop {
             if let Ok(line) = self.lines.try_recv() {
                 return line;
             }
             assert!(Instant::now() < limit, "no line of JSON; {}", self.said());
-            fake.serve(0.05);
+            serve();
         }
+    }
+
+    /// The lines of JSON that nobody has read, after its end.
+    pub fn rest(&self) -> Vec<Value> {
+        self.lines.iter().collect()
     }
 
     /// All that it has said to people so far.
@@ -185,13 +201,18 @@ impl Surfaced {
 
     /// Waits for its end, while the stylus keeps sending.
     pub fn end(&mut self, fake: &mut Fake) -> ExitStatus {
+        self.end_while(|| fake.serve(0.05))
+    }
+
+    /// Waits for its end, while `serve` is called again and again.
+    pub fn end_while(&mut self, mut serve: impl FnMut()) -> ExitStatus {
         let limit = Instant::now() + Duration::from_secs(60);
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;
             }
             assert!(Instant::now() < limit, "it does not end; {}", self.said());
-            fake.serve(0.05);
+            serve();
         }
     }
 }

@@ -163,7 +163,7 @@ fn what_is_passed_over_is_said() {
     let (_dir, path) = temp();
     write_wav(&path.join("Oak/1/mi2.wav"), 44_100, 1, &[1]);
     for number in 1..=3 {
-        write_wav(&path.join(format!("Oak/{number}/pac.wav")), 2200, 1, &[1]);
+        write_file(&path.join(format!("Oak/{number}/depth.png")), "PNG");
     }
     write_wav(&path.join("Oak/mi2.wav"), 44_100, 1, &[1]);
     write_wav(&path.join("Oak/9/mi2.wav"), 44_100, 1, &[1]);
@@ -176,14 +176,35 @@ fn what_is_passed_over_is_said() {
     says(
         &remarks,
         &[
-            "Oak/1/pac.wav and 2 more: not used, since no source is called `pac`; to use it, add to \
-         library.toml: [sources.pac] domain = \"time\"",
+            "Oak/1/depth.png and 2 more: not used, since no source is called `depth`; to use it, add to \
+         library.toml: [sources.depth] domain = \"image\"",
             "Oak/9: not used, trial.toml says incomplete = true",
             "Oak/mi2.wav: not used, it lies in no TRIAL folder",
             "Oak/.expert-10.1.unfinished: not used, it was never finished",
             "Oak/2 and 1 more: not used, it holds no file of any source",
         ],
     );
+}
+
+#[test]
+fn a_source_that_no_table_knows_needs_a_name_and_nothing_else() {
+    let (_dir, path) = temp();
+    for number in 1..=2 {
+        write_wav(&path.join(format!("Oak/{number}/tilt.wav")), 400, 3, &[1, 2, 3]);
+    }
+    write_wav(&path.join("Oak/3/tilt.wav"), 400, 2, &[1, 2]);
+    let opened = recording::open_usable(&path, &Scene::lmt108()).unwrap();
+    let says_what = "Oak/1/tilt.wav: no source is called `tilt`, so it is taken as a series of \
+                     3 channels at 400 Hz";
+    assert!(opened.library.remarks.join("\n").contains(says_what), "{:?}", opened.library.remarks);
+    assert_eq!((opened.library.entries.len(), opened.bad.len()), (2, 1));
+    says(&opened.bad[0].to_string(), &["Oak/3/tilt.wav: 2 channels, but source `tilt` has 3"]);
+    // The same where its name alone is described.
+    write_file(&path.join("library.toml"), "format = 1\n[sources.tilt]\n");
+    let opened = recording::open_usable(&path, &Scene::lmt108()).unwrap();
+    let spec = opened.library.scene.get("tilt").unwrap().clone();
+    assert_eq!((spec.channels, opened.library.entries.len()), (3, 2));
+    assert!(opened.library.remarks.is_empty(), "{:?}", opened.library.remarks);
 }
 
 #[test]

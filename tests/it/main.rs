@@ -22,6 +22,7 @@ mod hostile_numbers;
 mod hsic_golden;
 mod invariance;
 mod library;
+mod lines;
 mod live_scan;
 mod lmt108;
 mod methods;

@@ -12,7 +12,7 @@ use crate::common::stylus::Fake;
 use serde_json::{Value, json};
 
 /// The address that a station said it serves at.
-fn served(run: &Surfaced) -> Client {
+pub fn served(run: &Surfaced) -> Client {
     run.until_said("http://", None);
     let said = run.said();
     let address = said.lines().find_map(|line| line.strip_prefix("http://")).unwrap();

@@ -9,7 +9,7 @@ use crate::device::{DeviceLink, DeviceState};
 use crate::ring::Sink;
 
 /// No samples for this long is a stall, and the stylus is commanded to start.
-const STALLED: Duration = Duration::from_millis(500);
+pub(in crate::device) const STALLED: Duration = Duration::from_millis(500);
 /// No samples for this long, and the line is reopened: it may have another path by now.
 const GIVE_UP: Duration = Duration::from_secs(5);
 /// A command without an answer is sent again after this.
@@ -17,14 +17,40 @@ const REPEAT: Duration = Duration::from_millis(100);
 /// The time that the stylus has to stop at the end.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of errors.
-const REPORT_EVERY: Duration = Duration::from_secs(1);
+pub(in crate::device) const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Bytes taken at a time: 0.4 s of the line.
-const BUFFER: usize = 64 * 1024;
+pub(in crate::device) const BUFFER: usize = 64 * 1024;
 
 /// The end of a connection.
-pub(super) enum ConnectionEnd {
+pub(in crate::device) enum ConnectionEnd {
     Stop,
     Lost(String),
+}
+
+/// Reads what is there, or waits for a moment: the number of bytes, 0 where none came.
+///
+/// # Errors
+/// If the line is lost: why.
+pub(in crate::device) fn read_some(
+    port: &mut dyn Port,
+    buffer: &mut [u8],
+) -> Result<usize, String> {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    match port.read(buffer) {
+        Ok(0) => Err("the line was hung up".into()),
+        Ok(n) => Ok(n),
+        Err(error) if matches!(error.kind(), TimedOut | WouldBlock | Interrupted) => Ok(0),
+        Err(error) => Err(format!("the line was lost ({error})")),
+    }
+}
+
+/// Warns of what was counted, if anything was.
+pub(in crate::device) fn warn_of(counts: &[(u64, &str)], link: &DeviceLink) {
+    let some = counts.iter().filter(|(count, _)| *count > 0);
+    let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
+    if !parts.is_empty() {
+        link.warn(parts.join(", "));
+    }
 }
 
 /// One connection to the stylus, from opening the line to losing it.
@@ -88,15 +114,10 @@ impl Connection<'_> {
 
     /// Reads what is there, or waits for a moment.
     fn read(&mut self, buffer: &mut [u8]) -> Result<(), String> {
-        use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-        let n = match self.port.read(buffer) {
-            Ok(0) => return Err("the line was hung up".into()),
-            Ok(n) => n,
-            Err(error) if matches!(error.kind(), TimedOut | WouldBlock | Interrupted) => {
-                return Ok(());
-            }
-            Err(error) => return Err(format!("the line was lost ({error})")),
-        };
+        let n = read_some(self.port.as_mut(), buffer)?;
+        if n == 0 {
+            return Ok(());
+        }
         let now = Instant::now();
         let now_s = (now - self.begin).as_secs_f64();
         let Self { intake, sinks, link, light, status, refused, errors, .. } = self;
@@ -238,11 +259,7 @@ impl LinkErrors {
             (self.overruns, "samples were taken late"),
             (self.dropped, "samples did not fit into its memory"),
         ];
-        let some = counts.into_iter().filter(|(count, _)| *count > 0);
-        let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
-        if !parts.is_empty() {
-            link.warn(parts.join(", "));
-        }
+        warn_of(&counts, link);
         *self = Self::default();
     }
 }

@@ -241,8 +241,9 @@ impl Intake {
             return false;
         };
         let count = samples.count() as u64;
+        let (silent_s, rate_hz) = (now_s - self.last_s, f64::from(self.rate_hz));
         let (missing, restarted) =
-            gap(self.next, samples, now_s - self.last_s, f64::from(self.rate_hz), self.reopened);
+            gap(self.next, samples.first_index(), count, silent_s, rate_hz, self.reopened);
         if restarted {
             self.unused.restarts += 1;
             on(IntakeEvent::Restarted);
@@ -273,10 +274,12 @@ impl Intake {
     }
 }
 
-/// The number of samples missing before these, and whether their index restarted.
-fn gap(
+/// The number of samples missing before `count` samples that begin with index `first`, and whether
+/// their index restarted.
+pub(in crate::device) fn gap(
     next: Option<u64>,
-    samples: &Samples<'_>,
+    first: u64,
+    count: u64,
     silent_s: f64,
     rate_hz: f64,
     reopened: bool,
@@ -284,8 +287,8 @@ fn gap(
     let Some(next) = next else { return (0, false) };
     // Casts saturate; a clock that went back counts as no silence.
     let by_time = (silent_s * rate_hz).round().max(0.0) as u64;
-    let by_time = by_time.saturating_sub(samples.count() as u64);
-    if let Some(by_index) = samples.first_index().checked_sub(next) {
+    let by_time = by_time.saturating_sub(count);
+    if let Some(by_index) = first.checked_sub(next) {
         let most = if reopened { ANEW_S } else { LATEST_S } * rate_hz;
         let believed = by_index <= by_time.saturating_add(most as u64)
             && !(reopened && by_time > by_index.saturating_add(most as u64));

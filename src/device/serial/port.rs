@@ -13,7 +13,7 @@ use crate::device::list::{available_ports, permission_hint};
 /// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
 pub const BAUD: u32 = 3_000_000;
 /// The longest that a read or a write waits.
-const WAIT: Duration = Duration::from_millis(50);
+pub(in crate::device) const WAIT: Duration = Duration::from_millis(50);
 /// USB serial chips that can do [`BAUD`]: FTDI's.
 const FTDI: u16 = 0x0403;
 const FTDI_CHIPS: [u16; 5] = [0x6001, 0x6010, 0x6011, 0x6014, 0x6015];
@@ -23,9 +23,9 @@ pub trait Port: Read + Write + Send {}
 
 impl<T: Read + Write + Send> Port for T {}
 
-/// Opens the stylus's line; again after it was lost.
+/// Opens a device's line; again after it was lost.
 pub trait OpenPort: Send {
-    /// The name of the stylus, for messages.
+    /// The name of the device, for messages.
     fn name(&self) -> String;
 
     /// Opens the line and gives it with its path or name.
@@ -133,6 +133,19 @@ impl OpenPort for Selector {
     }
 
     fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
+        self.open_at(BAUD)
+    }
+}
+
+impl Selector {
+    /// Opens the line at this number of baud, and gives it with its path.
+    ///
+    /// # Errors
+    /// If it is absent or cannot be opened.
+    pub(in crate::device) fn open_at(
+        &self,
+        baud: u32,
+    ) -> Result<(Box<dyn Port>, String), OpenError> {
         let path = match self {
             Self::Path(path) => path.display().to_string(),
             _ => {
@@ -141,7 +154,7 @@ impl OpenPort for Selector {
                 self.choose(&ports)?
             }
         };
-        match serialport::new(&path, BAUD).timeout(WAIT).open() {
+        match serialport::new(&path, baud).timeout(WAIT).open() {
             Ok(port) => Ok((Box::new(port), path)),
             Err(error) => Err(failed(&path, &error)),
         }

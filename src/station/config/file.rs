@@ -9,6 +9,7 @@ use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
+use crate::device::lines::Column;
 use crate::device::serial::Value;
 use crate::scene::config::SourceBlock;
 
@@ -22,6 +23,8 @@ pub(super) struct StationFile {
     pub microphone: MicrophoneBlock,
     pub camera: CameraBlock,
     pub detection: DetectionBlock,
+    #[serde(default)]
+    pub lines: Vec<LinesBlock>,
     pub enroll: EnrollBlock,
     pub history: HistoryBlock,
     #[serde(default)]
@@ -38,6 +41,19 @@ pub(super) struct StylusBlock {
     pub rate_hz: Spanned<u32>,
     pub sources: BTreeMap<String, Spanned<Vec<String>>>,
     pub values: BTreeMap<String, Spanned<Value>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinesBlock {
+    pub port: Spanned<String>,
+    pub rate_hz: Option<Spanned<f64>>,
+    pub counter: Option<Spanned<Column>>,
+    pub time_us: Option<Spanned<Column>>,
+    #[serde(default)]
+    pub sources: BTreeMap<String, Spanned<Vec<Column>>>,
+    #[serde(default)]
+    pub scale: BTreeMap<String, Spanned<f64>>,
 }
 
 #[derive(Deserialize)]

@@ -3,6 +3,7 @@
 //! program works with.
 
 mod file;
+mod lines;
 mod only;
 mod output_address;
 mod resolve;
@@ -13,11 +14,13 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::device::camera::{FlashControl, Turn};
+use crate::device::lines::{Count, LinesAddress, LinesStream};
 use crate::device::microphone::Pick;
 use crate::device::serial::{Selector, Wanted};
 use crate::scan::Detection;
 use crate::scene::{Scene, SceneError, SourceId};
 
+pub(crate) use lines::fitting;
 pub use output_address::{HttpAddress, MqttAddress};
 
 impl StationConfig {
@@ -100,6 +103,8 @@ pub struct StationConfig {
     pub scene: Scene,
     /// The stylus, if there is to be one.
     pub stylus: Option<StylusConfig>,
+    /// Sensors that print lines of numbers.
+    pub lines: Vec<LinesConfig>,
     /// The microphone, if there is to be one.
     pub microphone: Option<MicrophoneConfig>,
     /// The camera, if there is to be one.
@@ -127,6 +132,19 @@ pub struct StylusConfig {
     pub rate_hz: u32,
     /// Its streams, which are sources.
     pub streams: Vec<Wanted>,
+}
+
+/// A sensor that prints lines of numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinesConfig {
+    /// The place that its lines come from.
+    pub address: LinesAddress,
+    /// Its rate in Hz; measured where it is not given.
+    pub rate_hz: Option<f64>,
+    /// The column that counts, if there is one.
+    pub count: Option<Count>,
+    /// Its streams, which are sources.
+    pub streams: Vec<LinesStream>,
 }
 
 /// The microphone, one stream.

@@ -9,6 +9,8 @@ use crate::scene::SourceId;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum DevicePart {
     Stylus,
+    /// Lines, by their number.
+    Lines(usize),
     Microphone,
     Camera,
     Flash,
@@ -18,7 +20,7 @@ impl StationConfig {
     /// This station with only those parts that a scan of `sources` needs: their devices and cuts
     /// and, so that scans
     /// are detected, one device that shows contact: of those needed, if one does, else the stylus,
-    /// else the microphone.
+    /// else lines, else the microphone.
     pub fn only(mut self, sources: &[SourceId]) -> Self {
         self.detection.cuts.retain(|cut| sources.contains(&cut.source));
         let cuts = &self.detection.cuts;
@@ -36,7 +38,7 @@ impl StationConfig {
         let contact: BTreeSet<DevicePart> =
             groups.filter_map(|(stream, _)| self.part_of(stream)).collect();
         if parts.is_disjoint(&contact) {
-            // The stylus comes before the microphone.
+            // The stylus comes first, then lines, then the microphone.
             parts.extend(contact.first());
         }
         let mut groups = std::mem::take(&mut self.detection.groups);
@@ -44,6 +46,8 @@ impl StationConfig {
         groups.retain(|group| group.iter().all(|(stream, _)| kept(stream)));
         self.detection.groups = groups;
         self.stylus = self.stylus.filter(|_| parts.contains(&DevicePart::Stylus));
+        let mut number = 0..;
+        self.lines.retain(|_| number.next().is_some_and(|n| parts.contains(&DevicePart::Lines(n))));
         self.microphone = self.microphone.filter(|_| parts.contains(&DevicePart::Microphone));
         self.camera = self.camera.filter(|_| parts.contains(&DevicePart::Camera));
         if let Some(camera) = &mut self.camera {
@@ -58,8 +62,11 @@ impl StationConfig {
         let camera = self.camera.as_ref();
         let flash = camera.and_then(|camera| camera.flash.as_ref());
         let of_stylus = |of: &super::StylusConfig| of.streams.iter().any(|w| w.id == *stream);
+        let of_lines = |of: &super::LinesConfig| of.streams.iter().any(|s| s.id == *stream);
         if self.stylus.as_ref().is_some_and(of_stylus) {
             Some(DevicePart::Stylus)
+        } else if let Some(number) = self.lines.iter().position(of_lines) {
+            Some(DevicePart::Lines(number))
         } else if self.microphone.as_ref().is_some_and(|of| of.stream == *stream) {
             Some(DevicePart::Microphone)
         } else if camera.is_some_and(|of| of.source == *stream) {

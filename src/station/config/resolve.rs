@@ -13,7 +13,8 @@ use super::file::{
     StylusBlock, is_default, merged,
 };
 use super::{
-    CameraConfig, ConfigError, FlashConfig, MicrophoneConfig, StationConfig, StylusConfig,
+    CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, StationConfig,
+    StylusConfig, lines,
 };
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
@@ -27,18 +28,19 @@ use crate::scene::{Phase, Scene, SourceId};
 const SOUND: &str = "sound";
 
 /// A mistake in a value, and its place in the file.
-struct Mistake {
+pub(super) struct Mistake {
     at: Range<usize>,
     problem: String,
 }
 
-fn mistake<T, S>(at: &Spanned<S>, problem: impl Into<String>) -> Result<T, Mistake> {
+pub(super) fn mistake<T, S>(at: &Spanned<S>, problem: impl Into<String>) -> Result<T, Mistake> {
     Err(Mistake { at: at.span(), problem: problem.into() })
 }
 
 pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigError> {
     let toml = |error| ConfigError::Toml { path: path.to_path_buf(), error: Box::new(error) };
     let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
+    lines::describe(&mut file);
     let defaults = Scene::lmt108();
     let described = scene(String::new(), std::mem::take(&mut file.sources), text, Some(&defaults))
         .map_err(|error| ConfigError::Scene { path: path.to_path_buf(), error: Box::new(error) })?;
@@ -61,14 +63,17 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     };
     let sound = file.microphone.sources.clone();
     let stylus = stylus(file.stylus, &scene)?;
+    let lines = file.lines.iter().map(|block| lines::lines(block, &scene));
+    let lines = lines.collect::<Result<Vec<_>, _>>()?;
     let microphone = microphone(file.microphone)?;
     let camera = camera(file.camera, &scene)?;
     let cuts = StreamCuts { scene: &scene, cuts: Vec::new() }
         .stylus(stylus.as_ref())
+        .lines(&lines)
         .microphone(microphone.as_ref(), &sound)?
         .camera(camera.as_ref())
         .checked(&file.format)?;
-    let detection = detection(&file.detection, stylus.as_ref(), cuts, &scene)?;
+    let detection = detection(&file.detection, (stylus.as_ref(), &lines), cuts, &scene)?;
     let by_t_star = file
         .enroll
         .t_star
@@ -85,6 +90,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         serve,
         scene,
         stylus,
+        lines,
         microphone,
         camera,
         detection,
@@ -109,7 +115,7 @@ fn output<A: std::str::FromStr<Err = String>>(
 }
 
 /// A finite number above 0.
-fn positive<T>(key: &str, value: &Spanned<T>) -> Result<T, Mistake>
+pub(super) fn positive<T>(key: &str, value: &Spanned<T>) -> Result<T, Mistake>
 where
     T: Copy + Default + PartialOrd + std::fmt::Display + std::ops::Mul<Output = T>,
 {
@@ -123,7 +129,7 @@ where
 }
 
 /// The source of the scene called `name`, which stands at `at`.
-fn known<S>(name: &str, at: &Spanned<S>, scene: &Scene) -> Result<SourceId, Mistake> {
+pub(super) fn known<S>(name: &str, at: &Spanned<S>, scene: &Scene) -> Result<SourceId, Mistake> {
     if let Some(spec) = scene.get(name) {
         return Ok(spec.id.clone());
     }
@@ -146,6 +152,9 @@ fn stylus(block: StylusBlock, scene: &Scene) -> Result<Option<StylusConfig>, Mis
     if let Some((name, value)) = stray {
         return mistake(value, format!("`{name}` is no source of [stylus.sources]"));
     }
+    if !present {
+        return Ok(None);
+    }
     let mut streams = Vec::new();
     for (name, channels) in sources {
         let id = known(&name, &channels, scene)?;
@@ -158,7 +167,7 @@ fn stylus(block: StylusBlock, scene: &Scene) -> Result<Option<StylusConfig>, Mis
         let value = values.get(&name).map(|value| *value.get_ref()).unwrap_or_default();
         streams.push(Wanted { id, channels: channels.into_inner(), value });
     }
-    Ok(present.then_some(StylusConfig { port, rate_hz, streams }))
+    Ok(Some(StylusConfig { port, rate_hz, streams }))
 }
 
 fn microphone(block: MicrophoneBlock) -> Result<Option<MicrophoneConfig>, Mistake> {
@@ -226,6 +235,13 @@ impl StreamCuts<'_> {
         self
     }
 
+    fn lines(mut self, lines: &[LinesConfig]) -> Self {
+        for stream in lines.iter().flat_map(|lines| &lines.streams) {
+            self.add(&stream.id, &stream.id);
+        }
+        self
+    }
+
     fn microphone(
         mut self,
         microphone: Option<&MicrophoneConfig>,
@@ -260,12 +276,14 @@ impl StreamCuts<'_> {
 
 fn detection(
     block: &DetectionBlock,
-    stylus: Option<&StylusConfig>,
+    (stylus, lines): (Option<&StylusConfig>, &[LinesConfig]),
     cuts: Vec<CutFrom>,
     scene: &Scene,
 ) -> Result<Detection, Mistake> {
-    // The stylus leads where there is one, so its group comes first.
+    // The stylus leads where there is one, so its group comes first; then lines, each by themselves.
     let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
+    let mut of_lines = vec![Vec::new(); lines.len()];
+    let in_lines = |id: &SourceId| lines.iter().position(|l| l.streams.iter().any(|s| s.id == *id));
     for (name, kind) in &block.listen {
         let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
             // Of a device that this station does not have.
@@ -280,12 +298,21 @@ fn detection(
             SensorKindName::Vibration => SensorKind::Vibration,
         };
         let in_stylus = stylus.is_some_and(|s| s.streams.iter().any(|w| w.id == cut.stream));
-        let group = if in_stylus { &mut of_stylus } else { &mut others };
+        let group = match in_lines(&cut.stream) {
+            Some(number) => &mut of_lines[number],
+            None if in_stylus => &mut of_stylus,
+            None => &mut others,
+        };
         if !group.iter().any(|(stream, _)| *stream == cut.stream) {
             group.push((cut.stream.clone(), kind));
         }
     }
-    let groups = [of_stylus, others].into_iter().filter(|group| !group.is_empty()).collect();
+    // Whatever moves shows contact, where nothing is said of a sensor.
+    for (group, lines) in of_lines.iter_mut().zip(lines).filter(|(group, _)| group.is_empty()) {
+        group.extend(lines.streams.iter().map(|s| (s.id.clone(), SensorKind::Vibration)));
+    }
+    let groups = [vec![of_stylus], of_lines, vec![others]].into_iter().flatten();
+    let groups = groups.filter(|group| !group.is_empty()).collect();
     let detector = DetectorConfig {
         onset: positive("onset", &block.onset)?,
         quiet: positive("quiet", &block.quiet)?,

@@ -1,0 +1,166 @@
+use super::*;
+use proptest::prelude::*;
+
+fn stream(id: &str, columns: &[usize]) -> LinesStream {
+    let columns = columns.iter().map(|place| Column::Place(*place)).collect();
+    LinesStream { id: SourceId::new(id).unwrap(), columns, scale: Some(0.5) }
+}
+
+fn named(id: &str, columns: &[&str]) -> LinesStream {
+    let columns = columns.iter().map(|name| Column::Name((*name).into())).collect();
+    LinesStream { columns, ..stream(id, &[]) }
+}
+
+/// What comes out: samples of each stream, missing ones as NaN.
+fn take(intake: &mut LinesIntake, bytes: &[u8], now_s: f64, out: &mut [Vec<f32>]) {
+    let widths: Vec<_> = intake.streams.iter().map(|stream| stream.columns.len()).collect();
+    intake.feed(bytes, now_s, |event| match event {
+        LinesEvent::Frames { stream, samples } => out[stream].extend(samples),
+        LinesEvent::Missing(frames) => {
+            for (out, width) in out.iter_mut().zip(&widths) {
+                out.extend(std::iter::repeat_n(f32::NAN, frames as usize * width));
+            }
+        }
+    });
+}
+
+/// The one stream of one column that comes of these texts, one each millisecond.
+fn alone(count: Option<Count>, texts: &[&str]) -> (Vec<f32>, LineCounts) {
+    let mut intake = LinesIntake::new(vec![stream("x", &[1])], count, 1000.0);
+    let mut out = vec![Vec::new()];
+    for (at, text) in texts.iter().enumerate() {
+        take(&mut intake, text.as_bytes(), at as f64 * 1e-3, &mut out);
+    }
+    (out.remove(0), intake.take_counts())
+}
+
+fn missing(samples: &[f32]) -> usize {
+    samples.iter().filter(|x| x.is_nan()).count()
+}
+
+#[test]
+fn columns_become_channels_by_place_and_by_name() {
+    let wanted = vec![stream("a", &[3, 1]), named("b", &["ay"])];
+    let mut intake = LinesIntake::new(wanted, None, 1000.0);
+    let mut out = vec![Vec::new(); 2];
+    take(&mut intake, b"1,2,3\n", 0.0, &mut out);
+    assert!(intake.refused().unwrap().contains("no header"), "{:?}", intake.refused());
+    take(&mut intake, b"ax,ay,az\n1,2,3\n4,5,6\n", 0.1, &mut out);
+    assert_eq!(out, [vec![1.5, 0.5, 3.0, 2.0], vec![1.0, 2.5]]);
+    assert_eq!(intake.refused(), None);
+    // Named in another order, they stay what they are.
+    take(&mut intake, b"ay,ax,az\n7,8,9\n", 0.2, &mut out);
+    assert_eq!((&out[1][..], intake.take_counts().rows), (&[1.0, 2.5, 3.5][..], 3));
+}
+
+#[test]
+fn a_line_that_cannot_be_used_is_a_missing_frame_and_has_a_count() {
+    let long = "9".repeat(5000) + "\n";
+    let texts = ["1,1\n", "\u{1}\u{2}?\n", "2,2\n", "nan,2\n", &long, "3\n", "4,4\n"];
+    let (samples, counts) = alone(None, &texts);
+    assert_eq!((samples.len(), missing(&samples)), (7, 4), "{samples:?}");
+    let LineCounts { rows, garbage, too_long, other_width, not_numbers, .. } = counts;
+    assert_eq!([rows, garbage, too_long, other_width, not_numbers], [3, 1, 1, 1, 1]);
+}
+
+#[test]
+fn a_counter_shows_losses_exactly_even_where_it_begins_again() {
+    let rows = |column: usize| Some(Count::Rows(Column::Place(column)));
+    let (samples, counts) = alone(rows(2), &["1,7\n", "2,8\n", "3,11\n", "x,12\n", "4,13\n"]);
+    assert_eq!((samples.len(), missing(&samples)), (7, 3), "{samples:?}");
+    assert_eq!((counts.gaps, counts.missing, counts.restarts), (2, 2, 0));
+    // 8 bits, with one lost at the wrap.
+    let (samples, counts) = alone(rows(2), &["1,254\n", "2,255\n", "3,1\n", "4,2\n"]);
+    assert_eq!((missing(&samples), counts.restarts), (1, 0), "{samples:?}");
+    let (samples, counts) = alone(rows(2), &["1,5000\n", "2,5001\n", "3,0\n", "4,1\n"]);
+    assert_eq!(counts.restarts, 1);
+    // No scan bridges a restart.
+    assert!(missing(&samples) >= 2, "{samples:?}");
+}
+
+#[test]
+fn microseconds_show_losses_whatever_their_jitter() {
+    let micros = Some(Count::Micros(Column::Place(2)));
+    // A row each 1000 µs, two lost, and the end of 32 bits.
+    let times = [4_294_964_296_u64, 4_294_965_290, 4_294_966_310, 2_000, 3_010];
+    let texts: Vec<String> = times.iter().map(|t| format!("1,{t}\n")).collect();
+    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+    let (samples, counts) = alone(micros.clone(), &texts);
+    assert_eq!((missing(&samples), counts.gaps, counts.restarts), (2, 1, 0), "{samples:?}");
+    let (_, counts) = alone(micros, &["1,5000000\n", "1,5001000\n", "1,900\n", "1,1900\n"]);
+    assert_eq!(counts.restarts, 1);
+}
+
+#[test]
+fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
+    let mut intake = LinesIntake::new(vec![stream("x", &[1])], None, 1000.0);
+    let mut out = vec![Vec::new()];
+    take(&mut intake, b"1\n", 0.0, &mut out);
+    take(&mut intake, b"2\n", 0.3, &mut out);
+    assert_eq!(missing(&out[0]), 0);
+    // Two seconds, of which half a second was only late.
+    take(&mut intake, "3\n".repeat(500).as_bytes(), 2.3, &mut out);
+    assert_eq!((missing(&out[0]), out[0].len()), (1500, 2002));
+    intake.reopened(false);
+    take(&mut intake, b"4\n", 2.401, &mut out);
+    assert_eq!(missing(&out[0]), 1600);
+}
+
+#[test]
+fn columns_that_change_for_good_are_followed() {
+    let texts = [vec!["1,2\n"; 3], vec!["3,4,5\n"; 30]].concat();
+    let (samples, counts) = alone(None, &texts);
+    assert_eq!((counts.rows, counts.changes, counts.other_width), (14, 1, 19));
+    assert_eq!((samples.len(), samples.last()), (33, Some(&1.5)));
+    // Too few columns for the stream: refused, and taken again once they are back.
+    let mut intake = LinesIntake::new(vec![stream("x", &[2])], None, 1000.0);
+    let mut out = vec![Vec::new()];
+    take(&mut intake, "1\n".repeat(30).as_bytes(), 0.0, &mut out);
+    assert!(intake.refused().unwrap().contains("wants number 2"));
+    take(&mut intake, b"1,2\n", 0.1, &mut out);
+    assert_eq!((intake.refused(), &out[0][..]), (None, &[1.0][..]));
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_survived_and_every_frame_is_whole(
+        parts in prop::collection::vec(
+            (prop::collection::vec(prop_oneof![
+                any::<u8>(), prop::sample::select(b"\n\r,; \t.-1eE:naxy".to_vec()),
+            ], 0..60), 0.0..3.0f64),
+            0..20,
+        ),
+        counted in any::<bool>(),
+    ) {
+        let count = counted.then_some(Count::Rows(Column::Place(1)));
+        let mut intake = LinesIntake::new(vec![stream("x", &[1, 2])], count, 100.0);
+        let mut now_s = 0.0;
+        for (bytes, later_s) in parts {
+            now_s += later_s;
+            intake.feed(&bytes, now_s, |event| match event {
+                LinesEvent::Frames { samples, .. } => {
+                    assert!(samples.len() % 2 == 0 && samples.iter().all(|x| x.is_finite()));
+                }
+                LinesEvent::Missing(frames) => assert!(frames <= 2_000, "{frames}"),
+            });
+        }
+    }
+
+    #[test]
+    fn with_a_counter_every_row_has_its_index_whatever_is_lost(
+        lost in prop::collection::vec(any::<bool>(), 2..400), bits in prop::sample::select(vec![8, 16, 32]),
+    ) {
+        let mut intake =
+            LinesIntake::new(vec![stream("x", &[2])], Some(Count::Rows(Column::Place(1))), 1000.0);
+        let mut out = vec![Vec::new()];
+        let start = (1_u64 << bits) - 100;
+        for (index, _) in lost.iter().enumerate().filter(|(_, lost)| !**lost) {
+            let text = format!("{},{index}\n", (start + index as u64) % (1 << bits));
+            take(&mut intake, text.as_bytes(), index as f64 * 1e-3, &mut out);
+        }
+        let first = out[0].first().copied().unwrap_or(0.0);
+        for (at, x) in out[0].iter().enumerate().filter(|(_, x)| !x.is_nan()) {
+            prop_assert_eq!(*x - first, at as f32 * 0.5);
+        }
+    }
+}

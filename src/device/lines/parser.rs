@@ -1,0 +1,267 @@
+//! From bytes to rows of numbers: no I/O, no clock.
+//!
+//! A line ends with `\n` or `\r`. Its fields are separated by commas, semicolons, tabs or spaces,
+//! blanks beside a comma or semicolon being part of it; a field may be labelled, as in `ax:0.5`.
+
+/// The longest line in bytes; a longer one is discarded.
+pub const LONGEST_LINE: usize = 4096;
+
+/// What one line holds.
+#[derive(Debug, PartialEq)]
+pub enum Line<'a> {
+    /// At least one number. A field that is none, or not finite, is NaN.
+    Row(&'a [f64]),
+    /// Words alone, each of which can name a column.
+    Header(&'a [String]),
+    /// Neither.
+    Garbage,
+    /// Longer than [`LONGEST_LINE`].
+    TooLong,
+}
+
+/// Splits bytes into lines, and lines into numbers.
+#[derive(Debug, Default)]
+pub struct LineParser {
+    /// The line so far, until its end comes.
+    line: Vec<u8>,
+    /// Whether the line in progress is discarded, as it is too long.
+    too_long: bool,
+    /// Whether the line in progress may lack its begin.
+    half: bool,
+    row: Vec<f64>,
+    names: Vec<String>,
+}
+
+impl LineParser {
+    /// The line was reopened: what comes next may begin within a line if `half`. Such a line
+    /// counts only if it is a header.
+    pub fn reopened(&mut self, half: bool) {
+        self.line.clear();
+        (self.too_long, self.half) = (false, half);
+    }
+
+    /// Takes bytes, and passes `on` each line that they complete; empty ones are passed over.
+    pub fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(Line<'_>)) {
+        let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
+        let mut rest = bytes;
+        while let Some(end) = rest.iter().position(is_end) {
+            let (head, tail) = rest.split_at(end);
+            rest = &tail[1..];
+            if self.line.is_empty() && !self.too_long {
+                // The usual case, without a copy.
+                self.finish(head, &mut on);
+                continue;
+            }
+            self.keep(head);
+            let line = std::mem::take(&mut self.line);
+            match std::mem::take(&mut self.too_long) {
+                true => {
+                    self.half = false;
+                    on(Line::TooLong);
+                }
+                false => self.finish(&line, &mut on),
+            }
+            self.line = line;
+            self.line.clear();
+        }
+        self.keep(rest);
+    }
+
+    /// Keeps a part of a line whose end has not come.
+    fn keep(&mut self, part: &[u8]) {
+        self.too_long |= self.line.len() + part.len() > LONGEST_LINE;
+        match self.too_long {
+            true => self.line.clear(),
+            false => self.line.extend_from_slice(part),
+        }
+    }
+
+    fn finish(&mut self, line: &[u8], on: &mut impl FnMut(Line<'_>)) {
+        if line.len() > LONGEST_LINE {
+            self.half = false;
+            return on(Line::TooLong);
+        }
+        let line = line.trim_ascii();
+        if line.is_empty() {
+            return;
+        }
+        let half = std::mem::take(&mut self.half);
+        match self.parse(line) {
+            Some(true) if !half => on(Line::Row(&self.row)),
+            Some(false) => on(Line::Header(&self.names)),
+            None if !half => on(Line::Garbage),
+            _ => {}
+        }
+    }
+
+    /// Whether it is a row; otherwise a header; `None` if it is neither.
+    fn parse(&mut self, line: &[u8]) -> Option<bool> {
+        self.row.clear();
+        self.row.extend(Fields(Some(line)).map(|field| value_of(field).unwrap_or(f64::NAN)));
+        // The usual case costs no second look.
+        if self.row.iter().any(|x| !x.is_nan()) || Fields(Some(line)).any(|f| value_of(f).is_some())
+        {
+            return Some(true);
+        }
+        self.names.clear();
+        for field in Fields(Some(line)) {
+            self.names.push(name_of(field)?.to_string());
+        }
+        Some(false)
+    }
+}
+
+/// The fields of a line that is not empty, without the blanks around them.
+struct Fields<'a>(Option<&'a [u8]>);
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = &'a [u8];
+
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let rest = self.0.take()?;
+        let is_mark = |byte: &u8| matches!(byte, b',' | b';');
+        let end = rest.iter().position(|byte| is_mark(byte) || byte.is_ascii_whitespace());
+        let Some(end) = end else { return Some(rest) };
+        let (field, tail) = rest.split_at(end);
+        let tail = tail.trim_ascii_start();
+        let tail = match tail.first().is_some_and(is_mark) {
+            true => tail[1..].trim_ascii_start(),
+            false => tail,
+        };
+        // A mark at the end is one too many, as many a sketch prints it.
+        self.0 = (!tail.is_empty()).then_some(tail);
+        Some(field)
+    }
+}
+
+/// A number, which may be labelled; words for a missing one are NaN, and so is an empty field.
+fn value_of(field: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(field).ok()?;
+    let text = text.rsplit_once([':', '=']).map_or(text, |(_, value)| value);
+    if let Ok(value) = text.parse::<f64>() {
+        return Some(if value.is_finite() { value } else { f64::NAN });
+    }
+    let missing = ["", "-", "--", "none", "null", "na", "n/a", "ovf"];
+    missing.iter().any(|word| text.eq_ignore_ascii_case(word)).then_some(f64::NAN)
+}
+
+/// The name of a column, if it can be one.
+fn name_of(field: &[u8]) -> Option<&str> {
+    const LONGEST: usize = 64;
+    let text = std::str::from_utf8(field).ok()?.trim_matches(|c| matches!(c, '"' | '#' | ':'));
+    let fits = text.len() <= LONGEST && text.starts_with(|c: char| c.is_alphabetic() || c == '_');
+    (fits && !text.contains(char::is_control)).then_some(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// All lines as text.
+    fn lines(parser: &mut LineParser, bytes: &[u8]) -> Vec<String> {
+        let mut out = Vec::new();
+        parser.feed(bytes, |line| out.push(format!("{line:?}")));
+        out
+    }
+
+    fn rows(text: &str) -> Vec<Vec<f64>> {
+        let mut out = Vec::new();
+        LineParser::default().feed(text.as_bytes(), |line| match line {
+            Line::Row(row) => out.push(row.to_vec()),
+            other => panic!("{text:?}: {other:?}"),
+        });
+        out
+    }
+
+    #[test]
+    fn every_usual_separator_is_understood() {
+        for text in ["1,-2.5,3e-2\n", "1;-2.5;3E-2\r\n", "1\t-2.5\t.03\r", " 1  -2.5 +0.03 \n"] {
+            assert_eq!(rows(text), [[1.0, -2.5, 0.03]], "{text:?}");
+        }
+        for text in ["1, -2.5 ,3e-2,\n", "1 ; -2.5 ;\t3e-2\n", "ax:1 ay:-2.5 az:0.03\n"] {
+            assert_eq!(rows(text), [[1.0, -2.5, 0.03]], "{text:?}");
+        }
+        assert_eq!(rows("ax=1,ay=2\n\n\r\n3,4\n"), [[1.0, 2.0], [3.0, 4.0]]);
+    }
+
+    #[test]
+    fn a_missing_number_keeps_its_column() {
+        for word in ["", "nan", "NaN", "inf", "-inf", "ovf", "null", "imu_link", "1x3", "\u{b5}"] {
+            let row = &rows(&format!("1,{word},3\n"))[0];
+            assert!(row[0] == 1.0 && row[1].is_nan() && row[2] == 3.0, "{word}: {row:?}");
+        }
+        // A failing sensor is no header.
+        assert!(rows("nan,nan\n")[0].iter().all(|x| x.is_nan()));
+    }
+
+    #[test]
+    fn a_header_is_words_alone() {
+        let mut parser = LineParser::default();
+        assert_eq!(lines(&mut parser, b"\"t\",ax, ay\n"), ["Header([\"t\", \"ax\", \"ay\"])"]);
+        assert_eq!(lines(&mut parser, b"# ax ay\n"), ["Garbage"]);
+        assert_eq!(lines(&mut parser, b"\x00\xff\x13\n\xfe,??\n"), ["Garbage", "Garbage"]);
+    }
+
+    #[test]
+    fn a_half_line_at_the_begin_is_dropped_unless_it_is_a_header() {
+        let mut parser = LineParser::default();
+        parser.reopened(true);
+        assert_eq!(lines(&mut parser, b"2.5,3\n1,2\n"), ["Row([1.0, 2.0])"]);
+        parser.reopened(true);
+        let with_header = lines(&mut parser, b"ax,ay\n1,2\n");
+        assert_eq!(with_header, ["Header([\"ax\", \"ay\"])", "Row([1.0, 2.0])"]);
+        lines(&mut parser, b"7,");
+        parser.reopened(false);
+        assert_eq!(lines(&mut parser, b"1,2\n"), ["Row([1.0, 2.0])"]);
+    }
+
+    #[test]
+    fn a_line_that_is_too_long_costs_itself_alone() {
+        let mut parser = LineParser::default();
+        let mut flood = "1,".repeat(1_000_000).into_bytes();
+        flood.extend(b"\n1,2\n");
+        for bytes in [flood.len(), 100] {
+            let out: Vec<_> =
+                flood.chunks(bytes).flat_map(|part| lines(&mut parser, part)).collect();
+            assert_eq!(out, ["TooLong", "Row([1.0, 2.0])"]);
+        }
+        assert!(parser.line.capacity() <= 2 * LONGEST_LINE);
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_come_out_as_they_were_written_however_the_bytes_are_cut(
+            table in prop::collection::vec(prop::collection::vec(-1e9..1e9f64, 1..6), 0..20),
+            mark in prop::sample::select(vec![",", ";", "\t", " ", ", "]),
+            cut in 1usize..40,
+        ) {
+            let line = |row: &Vec<f64>| {
+                row.iter().map(f64::to_string).collect::<Vec<_>>().join(mark) + "\n"
+            };
+            let text: String = table.iter().map(line).collect();
+            let (mut parser, mut got) = (LineParser::default(), Vec::new());
+            for part in text.as_bytes().chunks(cut) {
+                parser.feed(part, |line| match line {
+                    Line::Row(row) => got.push(row.to_vec()),
+                    other => panic!("{other:?}"),
+                });
+            }
+            prop_assert_eq!(got, table);
+        }
+
+        #[test]
+        fn any_bytes_give_the_same_lines_however_they_are_cut(
+            bytes in prop::collection::vec(
+                prop_oneof![any::<u8>(), prop::sample::select(b"\n\r,; \t.-1eE:n".to_vec())], 0..300,
+            ),
+            cut in 1usize..40,
+        ) {
+            let whole = lines(&mut LineParser::default(), &bytes);
+            let mut parser = LineParser::default();
+            let parts: Vec<_> =
+                bytes.chunks(cut).flat_map(|part| lines(&mut parser, part)).collect();
+            prop_assert_eq!(whole, parts);
+        }
+    }
+}
