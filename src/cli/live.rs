@@ -12,13 +12,13 @@ use super::choose::within;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
+use super::outputs::{Page, is_at, send_answers};
 use super::serve::ServeArgs;
 use super::terminal::Terminal;
 use super::{Done, Failure, bad_files, shown};
 use crate::dataset;
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
-use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
@@ -53,12 +53,7 @@ pub struct StationArgs {
 impl StationArgs {
     /// The configuration that the file and the flags give.
     pub fn config(&self) -> Result<StationConfig, Failure> {
-        let mut config = match &self.config {
-            Some(path) => {
-                StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()))?
-            }
-            None => StationConfig::embedded(),
-        };
+        let mut config = config(self.config.as_deref())?;
         if let Some(library) = &self.library {
             config.library = Some(library.clone());
         }
@@ -68,6 +63,12 @@ impl StationArgs {
         }
         Ok(config)
     }
+}
+
+/// A station's configuration, or the defaults.
+pub fn config(file: Option<&Path>) -> Result<StationConfig, Failure> {
+    let read = |path| StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()));
+    file.map_or_else(|| Ok(StationConfig::embedded()), read)
 }
 
 /// The folder of a station's library.
@@ -198,21 +199,13 @@ pub fn work(
     let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
     let mut history = Arc::default();
+    let (mut outputs, page) = (Vec::new(), Page::default());
     if work.load.is_some() {
         let folder = library.folder.join(history::FOLDER);
         (station, history) =
             keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
-    }
-    let mut outputs = Vec::new();
-    if let Some(address) = config.http.clone() {
-        let output = HttpOutput::start(address)?;
-        outputs.push(output.health());
-        station = station.listener(output);
-    }
-    if let Some(address) = config.mqtt.clone() {
-        let output = MqttOutput::start(address)?;
-        outputs.push(output.health());
-        station = station.listener(output);
+        (station, outputs) =
+            send_answers(station, &config.outputs, &library.folder, (&history, &page))?;
     }
     let commands = station.commands();
     if let Some(load) = work.load {
@@ -245,7 +238,8 @@ pub fn work(
         outputs,
         ..Settings::default()
     };
-    let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
+    let (station, server) = work.serve.start(station.listener(supervisor), settings)?;
+    is_at(&page, server.as_ref());
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;
