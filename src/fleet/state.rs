@@ -139,7 +139,8 @@ impl Stations {
         }
     }
 
-    /// A station whose own history is to be read: its name, its page, and from when on.
+    /// A station whose own history is to be read: its name, its page, and from when on. The page of a
+    /// replay is there for longer than its answers come.
     pub fn to_read(&mut self) -> Option<(String, String, u64)> {
         let now = Instant::now();
         for (name, station) in &mut self.0 {
@@ -148,12 +149,9 @@ impl Stations {
                 let from = station.newest.1;
                 station.misses(from);
             }
-            let is_online = station.card.get("state").is_some_and(|state| state == "online");
             let is_due = station.not_before.is_none_or(|moment| moment <= now);
             let page = station.card.get("page").and_then(Value::as_str);
-            if let (Some(from), Some(page), true) =
-                (station.missing_from_ms, page, is_online && is_due)
-            {
+            if let (Some(from), Some(page), true) = (station.missing_from_ms, page, is_due) {
                 return Some((name.clone(), page.into(), from));
             }
         }
