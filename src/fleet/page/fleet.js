@@ -1,6 +1,6 @@
 // The page of a fleet: the state of all stations, asked for every two seconds.
 
-import { $, ask, clock, fill, hide, make, many, percent, printable, say } from "./dom.js";
+import { $, clock, fill, hide, make, many, percent, printable, say } from "./dom.js";
 
 const EVERY_MS = 2000;
 const DOWN = ["absent", "stalled", "lost"];
@@ -80,18 +80,23 @@ function show() {
   hide("no-stations", stations.length > 0);
 }
 
+// What is wrong as a whole; nothing if nothing is.
+function problemOf(state) {
+  if (!state) return "This page's program does not answer; is it still running?";
+  return state.broker.problem ? `The broker is not connected: ${state.broker.problem}. It is tried again.` : "";
+}
+
 async function load() {
-  const state = await ask("state");
-  $("link").dataset.state = state && !state.broker.problem ? "connected" : "lost";
-  say("link", state ? (state.broker.problem ? "no broker" : "connected") : "disconnected");
+  const state = await fetch("/api/v1/state").then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
+  const problem = problemOf(state);
+  hide("problem", problem === "");
+  say("problem", problem);
+  $("link").dataset.state = problem === "" ? "connected" : "lost";
+  say("link", problem === "" ? "connected" : "disconnected");
   if (state) {
     stations = state.stations;
     say("about", `${state.broker.address} · ${many(state.scans, "answer")} kept`);
     say("version", state.version);
-    if (state.broker.problem) {
-      hide("problem", false);
-      say("problem", `The broker is not connected: ${state.broker.problem}. It is tried again.`);
-    }
     show();
   }
   setTimeout(load, EVERY_MS);
