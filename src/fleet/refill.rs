@@ -32,7 +32,7 @@ pub(super) async fn refill(fleet: &Fleet) {
     loop {
         sleep(EVERY).await;
         loop {
-            let next = fleet.lock().stations.to_read();
+            let next = fleet.lock().stations.next_to_read();
             let Some((station, page, from_ms)) = next else { break };
             let done = read(fleet, &station, &page, from_ms).await;
             fleet.lock().stations.was_read(&station, from_ms, done);

@@ -141,7 +141,7 @@ impl Stations {
 
     /// A station whose own history is to be read: its name, its page, and from when on. The page of a
     /// replay is there for longer than its answers come.
-    pub fn to_read(&mut self) -> Option<(String, String, u64)> {
+    pub fn next_to_read(&mut self) -> Option<(String, String, u64)> {
         let now = Instant::now();
         for (name, station) in &mut self.0 {
             if station.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
@@ -238,24 +238,24 @@ mod tests {
         let mut stations = Stations::default();
         (1..=3).for_each(|n| answered(&mut stations, Some(n), 10 * n));
         stations.stated("a", &online(3));
-        assert_eq!(stations.to_read(), None);
+        assert_eq!(stations.next_to_read(), None);
         answered(&mut stations, Some(6), 60);
         let due = Some(("a".into(), "http://127.0.0.1:1".into(), 30));
-        assert_eq!(stations.to_read(), due);
+        assert_eq!(stations.next_to_read(), due);
         stations.was_read("a", 30, Err("a token is needed".into()));
-        assert_eq!(stations.to_read(), None, "not at once again");
+        assert_eq!(stations.next_to_read(), None, "not at once again");
         stations.stated("a", json!({ "state": "offline" }).as_object().unwrap());
         stations.stated("a", &online(6));
-        assert_eq!(stations.to_read(), due, "it is back");
+        assert_eq!(stations.next_to_read(), due, "it is back");
         stations.was_read("a", 30, Ok(()));
         answered(&mut stations, None, 40);
         answered(&mut stations, Some(7), 70);
-        assert_eq!(stations.to_read(), None);
+        assert_eq!(stations.next_to_read(), None);
         // Its outbox is new.
         answered(&mut stations, Some(1), 80);
-        assert_eq!(stations.to_read(), None);
+        assert_eq!(stations.next_to_read(), None);
         answered(&mut stations, Some(3), 100);
-        assert_eq!(stations.to_read().unwrap().2, 80);
+        assert_eq!(stations.next_to_read().unwrap().2, 80);
     }
 
     #[test]

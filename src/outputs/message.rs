@@ -103,10 +103,10 @@ impl StationCard {
     /// Takes in an event of the station.
     pub fn take(&mut self, event: &StationEvent) {
         match event {
-            StationEvent::Device { device, state, detail } => {
-                if self.devices.len() < DEVICES || self.devices.contains_key(device) {
-                    self.devices.insert(device.clone(), (*state, detail.clone()));
-                }
+            StationEvent::Device { device, state, detail }
+                if self.devices.len() < DEVICES || self.devices.contains_key(device) =>
+            {
+                self.devices.insert(device.clone(), (*state, detail.clone()));
             }
             StationEvent::Answer(answer) => {
                 *self.counts.entry(answer.state.as_str()).or_default() += 1
