@@ -280,7 +280,9 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     let arguments =
         ["replay", "--speed", "1.0", "--serve=127.0.0.1:0", "--config", data.to_str().unwrap()];
     let station = run(env!("CARGO_BIN_EXE_surfaced"), &arguments).unwrap();
-    let online = subscriber.next(STATE, |said| said["state"] == "online");
+    // Its page is served a moment later.
+    let online =
+        subscriber.next(STATE, |said| said["state"] == "online" && said["page"] != Value::Null);
     assert!(online["page"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{online}");
     assert_eq!(subscriber.next(ANSWER, |_| true)["synthetic"], true, "the embedded scene");
     drop(station);

@@ -91,6 +91,10 @@ impl Stations {
     pub fn of(cache: &Cache) -> Self {
         let mut stations = Self::default();
         cache.heads().for_each(|head| stations.answered(&head));
+        // What made room is not read again.
+        for station in stations.0.values_mut() {
+            station.missing_from_ms = station.missing_from_ms.filter(|from_ms| *from_ms > 0);
+        }
         stations
     }
 
