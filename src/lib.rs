@@ -28,8 +28,8 @@
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · synth)
 //! duration (HSIC, T*) stands on library + kernel, evaluate (protocols, chart, stress, plan) on recognise and
 //! duration; station joins scan, recognise, duration and record, and reads its own configuration; history
-//! (past scans) and outputs (HTTP, MQTT) stand on station; cli and serve (the page, the interface for
-//! programs) stand on top of all.
+//! (past scans) and outputs (HTTP, MQTT) stand on station, serve (the page, the interface for programs) on
+//! these; fleet (many stations on one page) and cli stand on top of all.
 //! ```
 //!
 //! | to | use |
@@ -69,6 +69,7 @@ pub mod device;
 mod draw;
 pub mod duration;
 pub mod evaluate;
+mod fleet;
 pub mod history;
 mod jpeg;
 pub mod kernel;

@@ -3,15 +3,20 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use common::http::{SOON, answer};
 use serde_json::Value;
-use surfaced::outputs::{HttpOutput, MqttOutput, OutputView};
+use surfaced::device::DeviceState;
+use surfaced::history::History;
+use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
+use surfaced::station::config::{OutputsConfig, TlsFiles};
 use surfaced::station::{Answer, Listener, StationEvent};
 
 /// Takes requests, answers with statuses, and gives the bodies.
@@ -34,59 +39,98 @@ fn bodies(listener: &TcpListener, statuses: &[u16]) -> Vec<Value> {
     statuses.iter().map(one).collect()
 }
 
+fn config(http: Option<String>, mqtt: Option<String>) -> OutputsConfig {
+    OutputsConfig {
+        station: "press-3".into(),
+        http: http.map(|address| address.parse().unwrap()),
+        mqtt: mqtt.map(|address| address.parse().unwrap()),
+    }
+}
+
+/// The only output of a configuration.
+fn start(config: &OutputsConfig, folder: &Path) -> Output {
+    let history = Arc::new(History::in_memory());
+    let page = Arc::new("http://127.0.0.1:8080".to_string().into());
+    Output::start(config, folder, (&history, &page)).unwrap().pop().unwrap()
+}
+
+fn send(output: &mut Output, scan: u32) {
+    output.on_event(&StationEvent::Answer(Arc::new(answer(scan, Some("oak")))));
+}
+
+/// Waits until an output is as wanted.
+fn until(output: &Output, wanted: impl Fn(&OutputView) -> bool) -> OutputView {
+    let begin = Instant::now();
+    loop {
+        let view = output.health().view();
+        if wanted(&view) {
+            return view;
+        }
+        assert!(begin.elapsed() < SOON, "{view:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
 #[test]
 fn answers_are_posted_in_their_order_and_again_where_the_server_cannot_take_them() {
+    let folder = tempfile::tempdir().unwrap();
     // The port is free, and nobody listens there yet.
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut output =
-        HttpOutput::start(format!("http://{address}/answers").parse().unwrap()).unwrap();
-    for scan in 1..=3 {
-        output.on_event(&StationEvent::Answer(Arc::new(answer(scan, Some("oak")))));
-    }
-    std::thread::sleep(Duration::from_millis(300));
+    let config = config(Some(format!("http://{address}/answers")), None);
+    let mut output = start(&config, folder.path());
+    (1..=3).for_each(|scan| send(&mut output, scan));
+    until(&output, |view| view.waiting == 3 && view.problem.is_some());
     let listener = TcpListener::bind(address).unwrap();
     // Not now; taken; refused for good, which is no reason to try again; taken.
     let posted = bodies(&listener, &[503, 200, 422, 200]);
-    let scans: Vec<_> = posted.iter().map(|body| body["scan"].as_u64().unwrap()).collect();
-    assert_eq!(scans, [1, 1, 2, 3]);
+    let numbers: Vec<_> = posted.iter().map(|body| body["sequence"].as_u64().unwrap()).collect();
+    assert_eq!(numbers, [1, 1, 2, 3]);
     assert_eq!(posted[0]["id"], posted[1]["id"], "one that comes twice is known by its id");
+    assert_eq!((&posted[0]["station"], &posted[3]["scan"]), (&"press-3".into(), &3.into()));
 }
 
 #[test]
 fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arrive() {
+    let folder = tempfile::tempdir().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    let mut output = HttpOutput::start(format!("http://{address}/").parse().unwrap()).unwrap();
-    let health = output.health();
-    let mut send = |scan| output.on_event(&StationEvent::Answer(Arc::new(answer(scan, None))));
-    send(1);
+    let address = format!("http://{}/", listener.local_addr().unwrap());
+    let mut output = start(&config(Some(address), None), folder.path());
+    send(&mut output, 1);
     bodies(&listener, &[301]);
-    let until = |wanted: &dyn Fn(&OutputView) -> bool| {
-        let begin = Instant::now();
-        while !wanted(&health.view()) {
-            assert!(begin.elapsed() < SOON, "{:?}", health.view());
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    };
-    until(&|view| view.problem.as_ref().is_some_and(|problem| problem.contains("redirect")));
-    assert_eq!(health.view().failures, 1);
-    send(2);
+    let is_redirected =
+        |view: &OutputView| view.problem.as_ref().is_some_and(|p| p.contains("redirect"));
+    assert_eq!(until(&output, is_redirected).failures, 1);
+    send(&mut output, 2);
     // The first is not tried again.
     assert_eq!(bodies(&listener, &[200])[0]["scan"], 2);
-    until(&|view| view.problem.is_none() && view.waiting == 0 && view.failures == 1);
+    until(&output, |view| view.problem.is_none() && view.waiting == 0 && view.failures == 1);
 }
 
 #[test]
-fn a_station_never_waits_for_a_server_that_is_not_there() {
+fn a_station_never_waits_for_a_server_that_is_not_there_and_its_answers_wait_through_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut output = HttpOutput::start(format!("http://{address}/").parse().unwrap()).unwrap();
+    let config = config(Some(format!("http://{address}/")), None);
+    let mut output = start(&config, folder.path());
     let begin = Instant::now();
     for scan in 1..=2000 {
-        output.on_event(&StationEvent::Answer(Arc::new(answer(scan, None))));
+        send(&mut output, scan);
     }
     assert!(begin.elapsed() < Duration::from_secs(2));
     drop(output);
     assert!(begin.elapsed() < Duration::from_secs(10), "nor does the end");
+    let output = start(&config, folder.path());
+    let waiting = output.health().view().waiting as usize;
+    assert!(waiting >= 100, "{waiting} wait");
+    let listener = TcpListener::bind(address).unwrap();
+    let posted = bodies(&listener, &vec![200; waiting]);
+    let numbers: Vec<_> = posted.iter().map(|body| body["sequence"].as_u64().unwrap()).collect();
+    assert_eq!(numbers, (1..=waiting as u64).collect::<Vec<_>>());
+    until(&output, |view| view.waiting == 0);
 }
 
 /// Ends a process with the test.
@@ -100,7 +144,7 @@ impl Drop for Ending {
 }
 
 /// Starts a program, or gives none where it is not installed, unless the machine must have it.
-fn start(program: &str, arguments: &[&str]) -> Option<Ending> {
+fn run(program: &str, arguments: &[&str]) -> Option<Ending> {
     let started =
         Command::new(program).args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
     match started {
@@ -113,33 +157,236 @@ fn start(program: &str, arguments: &[&str]) -> Option<Ending> {
     }
 }
 
+/// A broker on a port, once it takes connections.
+fn broker(port: u16, lines: &str, folder: &Path) -> Option<Ending> {
+    let file = folder.join(format!("mosquitto-{port}.conf"));
+    std::fs::write(&file, format!("listener {port} 127.0.0.1\n{lines}\n")).unwrap();
+    let broker = run("mosquitto", &["-c", file.to_str().unwrap()])?;
+    let begin = Instant::now();
+    while TcpStream::connect(("127.0.0.1", port)).is_err() {
+        assert!(begin.elapsed() < SOON, "mosquitto does not listen on {port}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Some(broker)
+}
+
+/// What a subscriber gets: the topic and the message of each line.
+struct Subscriber {
+    _child: Ending,
+    lines: Receiver<(String, Value)>,
+}
+
+impl Subscriber {
+    fn of(port: u16) -> Self {
+        let port = port.to_string();
+        let arguments = ["-p", &port, "-t", "#", "-q", "1", "-F", "%t %p"];
+        let mut child = run("mosquitto_sub", &arguments).unwrap();
+        let (send, lines) = channel();
+        let out = BufReader::new(child.0.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in out.lines().map_while(Result::ok) {
+                let (topic, text) = line.split_once(' ').unwrap();
+                let _ = send.send((topic.into(), serde_json::from_str(text).unwrap()));
+            }
+        });
+        Self { _child: child, lines }
+    }
+
+    /// The next message of a topic that is as wanted.
+    fn next(&self, wanted: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+        let begin = Instant::now();
+        let mut others = Vec::new();
+        while let Ok((topic, said)) = self.lines.recv_timeout(SOON.saturating_sub(begin.elapsed()))
+        {
+            if topic == wanted && is_so(&said) {
+                return said;
+            }
+            others.push((topic, said));
+        }
+        panic!("no {wanted} as wanted among {others:?}");
+    }
+}
+
+const ANSWER: &str = "surfaced/press-3/answer";
+const STATE: &str = "surfaced/press-3/state";
+
 #[test]
-fn answers_are_published_once_the_broker_is_there() {
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let topic = "surfaced/answers";
-    let address = format!("mqtt://127.0.0.1:{port}/{topic}").parse().unwrap();
-    let mut output = MqttOutput::start(address).unwrap();
-    let port = port.to_string();
-    let Some(_broker) = start("mosquitto", &["-p", &port]) else { return };
-    let mut reader = start("sh", &[
-        "-c",
-        &format!("for i in 1 2 3 4 5; do mosquitto_sub -p {port} -t '{topic}' -q 1 && break; sleep 0.3; done"),
-    ])
-    .unwrap();
-    std::thread::sleep(Duration::from_secs(3));
-    // Of 400 surfaces, some 20 KiB; and then of more than a broker takes.
+fn answers_wait_for_the_broker_and_a_restart_and_come_once_and_in_order_and_the_last_one_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let config = config(None, Some(format!("mqtt://127.0.0.1:{port}")));
+    let mut output = start(&config, folder.path());
+    (1..=3).for_each(|scan| send(&mut output, scan));
+    until(&output, |view| view.waiting == 3 && view.problem.is_some());
+    drop(output);
+    let mut output = start(&config, folder.path());
+    send(&mut output, 4);
+    let Some(_broker) = broker(port, "allow_anonymous true", folder.path()) else { return };
+    let subscriber = Subscriber::of(port);
+    // Some 20 KiB; and then more than a broker takes.
     let of = |surfaces: usize, scan| {
         let ranked = (0..surfaces).map(|at| RankedSurface {
             surface: format!("a surface with a long name, number {at:06}"),
-            score: at as f64,
+            score: 1.0 + at as f64,
         });
         Answer { ranked: ranked.collect(), ..answer(scan, Some("oak")) }
     };
-    output.on_event(&StationEvent::Answer(Arc::new(of(400, 1))));
-    let (send, lines) = std::sync::mpsc::channel();
-    let mut lines_of = BufReader::new(reader.0.stdout.take().unwrap()).lines();
-    std::thread::spawn(move || send.send(lines_of.next()));
-    let line = lines.recv_timeout(SOON).unwrap().unwrap().unwrap();
-    let said: Value = serde_json::from_str(&line).unwrap();
-    assert_eq!((&said["scan"], &said["surface"]), (&1.into(), &"oak".into()));
+    output.on_event(&StationEvent::Answer(Arc::new(of(400, 5))));
+    output.on_event(&StationEvent::Answer(Arc::new(of(4000, 6))));
+    until(&output, |view| view.waiting == 0 && view.problem.is_none());
+    let (mut last, mut seen) = (0, Vec::new());
+    while last < 6 {
+        let said = subscriber.next(ANSWER, |_| true);
+        last = said["scan"].as_u64().unwrap();
+        assert_eq!((&said["station"], said["sequence"].as_u64()), (&"press-3".into(), Some(last)));
+        seen.push(last);
+    }
+    // The retained one may have come before the others.
+    seen.dedup();
+    let first = seen.iter().position(|scan| *scan < 6).unwrap_or(0);
+    assert!(seen[first..].is_sorted_by(|a, b| b - a == 1), "{seen:?}");
+    // What is retained comes in any order.
+    assert_eq!(Subscriber::of(port).next(ANSWER, |_| true)["scan"], 6);
+    let about =
+        Subscriber::of(port).next("homeassistant/sensor/surfaced_press-3/surface/config", |_| true);
+    assert_eq!(about["state_topic"], ANSWER);
+}
+
+#[test]
+fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let Some(_broker) = broker(port, "allow_anonymous true", folder.path()) else { return };
+    let subscriber = Subscriber::of(port);
+    let mut output = start(&config(None, Some(format!("mqtt://127.0.0.1:{port}"))), folder.path());
+    let online = subscriber.next(STATE, |said| said["state"] == "online");
+    assert_eq!(online["page"], "http://127.0.0.1:8080");
+    let (device, detail) = ("stylus".to_string(), "unplugged".to_string());
+    output.on_event(&StationEvent::Device { device, state: DeviceState::Lost, detail });
+    let lost = subscriber.next(STATE, |said| said["devices_down"] == 1);
+    assert_eq!(
+        (&lost["devices"][0]["device"], &lost["devices"][0]["state"]),
+        (&"stylus".into(), &"lost".into())
+    );
+    drop(output);
+    let ended = subscriber.next(STATE, |said| said["state"] == "offline");
+    assert_eq!(ended["devices_down"], 1, "all that was known");
+    // One that is killed: the broker says so.
+    let data = folder.path().join("station.toml");
+    let outputs = format!(
+        "format = 1\n[outputs]\nmqtt = \"mqtt://127.0.0.1:{port}\"\nstation = \"press-3\"\n"
+    );
+    std::fs::write(&data, outputs).unwrap();
+    let arguments =
+        ["replay", "--speed", "1.0", "--serve=127.0.0.1:0", "--config", data.to_str().unwrap()];
+    let station = run(env!("CARGO_BIN_EXE_surfaced"), &arguments).unwrap();
+    // Its page is served a moment later.
+    let online =
+        subscriber.next(STATE, |said| said["state"] == "online" && said["page"] != Value::Null);
+    assert!(online["page"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{online}");
+    assert_eq!(subscriber.next(ANSWER, |_| true)["synthetic"], true, "the embedded scene");
+    drop(station);
+    assert_eq!(subscriber.next(STATE, |said| said["state"] == "offline")["station"], "press-3");
+}
+
+/// Certificates of a broker, a client, and a stranger's authority, made by openssl.
+fn certificates(folder: &Path) -> impl Fn(&str) -> PathBuf {
+    let openssl = |arguments: &str| {
+        let done = Command::new("openssl")
+            .current_dir(folder)
+            .args(arguments.split(' '))
+            .output()
+            .unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    };
+    for ca in ["ca", "stranger"] {
+        openssl(&format!(
+            "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN={ca} -keyout {ca}.key -out {ca}.pem"
+        ));
+    }
+    for (name, subject) in [("broker", "/CN=127.0.0.1"), ("client", "/CN=press-3")] {
+        std::fs::write(
+            folder.join("names"),
+            "subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n",
+        )
+        .unwrap();
+        openssl(&format!(
+            "req -newkey rsa:2048 -nodes -subj {subject} -keyout {name}.key -out {name}.csr"
+        ));
+        openssl(&format!(
+            "x509 -req -in {name}.csr -CA ca.pem -CAkey ca.key -CAcreateserial -days 2 -extfile names -out {name}.pem"
+        ));
+    }
+    let folder = folder.to_path_buf();
+    move |name| folder.join(name)
+}
+
+#[test]
+fn a_broker_with_tls_wants_the_clients_certificate_and_is_known_by_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let (port, safe_port) = (free_port(), free_port());
+    if run("mosquitto", &["-h"]).is_none() {
+        return;
+    }
+    let file = certificates(folder.path());
+    let path = |name: &str| file(name).display().to_string();
+    let lines = format!(
+        "allow_anonymous true\nlistener {safe_port} 127.0.0.1\ncafile {}\ncertfile {}\nkeyfile {}\n\
+         require_certificate true\nuser root",
+        path("ca.pem"),
+        path("broker.pem"),
+        path("broker.key")
+    );
+    let Some(_broker) = broker(port, &lines, folder.path()) else { return };
+    let subscriber = Subscriber::of(port);
+    let of = |ca: &str, client: bool| {
+        let mut config = config(None, Some(format!("mqtts://127.0.0.1:{safe_port}")));
+        let client = client.then(|| (file("client.pem"), file("client.key")));
+        config.mqtt.as_mut().unwrap().tls = Some(TlsFiles { ca: Some(file(ca)), client });
+        config
+    };
+    let mut output = start(&of("ca.pem", true), folder.path());
+    send(&mut output, 1);
+    assert_eq!(subscriber.next(ANSWER, |_| true)["scan"], 1);
+    until(&output, |view| view.waiting == 0 && view.output.starts_with("mqtts://"));
+    drop(output);
+    for (ca, client) in [("stranger.pem", true), ("ca.pem", false)] {
+        let mut output = start(&of(ca, client), folder.path());
+        send(&mut output, 2);
+        until(&output, |view| view.waiting > 0 && view.problem.is_some());
+    }
+    // All of them waited in one outbox.
+    let _output = start(&of("ca.pem", true), folder.path());
+    assert_eq!(subscriber.next(ANSWER, |said| said["scan"] == 2)["sequence"], 2);
+    assert_eq!(subscriber.next(ANSWER, |said| said["scan"] == 2)["sequence"], 3);
+
+    // The same from a file, tried from the command line.
+    let station = folder.path().join("station.toml");
+    let test = |outputs: &str| {
+        std::fs::write(&station, format!("format = 1\n[outputs]\n{outputs}")).unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+            .args(["outputs", "test", "--config", station.to_str().unwrap()])
+            .output()
+            .unwrap();
+        let text = [done.stdout, done.stderr].concat();
+        (done.status.code(), String::from_utf8(text).unwrap())
+    };
+    let address = format!("mqtt = \"mqtts://127.0.0.1:{safe_port}\"\nstation = \"press-3\"\n");
+    let keys = "certificate = \"client.pem\"\nkey = \"client.key\"\n";
+    let (code, text) = test(&format!("{address}ca = \"ca.pem\"\n{keys}"));
+    assert!(
+        code == Some(0) && text.contains("/press-3/test: acknowledged after"),
+        "{code:?} {text}"
+    );
+    assert_eq!(subscriber.next("surfaced/press-3/test", |_| true)["state"], "unnamed");
+    let (code, text) = test(&format!("{address}ca = \"stranger.pem\"\n{keys}"));
+    assert!(code == Some(1) && text.contains("failed"), "{code:?} {text}");
+    let (code, text) = test(&format!("{address}ca = \"absent.pem\"\n{keys}"));
+    assert!(code == Some(1) && text.contains("absent.pem"), "{code:?} {text}");
+    let (code, text) = test(&format!("{address}key = \"client.key\"\n"));
+    assert!(
+        code == Some(2) && text.contains("line 5") && text.contains("give both"),
+        "{code:?} {text}"
+    );
+    assert_eq!(test("").0, Some(2), "no output");
 }

@@ -13,6 +13,7 @@ use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
+use super::outputs::{Page, is_at, send_answers};
 use super::serve::ServeArgs;
 use super::show::counted;
 use super::terminal::Terminal;
@@ -21,7 +22,6 @@ use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
-use crate::outputs::{HttpOutput, MqttOutput};
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
@@ -60,14 +60,9 @@ pub struct StationArgs {
 impl StationArgs {
     /// The configuration that the file and the flags give.
     pub fn config(&self) -> Result<StationConfig, Failure> {
-        let mut config = match &self.config {
-            Some(path) => {
-                StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()))?
-            }
-            None => match &self.lines {
-                Some(address) => surveyed(address)?,
-                None => StationConfig::embedded(),
-            },
+        let mut config = match (&self.config, &self.lines) {
+            (None, Some(address)) => surveyed(address)?,
+            (file, _) => config(file.as_deref())?,
         };
         if let (Some(address), Some(path)) = (&self.lines, &self.config) {
             let [lines] = &mut config.lines[..] else {
@@ -108,6 +103,12 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
         );
     }
     Ok(config)
+}
+
+/// A station's configuration, or the defaults.
+pub fn config(file: Option<&Path>) -> Result<StationConfig, Failure> {
+    let read = |path| StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()));
+    file.map_or_else(|| Ok(StationConfig::embedded()), read)
 }
 
 /// The folder of a station's library.
@@ -238,21 +239,13 @@ pub fn work(
     let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
     let mut history = Arc::default();
+    let (mut outputs, page) = (Vec::new(), Page::default());
     if work.load.is_some() {
         let folder = library.folder.join(history::FOLDER);
         (station, history) =
             keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
-    }
-    let mut outputs = Vec::new();
-    if let Some(address) = config.http.clone() {
-        let output = HttpOutput::start(address)?;
-        outputs.push(output.health());
-        station = station.listener(output);
-    }
-    if let Some(address) = config.mqtt.clone() {
-        let output = MqttOutput::start(address)?;
-        outputs.push(output.health());
-        station = station.listener(output);
+        (station, outputs) =
+            send_answers(station, &config.outputs, &library.folder, (&history, &page))?;
     }
     let commands = station.commands();
     if let Some(load) = work.load {
@@ -285,7 +278,8 @@ pub fn work(
         outputs,
         ..Settings::default()
     };
-    let (station, _server) = work.serve.start(station.listener(supervisor), settings)?;
+    let (station, server) = work.serve.start(station.listener(supervisor), settings)?;
+    is_at(&page, server.as_ref());
     let terminal = Terminal::new(work.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;

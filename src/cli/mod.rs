@@ -19,6 +19,7 @@ mod enroll;
 mod eval;
 mod export;
 mod figure;
+mod fleet;
 mod history;
 mod import_csv;
 mod json_lines;
@@ -26,6 +27,7 @@ mod keys;
 mod library;
 mod live;
 mod method;
+mod outputs;
 mod paper;
 mod plan;
 mod replay;
@@ -69,6 +71,8 @@ struct Cli {
 enum CliCommand {
     Replay(replay::Args),
     Run(live::Args),
+    Fleet(fleet::Args),
+    Outputs(outputs::Args),
     Enroll(enroll::EnrollArgs),
     Record(enroll::RecordArgs),
     Eval(eval::Args),
@@ -100,6 +104,8 @@ pub fn run() -> ExitCode {
     let done = match command {
         CliCommand::Replay(args) => replay::run(&args),
         CliCommand::Run(args) => live::run(&args),
+        CliCommand::Fleet(args) => fleet::run(&args),
+        CliCommand::Outputs(args) => outputs::run(&args),
         CliCommand::Enroll(args) => enroll::enroll(&args),
         CliCommand::Record(args) => enroll::record(&args),
         CliCommand::Eval(args) => eval::run(&args),
@@ -166,6 +172,7 @@ mod tests {
             include_str!("../../README.md"),
             include_str!("../evaluate/README.md"),
             include_str!("../library/README.md"),
+            include_str!("../outputs/README.md"),
             include_str!("../serve/README.md"),
             include_str!("../../configs/README.md"),
             include_str!("../../firmware/README.md"),

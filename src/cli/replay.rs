@@ -9,6 +9,7 @@ use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{Comparing, ComparingArgs};
+use super::outputs::{Page, is_at, send_answers};
 use super::serve::ServeArgs;
 use super::show::{self, quoted};
 use super::tally::Tally;
@@ -26,7 +27,6 @@ use crate::record::edit::LibraryLock;
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::{LibraryFolder, Settings};
-use crate::station::config::StationConfig;
 use crate::station::{LibraryState, Recogniser, ScanStore, Station, StationEvent};
 use crate::trial::EXPERT;
 
@@ -64,6 +64,9 @@ pub struct Args {
     /// Print one line of JSON a scan on stdout
     #[arg(long)]
     json: bool,
+    /// A station's configuration, of which `[outputs]` and `[history]` hold for the replay
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     #[command(flatten)]
     serve: ServeArgs,
 }
@@ -199,20 +202,24 @@ fn play(
         station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
     }
     let mut settings = Settings { enrolls: library.is_some(), ..Settings::default() };
-    // Without a library, scans are kept until the program ends.
+    // Without a library, scans are kept until the program ends, and so are answers that wait.
     let until_end = tempfile::tempdir()?;
+    let config = live::config(args.config.as_deref())?;
     if args.serve.is_wanted() {
         let folder = library.map_or(until_end.path(), PathBuf::as_path).join(history::FOLDER);
-        let keep_mb = StationConfig::embedded().keep_mb;
         let sources = (&stage.scene, BTreeMap::new());
-        (station, settings.history) = live::keep_scans(station, &folder, keep_mb, sources)?;
+        (station, settings.history) = live::keep_scans(station, &folder, config.keep_mb, sources)?;
         settings.library = library.map(|folder| {
             let (folder, scene) = (folder.clone(), stage.scene.clone());
             LibraryFolder { folder, scene }
         });
         settings.check = library.map(|folder| live::check(folder, how));
     }
+    let (page, folder) = (Page::default(), args.library.as_deref().unwrap_or(until_end.path()));
+    (station, settings.outputs) =
+        send_answers(station, &config.outputs, folder, (&settings.history, &page))?;
     let (mut station, server) = args.serve.start(station, settings)?;
+    is_at(&page, server.as_ref());
     // The page is there while the models are made. Until then, a signal ends the program as usual.
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {

@@ -72,22 +72,32 @@ impl ServeArgs {
         station: Station<'a>,
         settings: Settings,
     ) -> Result<(Station<'a>, Option<Server>), Failure> {
-        let Some(address) = self.serve else { return Ok((station, None)) };
-        let usage = |error: ServeError| Failure::Usage(error.to_string());
-        let token = match std::env::var(TOKEN) {
-            Ok(text) => Some(Token::new(&text).map_err(usage)?),
-            Err(_) => None,
-        };
-        let address = address.unwrap_or(settings.address);
-        let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
-        let settings = Settings { address, token, proxies, ..settings };
-        let started: Result<(Server, Reporter), _> = Server::start(&settings, station.commands());
-        let (server, reporter) = started.map_err(|error| match error {
-            ServeError::Open(_) => usage(error),
-            _ => error.into(),
-        })?;
+        if !self.is_wanted() {
+            return Ok((station, None));
+        }
+        let started = Server::start(&self.settings(settings)?, station.commands());
+        let (server, reporter): (Server, Reporter) = started.map_err(failure)?;
         say!("http://{}", server.address());
         Ok((station.listener(reporter), Some(server)))
+    }
+
+    /// Settings with what was given on the command line, and the token.
+    pub fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
+        let token = match std::env::var(TOKEN) {
+            Ok(text) => Some(Token::new(&text).map_err(failure)?),
+            Err(_) => None,
+        };
+        let address = self.serve.flatten().unwrap_or(settings.address);
+        let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
+        Ok(Settings { address, token, proxies, ..settings })
+    }
+}
+
+/// The end of a command whose server does not start.
+pub fn failure(error: ServeError) -> Failure {
+    match error {
+        ServeError::Open(_) | ServeError::Token => Failure::Usage(error.to_string()),
+        ServeError::Bind { .. } | ServeError::System(_) => error.into(),
     }
 }
 

@@ -28,7 +28,10 @@ const COLUMNS: [&str; 19] = [
 ];
 
 /// Writes scans as CSV (RFC 4180).
-pub struct CsvWriter<W: Write>(::csv::Writer<W>);
+pub struct CsvWriter<W: Write> {
+    out: ::csv::Writer<W>,
+    columns: Vec<&'static str>,
+}
 
 impl<W: Write> CsvWriter<W> {
     /// Begins with the names of the columns.
@@ -36,9 +39,22 @@ impl<W: Write> CsvWriter<W> {
     /// # Errors
     /// If it cannot be written, as for what follows.
     pub fn new(out: W) -> std::io::Result<Self> {
-        let mut writer = ::csv::Writer::from_writer(out);
-        writer.write_record(COLUMNS)?;
-        Ok(Self(writer))
+        Self::with(out, COLUMNS.to_vec())
+    }
+
+    /// The same for scans of many stations, without what people said of them.
+    ///
+    /// # Errors
+    /// As [`CsvWriter::new`].
+    pub fn of_stations(out: W) -> std::io::Result<Self> {
+        let said = |column: &&str| *column != "correction" && *column != "became";
+        Self::with(out, ["station", "sequence"].into_iter().chain(COLUMNS).filter(said).collect())
+    }
+
+    fn with(out: W, columns: Vec<&'static str>) -> std::io::Result<Self> {
+        let mut out = ::csv::Writer::from_writer(out);
+        out.write_record(&columns)?;
+        Ok(Self { out, columns })
     }
 
     /// Adds a scan, as [`super::History`] gives it.
@@ -46,7 +62,7 @@ impl<W: Write> CsvWriter<W> {
     /// # Errors
     /// If it cannot be written.
     pub fn scan(&mut self, scan: &Value) -> std::io::Result<()> {
-        self.0.write_record(COLUMNS.map(|column| cell(scan, column)))?;
+        self.out.write_record(self.columns.iter().map(|column| cell(scan, column)))?;
         Ok(())
     }
 
@@ -55,7 +71,7 @@ impl<W: Write> CsvWriter<W> {
     /// # Errors
     /// If the last of it cannot be written.
     pub fn finish(self) -> std::io::Result<W> {
-        self.0.into_inner().map_err(::csv::IntoInnerError::into_error)
+        self.out.into_inner().map_err(::csv::IntoInnerError::into_error)
     }
 }
 

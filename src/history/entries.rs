@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use serde_json::{Map, Value};
 
 use super::file::Disk;
-use super::log::{Head, LogLine, Span};
+use super::log::{Head, Log, LogLine, Span};
 use super::{Correction, HistoryError};
+use crate::record::edit::is_plain;
 
 #[derive(Debug)]
 pub(super) struct HistoryEntry {
@@ -48,6 +49,16 @@ impl HistoryState {
     pub fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
         let span = self.write(&line.to_json())?;
         self.take(line, span.unwrap_or_default());
+        Ok(())
+    }
+
+    /// Takes in the last `most` bytes of a log.
+    pub fn take_log(&mut self, log: &Log, most: u64) -> Result<(), HistoryError> {
+        for (line, span) in log.read::<LogLine>(most)? {
+            if is_plain(line.id()) {
+                self.take(line, span);
+            }
+        }
         Ok(())
     }
 

@@ -12,12 +12,12 @@ use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{AnswerState, Correction, HistoryError};
 use crate::library::files;
-use crate::record::edit::is_plain;
 use crate::station::Answer;
 use crate::system::read_exact_at;
 
@@ -52,7 +52,7 @@ pub(super) enum LogLine {
 
 impl LogLine {
     /// The scan that it is about, which names a folder.
-    fn id(&self) -> &str {
+    pub fn id(&self) -> &str {
         match self {
             Self::Answer(Head { id, .. })
             | Self::Signals { id, .. }
@@ -69,13 +69,15 @@ impl LogLine {
 
 /// The place of a line, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Span {
+pub(crate) struct Span {
     pub offset: u64,
     pub length: u32,
 }
 
+/// A file of lines of JSON, to which lines are added; also that of answers that wait for an output,
+/// and of those that a fleet has.
 #[derive(Debug)]
-pub(super) struct Log {
+pub(crate) struct Log {
     path: PathBuf,
     file: File,
     bytes: u64,
@@ -105,11 +107,11 @@ impl Log {
     }
 
     /// The lines of the last `most` bytes; what a crash cut short, or is none of ours, is passed over.
-    pub fn read(&mut self, most: u64) -> Result<Vec<(LogLine, Span)>, HistoryError> {
+    pub fn read<T: DeserializeOwned>(&self, most: u64) -> Result<Vec<(T, Span)>, HistoryError> {
         self.lines(most).map_err(HistoryError::io(&self.path))
     }
 
-    fn lines(&self, most: u64) -> std::io::Result<Vec<(LogLine, Span)>> {
+    fn lines<T: DeserializeOwned>(&self, most: u64) -> std::io::Result<Vec<(T, Span)>> {
         let mut lines = Vec::new();
         let mut reader = BufReader::new(File::open(&self.path)?);
         let mut offset = reader.seek(SeekFrom::Start(self.bytes.saturating_sub(most)))?;
@@ -121,10 +123,7 @@ impl Log {
                 return Ok(lines);
             }
             let line = text.trim_ascii_end();
-            if is_begin
-                && let Ok(said) = serde_json::from_slice::<LogLine>(line)
-                && is_plain(said.id())
-            {
+            if is_begin && let Ok(said) = serde_json::from_slice::<T>(line) {
                 lines.push((said, Span { offset, length: line.len() as u32 }));
             }
             is_begin = text.ends_with(b"\n");
@@ -162,6 +161,13 @@ impl Log {
         Ok(String::from_utf8_lossy(&text).into_owned())
     }
 
+    /// The text of the answer in a line.
+    pub fn answer_text(&self, span: Span) -> Result<String, HistoryError> {
+        let line = self.line(span)?;
+        let text = line.strip_prefix("{\"answer\":").and_then(|rest| rest.strip_suffix('}'));
+        Ok(text.unwrap_or("{}").into())
+    }
+
     /// The answer in a line.
     pub fn answer(&self, span: Span) -> Result<Map<String, Value>, HistoryError> {
         #[derive(Deserialize)]
@@ -170,6 +176,12 @@ impl Log {
         }
         let whole: Option<LogAnswer> = serde_json::from_str(&self.line(span)?).ok();
         Ok(whole.map(|whole| whole.answer).unwrap_or_default())
+    }
+
+    /// The same file for another reader, which stays as it is when this one is replaced.
+    pub fn share(&self) -> Result<Self, HistoryError> {
+        let file = self.file.try_clone().map_err(HistoryError::io(&self.path))?;
+        Ok(Self { path: self.path.clone(), file, bytes: self.bytes })
     }
 
     /// An empty log that may take the place of this one.

@@ -17,7 +17,7 @@ mod csv;
 mod entries;
 mod file;
 mod keeper;
-mod log;
+pub(crate) mod log;
 mod review;
 mod view;
 
@@ -93,11 +93,9 @@ impl History {
     /// # Errors
     /// If the folder cannot be read or written, or another program uses it.
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
-        let mut disk = Disk::open(folder, most_bytes)?;
+        let disk = Disk::open(folder, most_bytes)?;
         let mut inner = HistoryState::default();
-        for (line, span) in disk.log.read(disk.for_answers())? {
-            inner.take(line, span);
-        }
+        inner.take_log(&disk.log, disk.for_answers())?;
         let known: HashSet<&str> = inner.entries.iter().map(|e| e.head.id.as_str()).collect();
         disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
@@ -119,11 +117,9 @@ impl History {
     /// # Errors
     /// If the folder cannot be read.
     pub fn read(folder: &Path) -> Result<Self, HistoryError> {
-        let mut disk = Disk::read_only(folder)?;
+        let disk = Disk::read_only(folder)?;
         let mut inner = HistoryState::default();
-        for (line, span) in disk.log.read(u64::MAX)? {
-            inner.take(line, span);
-        }
+        inner.take_log(&disk.log, u64::MAX)?;
         inner.disk = Some(disk);
         Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
     }
@@ -297,6 +293,15 @@ impl History {
         precision(corrected)
     }
 
+    /// Answers that are unknown or unsure, and that nobody has corrected.
+    pub fn to_review(&self) -> usize {
+        let doubtful = |entry: &&HistoryEntry| {
+            matches!(entry.head.state, AnswerState::Unknown | AnswerState::Unsure)
+                && entry.correction.is_none()
+        };
+        self.lock().entries.iter().filter(doubtful).count()
+    }
+
     /// Its size.
     pub fn extent(&self) -> Extent {
         let inner = &*self.lock();
@@ -325,7 +330,7 @@ impl History {
 pub enum HistoryError {
     #[error("{}: {error}", path.display())]
     Io { path: PathBuf, error: std::io::Error },
-    #[error("{}: another surfaced keeps its scans here", .0.display())]
+    #[error("{}: another surfaced uses this folder", .0.display())]
     InUse(PathBuf),
     #[error("there is no scan {0}")]
     NoScan(String),
@@ -336,7 +341,7 @@ pub enum HistoryError {
 }
 
 impl HistoryError {
-    fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+    pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
         |error| Self::Io { path, error }
     }

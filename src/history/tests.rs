@@ -27,6 +27,7 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
         margin: 1.0,
         confidence: None,
         fit: None,
+        unknown: None,
         latency_ms: 1.0,
         scan_s: 1.0,
         settled_s: None,

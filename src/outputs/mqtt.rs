@@ -1,179 +1,220 @@
-//! Answers by MQTT 3.1.1: each published under one topic, at least once.
+//! Answers by MQTT 3.1.1: each is published at least once, and the next one once the broker has
+//! acknowledged it.
 
-use std::convert::Infallible;
+use std::collections::VecDeque;
 use std::process;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use crossbeam_channel::bounded;
 use rand::TryRng;
 use rand::rngs::SysRng;
-use rumqttc::{Client, Connection, Event, MqttOptions, Outgoing, Packet, QoS};
+use rumqttc::{Event, LastWill, MqttOptions, Outgoing, Packet, QoS};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
-use super::{BackOff, OutputHealth, PATIENCE, QUEUE};
+use super::broker::{Line, options};
+use super::message::{CardRest, discovery, last_will};
+use super::{BackOff, Card, PATIENCE, Pending, lock};
+use crate::history::{History, HistoryError};
+use crate::station::Answer;
 use crate::station::config::MqttAddress;
-use crate::station::{Answer, End, Listener, StationEvent};
 
-/// How often something is sent on a silent line.
-const KEEP_ALIVE: Duration = Duration::from_secs(30);
+/// How often the state of the station is published, if it has changed.
+const STATE_EVERY: Duration = Duration::from_secs(2);
+/// The time after which a broker that acknowledges nothing is connected to anew.
+const NO_ACKNOWLEDGEMENT: Duration = Duration::from_secs(20);
 
-/// Largest answer in bytes, some 2000 surfaces: brokers refuse large ones, often from here on.
-const LARGEST: usize = 128 << 10;
-/// Surfaces that stay in an answer that is larger.
-const BEST: usize = 10;
-
-/// Publishes the answers of a station.
-pub struct MqttOutput {
-    client: Client,
-    topic: String,
-    health: OutputHealth,
-    /// Answers that the broker has not acknowledged.
-    waiting: Arc<AtomicUsize>,
-    is_shortened: bool,
-    ending: Arc<AtomicBool>,
-    end: End,
+/// What a station's state shows beside its answers.
+pub(super) struct Shown {
+    pub card: Card,
+    pub history: Arc<History>,
+    pub page: Arc<OnceLock<String>>,
 }
 
-impl MqttOutput {
-    /// Publishes under a topic from now on.
-    ///
-    /// # Errors
-    /// If the system gives no thread.
-    pub fn start(address: MqttAddress) -> std::io::Result<Self> {
-        let MqttAddress { host, topic, credentials } = address;
-        let health = OutputHealth::new(format!("mqtt://{}:{}/{topic}", host.0, host.1));
+/// Publishes the answers of a station, and its state.
+pub(super) struct Publisher {
+    pending: Pending,
+    options: MqttOptions,
+    answer_topic: String,
+    state_topic: String,
+    shown: Shown,
+    back_off: BackOff,
+}
+
+/// What one connection has published.
+#[derive(Default)]
+struct Published {
+    is_connected: bool,
+    /// Not yet on the line, in their order: the number of an answer, or none for other texts.
+    queued: VecDeque<Option<u64>>,
+    /// On the line: by packet.
+    flying: Vec<(u16, Option<u64>)>,
+    /// The answer that is to be acknowledged, and since when.
+    awaited: Option<(u64, Instant)>,
+    state: String,
+}
+
+impl Publisher {
+    pub fn new(
+        pending: Pending,
+        address: &MqttAddress,
+        shown: Shown,
+    ) -> Result<Self, HistoryError> {
         // Two containers may have the same process ids, and a broker throws out the older one of two
         // clients of one name.
-        let id =
+        let client =
             format!("surfaced-{:08x}", SysRng.try_next_u32().unwrap_or_else(|_| process::id()));
-        let mut options = MqttOptions::new(id, host.0, host.1);
-        options.set_keep_alive(KEEP_ALIVE);
-        // The topic and the head of the packet come beside the answer.
-        options.set_max_packet_size(2 * LARGEST, 2 * LARGEST);
-        if let Some((user, password)) = credentials {
-            options.set_credentials(user, password);
-        }
-        let (client, connection) = Client::new(options, QUEUE);
-        let (closing, ended) = bounded::<Infallible>(0);
-        let ending = Arc::new(AtomicBool::new(false));
-        let waiting = Arc::<AtomicUsize>::default();
-        let (stop, of, left) = (ending.clone(), health.clone(), waiting.clone());
-        let run = move || {
-            let _closing = closing;
-            keep_connected(connection, &stop, &of, &left);
-        };
-        std::thread::Builder::new().name("mqtt-output".into()).spawn(run)?;
-        let (is_shortened, end) = (false, End::of(ended));
-        Ok(Self { client, topic, health, waiting, is_shortened, ending, end })
+        let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
+        let (answer_topic, state_topic) = (topic("answer"), topic("state"));
+        let mut options = options(address, client)?;
+        let will = last_will(&pending.station);
+        options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
+        let back_off = BackOff::new();
+        Ok(Self { pending, options, answer_topic, state_topic, shown, back_off })
     }
 
-    /// How it is, now and later.
-    pub fn health(&self) -> OutputHealth {
-        self.health.clone()
+    /// Publishes answers until no more come.
+    pub async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
+        while let Some(why) = self.connection(&mut answers).await {
+            self.pending.health.failed(&format!("{why}; they are tried again"));
+            let until = Instant::now() + self.back_off.next();
+            while let Ok(answer) = timeout_at(until, answers.recv()).await {
+                // The others wait on disk.
+                let Some(answer) = answer else { return };
+                self.pending.add(&answer);
+            }
+        }
     }
 
-    /// An answer as text, with the best surfaces alone where it would be too large.
-    fn text(&mut self, answer: &Answer) -> String {
-        // Plain structs, numbers and text: nothing here that JSON cannot express.
-        let text = serde_json::to_string(answer).unwrap_or_default();
-        if text.len() <= LARGEST {
-            return text;
+    /// Publishes by one connection; the reason why it ended, or none at the end of the station.
+    async fn connection(&mut self, answers: &mut mpsc::Receiver<Arc<Answer>>) -> Option<String> {
+        let mut line = Line::open(self.options.clone());
+        let mut published = Published::default();
+        let mut state_due = interval(STATE_EVERY);
+        state_due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                event = line.events.recv() => match event {
+                    Some(Ok(event)) => self.take(event, &mut published, &line),
+                    Some(Err(error)) => return Some(error.to_string()),
+                    None => return Some("the connection ended".into()),
+                },
+                answer = answers.recv() => match answer {
+                    Some(answer) => self.pending.add(&answer),
+                    None => {
+                        self.finish(&mut line, published).await;
+                        return None;
+                    }
+                },
+                _ = state_due.tick() => self.publish_state(true, &mut published, &line),
+            }
+            self.publish_next(&mut published, &line);
+            if published.awaited.is_some_and(|(_, since)| since.elapsed() > NO_ACKNOWLEDGEMENT) {
+                return Some("the broker acknowledges nothing".into());
+            }
         }
-        if !std::mem::replace(&mut self.is_shortened, true) {
-            tracing::warn!(
-                "answers are published with their {BEST} best surfaces alone: all {} take {} KiB, \
-                 and brokers refuse more than {}",
-                answer.ranked.len(),
-                text.len() >> 10,
-                LARGEST >> 10
-            );
-        }
-        let ranked = answer.ranked.iter().take(BEST).cloned().collect();
-        serde_json::to_string(&Answer { ranked, ..answer.clone() }).unwrap_or_default()
     }
-}
 
-/// Sends what is published, and connects anew where the line breaks, until the end.
-fn keep_connected(
-    mut connection: Connection,
-    stop: &AtomicBool,
-    health: &OutputHealth,
-    waiting: &AtomicUsize,
-) {
-    let mut back_off = BackOff::new();
-    for event in connection.iter() {
+    fn take(&mut self, event: Event, published: &mut Published, line: &Line) {
         match event {
-            Ok(Event::Outgoing(Outgoing::Disconnect)) => return,
-            Ok(Event::Incoming(Packet::PubAck(_))) => {
-                back_off.reset();
-                let before = |left: usize| Some(left.saturating_sub(1));
-                let _ = waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, before);
-                health.waits(waiting.load(Ordering::Acquire));
-                health.arrived();
+            Event::Incoming(Packet::ConnAck(_)) => {
+                published.is_connected = true;
+                let entities =
+                    discovery(&self.pending.station, &self.answer_topic, &self.state_topic);
+                for (topic, about) in entities {
+                    publish(&topic, about, None, published, line);
+                }
+                self.publish_state(true, published, line);
             }
-            // A broker may take the connection, and yet no answer.
-            Ok(Event::Incoming(Packet::PingResp)) => back_off.reset(),
-            Ok(_) => {}
-            Err(_) if stop.load(Ordering::Acquire) => return,
-            Err(error) => {
-                health.failed(&format!("{error}; they are tried again"));
-                back_off.wait(stop);
+            Event::Outgoing(Outgoing::Publish(packet)) => {
+                let what = published.queued.pop_front().flatten();
+                published.flying.push((packet, what));
+            }
+            Event::Incoming(Packet::PubAck(ack)) => {
+                let at = published.flying.iter().position(|(packet, _)| *packet == ack.pkid);
+                if let Some((_, Some(sequence))) = at.map(|at| published.flying.swap_remove(at)) {
+                    self.pending.done(sequence);
+                    published.awaited = None;
+                    self.pending.health.arrived();
+                }
+                // A broker may take the connection, and yet no answer.
+                self.back_off.reset();
+            }
+            _ => {}
+        }
+    }
+
+    /// Publishes the oldest answer, unless another one is under way.
+    fn publish_next(&self, published: &mut Published, line: &Line) {
+        if !published.is_connected || published.awaited.is_some() {
+            return;
+        }
+        if let Some((sequence, text)) = self.pending.first()
+            && publish(&self.answer_topic, text, Some(sequence), published, line)
+        {
+            published.awaited = Some((sequence, Instant::now()));
+        }
+    }
+
+    /// Publishes the state of the station, if it has changed.
+    fn publish_state(&self, is_online: bool, published: &mut Published, line: &Line) {
+        if !published.is_connected {
+            return;
+        }
+        let Pending { station, outbox, .. } = &self.pending;
+        let text = lock(&self.shown.card).text(&CardRest {
+            station,
+            is_online,
+            page: self.shown.page.get().map(String::as_str),
+            review: self.shown.history.to_review(),
+            sequence: outbox.newest(),
+            dropped: outbox.dropped(),
+        });
+        if text != published.state
+            && publish(&self.state_topic, text.clone(), None, published, line)
+        {
+            published.state = text;
+        }
+    }
+
+    /// Publishes what waits and that the station is offline, as far as the broker is there and takes
+    /// it soon.
+    async fn finish(&mut self, line: &mut Line, mut published: Published) {
+        let until = Instant::now() + PATIENCE * 3 / 4;
+        loop {
+            self.publish_next(&mut published, line);
+            if published.awaited.is_none() && published.is_connected {
+                self.publish_state(false, &mut published, line);
+                if published.queued.is_empty() && published.flying.is_empty() {
+                    break;
+                }
+            }
+            match timeout_at(until, line.events.recv()).await {
+                Ok(Some(Ok(event))) => self.take(event, &mut published, line),
+                _ => return,
+            }
+        }
+        let _ = line.client.try_disconnect();
+        // Until the packet is on the line.
+        while let Ok(Some(Ok(event))) = timeout_at(until, line.events.recv()).await {
+            if event == Event::Outgoing(Outgoing::Disconnect) {
+                return sleep(Duration::from_millis(20)).await;
             }
         }
     }
 }
 
-impl Listener for MqttOutput {
-    fn on_event(&mut self, event: &StationEvent) {
-        if self.end.is_here(event) {
-            self.close();
-        }
-        let StationEvent::Answer(answer) = event else { return };
-        let text = self.text(answer);
-        match self.client.try_publish(&self.topic, QoS::AtLeastOnce, false, text) {
-            Ok(()) => self.health.waits(self.waiting.fetch_add(1, Ordering::AcqRel) + 1),
-            Err(_) => self
-                .health
-                .failed(&format!("{QUEUE} wait already, so answer {} is dropped", answer.id)),
-        }
+/// Publishes a text, retained; false if there is no room for it now.
+fn publish(
+    topic: &str,
+    text: String,
+    sequence: Option<u64>,
+    published: &mut Published,
+    line: &Line,
+) -> bool {
+    let is_taken = line.client.try_publish(topic, QoS::AtLeastOnce, true, text).is_ok();
+    if is_taken {
+        published.queued.push_back(sequence);
     }
-}
-
-impl Drop for MqttOutput {
-    fn drop(&mut self) {
-        self.close();
-        self.end.wait(PATIENCE);
-    }
-}
-
-impl MqttOutput {
-    /// Disconnects, after all that was published before.
-    fn close(&self) {
-        if !self.ending.swap(true, Ordering::AcqRel) {
-            let _ = self.client.try_disconnect();
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::recognise::RankedSurface;
-    use crate::scan::Scan;
-
-    #[test]
-    fn an_answer_that_is_too_large_keeps_its_ten_best_surfaces() {
-        let mut output = MqttOutput::start("mqtt://127.0.0.1:1/x".parse().unwrap()).unwrap();
-        let answer = Answer::of(&Scan::of_signals(1, Default::default()), 0.0);
-        for (surfaces, kept) in [(170, 170), (3000, BEST)] {
-            let ranked = |at| RankedSurface { surface: "a".repeat(40), score: at as f64 };
-            let answer = Answer { ranked: (0..surfaces).map(ranked).collect(), ..answer.clone() };
-            let text = output.text(&answer);
-            let said: serde_json::Value = serde_json::from_str(&text).unwrap();
-            assert_eq!(said["ranked"].as_array().unwrap().len(), kept);
-            assert!(text.len() <= LARGEST);
-        }
-        assert!(output.is_shortened);
-    }
+    is_taken
 }

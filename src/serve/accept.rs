@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::convert::Infallible;
 use std::net::IpAddr;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -18,9 +19,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio_io_timeout::TimeoutStream;
 
-use super::api;
 use super::client::{Peer, neighbourhood};
-use super::hub::Hub;
+use super::guard::Traffic;
 use super::settings::{Limits, Settings};
 
 /// The largest head of a request, in bytes.
@@ -30,14 +30,13 @@ const MOST_HEADERS: usize = 64;
 /// The pause after the system gave no connection, for example because no file handles are left.
 const NO_CONNECTION: Duration = Duration::from_millis(100);
 
-/// Serves until `stop`.
+/// Serves a router until `stop`.
 pub async fn serve(
     listener: TcpListener,
-    hub: Arc<Hub>,
+    (router, traffic): (Router, Arc<Traffic>),
     settings: &Settings,
     mut stop: watch::Receiver<bool>,
 ) {
-    let router = api::router(hub.clone(), settings);
     let places = Arc::new(Places::new(settings));
     loop {
         let accepted = tokio::select! {
@@ -50,7 +49,7 @@ pub async fn serve(
         };
         // Dropping the stream closes it.
         let Some(place) = Places::take(&places, peer.ip()) else {
-            hub.lock().metrics.refused += 1;
+            traffic.refused.fetch_add(1, Ordering::Relaxed);
             continue;
         };
         let connection = connection(stream, Peer(peer), router.clone(), settings.limits.clone());

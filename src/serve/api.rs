@@ -12,7 +12,7 @@ use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{MethodRouter, get, post};
 use serde::{Deserialize, Serialize};
 
-use super::guard::{Guard, guard};
+use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Undelivered};
 use super::request::{Problem, Shared};
 use super::settings::{LARGEST_BODY, Settings};
@@ -32,7 +32,6 @@ impl From<Undelivered> for Problem {
 
 /// All paths, behind the guard.
 pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
-    let checks = Arc::new(Guard::new(hub.clone(), settings));
     let api = Router::new()
         .route("/state", get(state))
         .merge(scans::router())
@@ -62,12 +61,21 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     for (path, content_type, text) in FILES {
         router = router.route(path, file(content_type, text));
     }
+    guarded(router, hub.traffic.clone(), settings).with_state(hub)
+}
+
+/// Paths behind the guard, and a refusal of all others.
+pub fn guarded<S: Clone + Send + Sync + 'static>(
+    router: Router<S>,
+    traffic: Arc<Traffic>,
+    settings: &Settings,
+) -> Router<S> {
+    let checks = Arc::new(Guard::new(traffic, settings));
     router
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::Method })
         .layer(DefaultBodyLimit::max(LARGEST_BODY))
         .layer(axum::middleware::from_fn_with_state(checks, guard))
-        .with_state(hub)
 }
 
 async fn state(State(hub): Shared) -> Response {
@@ -142,7 +150,7 @@ async fn health(State(hub): Shared) -> Response {
 }
 
 /// (path, content type, text) of each file.
-const FILES: [(&str, &str, &str); 16] = [
+pub const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -162,7 +170,7 @@ const FILES: [(&str, &str, &str); 16] = [
 ];
 
 /// Answers with one of them.
-fn file<S: Clone + Send + Sync + 'static>(
+pub fn file<S: Clone + Send + Sync + 'static>(
     content_type: &'static str,
     text: &'static str,
 ) -> MethodRouter<S> {

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
 use std::net::IpAddr;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -19,7 +20,6 @@ use rand::TryRng;
 use rand::rngs::SysRng;
 
 use super::client::{Client, neighbourhood};
-use super::hub::Hub;
 use super::request::Problem;
 use super::settings::{Limits, Settings, Token};
 
@@ -53,10 +53,19 @@ const HEADERS: [(HeaderName, &str); 6] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
+/// Counts of requests.
+#[derive(Debug, Default)]
+pub struct Traffic {
+    /// Requests that were answered, and those that were refused.
+    pub requests: AtomicU64,
+    /// Requests and connections that were refused.
+    pub refused: AtomicU64,
+}
+
 /// The checks of every request.
 #[derive(Debug)]
 pub struct Guard {
-    hub: Arc<Hub>,
+    traffic: Arc<Traffic>,
     settings: Settings,
     budgets: Mutex<Budgets>,
 }
@@ -138,9 +147,9 @@ impl Budgets {
 
 impl Guard {
     /// A guard that remembers nothing yet.
-    pub fn new(hub: Arc<Hub>, settings: &Settings) -> Self {
+    pub fn new(traffic: Arc<Traffic>, settings: &Settings) -> Self {
         let budgets = Mutex::new(Budgets::new(&settings.limits));
-        Self { hub, settings: settings.clone(), budgets }
+        Self { traffic, settings: settings.clone(), budgets }
     }
 
     fn budgets(&self) -> MutexGuard<'_, Budgets> {
@@ -214,7 +223,7 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     let in_browser = text(request.headers(), &ACCEPT).is_some_and(|all| all.contains("text/html"));
     let has_form = settings.token.is_some() && in_browser && method == Method::GET && path == "/";
     let is_tried = in_address(&request).is_some();
-    guard.hub.lock().metrics.requests += 1;
+    guard.traffic.requests.fetch_add(1, Ordering::Relaxed);
     let mut response = match guard.check(&request, client) {
         Ok(Some(answer)) => answer,
         Ok(None) => tokio::time::timeout(settings.limits.request, next.run(request))
@@ -234,7 +243,7 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     };
     let status = response.status();
     if status.is_client_error() {
-        guard.hub.lock().metrics.refused += 1;
+        guard.traffic.refused.fetch_add(1, Ordering::Relaxed);
         if guard.budgets().logs(Instant::now()) {
             // The path is a stranger's; the log stays one plain line.
             let path: String = path.chars().take(100).collect();

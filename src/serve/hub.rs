@@ -13,6 +13,7 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
+use super::guard::Traffic;
 use super::metrics::{Elsewhere, Metrics};
 use super::settings::{Audit, LibraryFolder, Settings};
 use super::state::State;
@@ -42,6 +43,8 @@ pub struct Hub {
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
+    /// Counts of requests.
+    pub traffic: Arc<Traffic>,
     /// Past scans.
     pub history: Arc<History>,
     /// The library that may be edited.
@@ -85,9 +88,15 @@ impl HubState {
     }
 
     /// All figures.
-    pub fn metrics(&self, missed_notices: u64, precision: &[Precision]) -> String {
+    pub fn metrics(
+        &self,
+        missed_notices: u64,
+        precision: &[Precision],
+        traffic: &Traffic,
+    ) -> String {
         self.metrics.text(&Elsewhere {
             precision,
+            traffic,
             outputs: &self.outputs.iter().map(OutputHealth::view).collect::<Vec<_>>(),
             state: &self.state,
             meters: &self.meters,
@@ -239,6 +248,7 @@ impl Hub {
             orders,
             missed,
             most_subscribers,
+            traffic: Arc::default(),
             history,
             library,
             checks,
@@ -254,7 +264,7 @@ impl Hub {
     /// All figures.
     pub fn metrics(&self) -> String {
         let precision = self.history.precision();
-        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision)
+        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision, &self.traffic)
     }
 
     /// Takes in an event. A surface that was enrolled is used at once.

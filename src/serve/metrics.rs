@@ -4,7 +4,9 @@
 //! written here rather than kept in a registry, since the figures live in the rings' meters.
 
 use std::fmt::{Display, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::guard::Traffic;
 use super::state::State;
 use crate::device::DeviceState;
 use crate::history::Precision;
@@ -47,16 +49,12 @@ impl Histogram {
 pub struct Metrics {
     scan_s: Histogram,
     latency_s: Histogram,
-    /// Requests that were answered, and those that were refused.
-    pub requests: u64,
-    /// Requests and connections that were refused.
-    pub refused: u64,
 }
 
 impl Default for Metrics {
     fn default() -> Self {
         let (scan_s, latency_s) = (Histogram::new(&SCAN_S), Histogram::new(&LATENCY_S));
-        Self { scan_s, latency_s, requests: 0, refused: 0 }
+        Self { scan_s, latency_s }
     }
 }
 
@@ -64,6 +62,7 @@ impl Default for Metrics {
 pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
+    pub traffic: &'a Traffic,
     pub subscribers: usize,
     pub dropped_events: u64,
     pub missed_notices: u64,
@@ -88,7 +87,8 @@ impl Metrics {
         page.line("surfaced_info", &[("version", state.version)], 1);
         page.streams(elsewhere.meters);
         page.devices(state);
-        let counts = state.counts;
+        let (counts, traffic) = (state.counts, elsewhere.traffic);
+        let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
         page.head("surfaced_scans_total", "counter", "Scans that were answered.");
         let others = counts.nearest + counts.unsure + counts.unknown;
         for (state, count) in [
@@ -104,8 +104,12 @@ impl Metrics {
             ("surfaced_scans_spoiled_total", "Scans that should not be trusted.", counts.spoiled),
             ("surfaced_scans_enrolled_total", "Scans kept for the library.", counts.enrolled),
             ("surfaced_warnings_total", "Warnings.", counts.warnings),
-            ("surfaced_http_requests_total", "Requests that were read.", self.requests),
-            ("surfaced_http_refused_total", "Requests and connections refused.", self.refused),
+            ("surfaced_http_requests_total", "Requests that were read.", count(&traffic.requests)),
+            (
+                "surfaced_http_refused_total",
+                "Requests and connections refused.",
+                count(&traffic.refused),
+            ),
             (
                 "surfaced_events_dropped_total",
                 "Events that a slow subscriber missed.",
@@ -173,12 +177,18 @@ impl MetricsPage {
 
     fn outputs(&mut self, outputs: &[OutputView]) {
         type Figure = fn(&OutputView) -> u64;
-        let figures: [(&str, &str, &str, Figure); 2] = [
+        let figures: [(&str, &str, &str, Figure); 3] = [
             (
                 "surfaced_output_failures_total",
                 "counter",
                 "Attempts at an output that failed.",
                 |output| output.failures,
+            ),
+            (
+                "surfaced_output_dropped_total",
+                "counter",
+                "Answers that made room for newer ones.",
+                |output| output.dropped,
             ),
             ("surfaced_output_waiting", "gauge", "Answers that wait for an output.", |output| {
                 output.waiting
@@ -251,6 +261,7 @@ mod tests {
         let elsewhere = Elsewhere {
             state: &state,
             meters: &[],
+            traffic: &Traffic::default(),
             subscribers: 3,
             dropped_events: 4,
             missed_notices: 5,
@@ -259,6 +270,7 @@ mod tests {
                 output: "http://example/".into(),
                 waiting: 7,
                 failures: 2,
+                dropped: 1,
                 problem: None,
             }],
         };
@@ -272,6 +284,7 @@ mod tests {
             "surfaced_scan_seconds_sum 4",
             "surfaced_readers 3",
             "surfaced_output_failures_total{output=\"http://example/\"} 2",
+            "surfaced_output_dropped_total{output=\"http://example/\"} 1",
             "surfaced_output_waiting{output=\"http://example/\"} 7",
             "surfaced_scans_total{answer=\"named\"} 0",
         ] {

@@ -12,7 +12,7 @@
 //! A subscriber that is slow or gone misses events, learns how many, and delays nobody else.
 
 mod accept;
-mod api;
+pub(crate) mod api;
 mod client;
 #[cfg(any(test, fuzzing))]
 pub mod fuzz;
@@ -22,14 +22,15 @@ mod label;
 mod library;
 mod metrics;
 mod order;
-mod request;
+pub(crate) mod request;
 mod scans;
 mod server;
 mod settings;
 mod state;
-mod subscribers;
+pub(crate) mod subscribers;
 mod trace;
 
+pub(crate) use guard::Traffic;
 pub use server::{Reporter, Server};
 pub(crate) use settings::{Audit, PORT};
 pub use settings::{LibraryFolder, Limits, ServeError, Settings, Token};

@@ -6,12 +6,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use axum::Router;
 use crossbeam_channel::Sender;
 use tokio::sync::{mpsc, watch};
 
-use super::accept;
+use super::guard::Traffic;
 use super::hub::{self, Hub};
 use super::settings::{ServeError, Settings};
+use super::{accept, api};
 use crate::station::{Command, Listener, StationEvent};
 
 /// A server at work; dropping it ends it.
@@ -37,6 +39,22 @@ impl Server {
         settings: &Settings,
         orders: Sender<Command>,
     ) -> Result<(Self, Reporter), ServeError> {
+        let (reporter, notices) = pair();
+        let hub = Arc::new(Hub::new(settings, orders, reporter.missed()));
+        let served = (api::router(hub.clone(), settings), hub.traffic.clone());
+        let server = Self::serve(settings, served, |stopped| hub::run(hub, notices, stopped))?;
+        Ok((server, reporter))
+    }
+
+    /// Serves a router, while other work goes on, on one thread.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub(crate) fn serve<W: Future<Output = ()> + Send + 'static>(
+        settings: &Settings,
+        served: (Router, Arc<Traffic>),
+        work: impl FnOnce(watch::Receiver<bool>) -> W + Send + 'static,
+    ) -> Result<Self, ServeError> {
         if !settings.address.ip().is_loopback() && settings.token.is_none() {
             return Err(ServeError::Open(settings.address));
         }
@@ -44,8 +62,6 @@ impl Server {
         let listener = TcpListener::bind(settings.address).map_err(bind)?;
         listener.set_nonblocking(true).map_err(ServeError::System)?;
         let address = listener.local_addr().map_err(ServeError::System)?;
-        let (reporter, notices) = pair();
-        let hub = Arc::new(Hub::new(settings, orders, reporter.missed()));
         let (stop, stopped) = watch::channel(false);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
@@ -57,10 +73,10 @@ impl Server {
             tokio::net::TcpListener::from_std(listener).map_err(ServeError::System)?
         };
         let settings = settings.clone();
-        let work = move || {
+        let run = move || {
             runtime.block_on(async move {
-                let publishing = tokio::spawn(hub::run(hub.clone(), notices, stopped.clone()));
-                accept::serve(listener, hub, &settings, stopped).await;
+                let publishing = tokio::spawn(work(stopped.clone()));
+                accept::serve(listener, served, &settings, stopped).await;
                 // Events that were queued before the end are still sent, to subscribers who read at
                 // once.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
@@ -70,9 +86,9 @@ impl Server {
         };
         let thread = std::thread::Builder::new()
             .name("serve".into())
-            .spawn(work)
+            .spawn(run)
             .map_err(ServeError::System)?;
-        Ok((Self { address, stop, thread: Some(thread) }, reporter))
+        Ok(Self { address, stop, thread: Some(thread) })
     }
 
     /// The address, with the port that was picked.

@@ -200,7 +200,7 @@ impl Subscriber {
 
 /// A subscriber's end: the body of its answer.
 #[derive(Debug)]
-pub struct EventStream(Receiver<Bytes>);
+pub struct EventStream(pub Receiver<Bytes>);
 
 impl Stream for EventStream {
     type Item = Result<Bytes, std::convert::Infallible>;

@@ -47,6 +47,10 @@ pub struct Answer {
     /// Share of left-out library trials that fit their surface no better than this one fits the
     /// first (a conformal p-value), where the library is large enough.
     pub fit: Option<f64>,
+    /// Probability that the surface is none of the library's, where scans can be found unknown; it is
+    /// one half at the threshold below which they are called so.
+    #[serde(skip)]
+    pub unknown: Option<f64>,
     /// From the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
     /// How long the scan lasted, in seconds.
@@ -190,6 +194,7 @@ impl Answer {
             margin: 0.0,
             confidence: None,
             fit: None,
+            unknown: None,
             latency_ms,
             scan_s: scan.scan_s,
             settled_s: None,

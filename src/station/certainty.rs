@@ -61,6 +61,21 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
     (AnswerState::Named, Vec::new())
 }
 
+/// The probability that a scan is of an unknown surface, where scans can be found unknown.
+///
+/// The odds of a known one are at least −e·p·ln p for a p-value below 1/e, and 1 above (Sellke,
+/// Bayarri and Berger, The American Statistician 55, 2001), times the odds beforehand. These are
+/// such that the probability is one half at the threshold.
+pub(super) fn unknown_share(verdict: &Verdict) -> Option<f64> {
+    let evidence = |p: f64| match p {
+        0.0 => 0.0,
+        p if p < (-1.0f64).exp() => -std::f64::consts::E * p * p.ln(),
+        _ => 1.0,
+    };
+    let (p, threshold) = (verdict.ranking.p_value?, verdict.rejection.as_ref()?.rate);
+    Some(evidence(threshold) / (evidence(threshold) + evidence(p)))
+}
+
 fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     let NamedScan { verdict, scan, settled_s } = named;
     let Verdict { ranking, rejection, needed_s, left_out, lacking, .. } = verdict;
@@ -160,5 +175,17 @@ mod tests {
         let mut close = known;
         close.ranking.confidence = Some(0.4);
         assert_eq!(judged(&close, 1.0, None).0, Unsure);
+    }
+
+    #[test]
+    fn a_scan_is_as_likely_unknown_as_not_at_the_threshold_and_less_likely_the_better_it_fits() {
+        let share = |p| unknown_share(&verdict(Some(p), true)).unwrap();
+        let rate = verdict(None, true).rejection.unwrap().rate;
+        assert!((share(rate) - 0.5).abs() < 1e-12);
+        let shares = [0.0, rate / 2.0, rate, 0.2, 0.36, 0.9].map(share);
+        assert!(shares.is_sorted_by(|a, b| a >= b), "{shares:?}");
+        assert_eq!((shares[0], share(0.5)), (1.0, shares[5]));
+        assert_eq!(unknown_share(&verdict(None, true)), None);
+        assert_eq!(unknown_share(&verdict(Some(0.5), false)), None);
     }
 }

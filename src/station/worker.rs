@@ -6,7 +6,7 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed};
-use super::certainty::{NamedScan, judge};
+use super::certainty::{NamedScan, judge, unknown_share};
 use super::event::Guess;
 use super::followed::{Followed, caught};
 use super::recogniser::{Ranked, Recogniser, Verdict};
@@ -137,6 +137,7 @@ fn named(
     settled_s: Option<f64>,
 ) -> ScanAnswer {
     let (state, reasons) = judge(&NamedScan { verdict: &verdict, scan: &scan, settled_s });
+    let unknown = unknown_share(&verdict);
     let Verdict { ranking, needed_s, remarks, damage, .. } = verdict;
     let alone = Answer::of(&scan, latency_ms);
     let answer = Answer {
@@ -146,6 +147,7 @@ fn named(
         margin: ranking.margin,
         confidence: ranking.confidence,
         fit: ranking.p_value,
+        unknown,
         settled_s,
         sources: ranking.sources,
         needed_s,

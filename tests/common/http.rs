@@ -228,6 +228,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         margin: if known { 3.0 } else { 0.05 },
         confidence: Some(if known { 0.97 } else { 0.51 }),
         fit: Some(if known { 0.6 } else { 0.0 }),
+        unknown: None,
         latency_ms: 12.5,
         scan_s: 4.8,
         settled_s: known.then_some(1.9),

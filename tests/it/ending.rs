@@ -13,7 +13,7 @@ use surfaced::device::{
 };
 use surfaced::history::{History, Keeper};
 use surfaced::library::{Entry, recording};
-use surfaced::outputs::{HttpOutput, MqttOutput};
+use surfaced::outputs::Output;
 use surfaced::recognise::features::FeatureVector;
 use surfaced::recognise::{
     EmbeddingModel, Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError,
@@ -23,6 +23,7 @@ use surfaced::ring::Sink;
 use surfaced::scan::Options;
 use surfaced::scene::{Phase, Scene};
 use surfaced::serve::{LibraryFolder, Server, Settings};
+use surfaced::station::config::OutputsConfig;
 use surfaced::station::{
     Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
     Station, StationEvent,
@@ -271,9 +272,13 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     // They take connections, and never answer.
     let mute = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
     let [http, mqtt] = [0, 1].map(|at| mute[at].local_addr().unwrap());
-    let address = format!("http://{http}/answers").parse().unwrap();
-    let http = HttpOutput::start(address).unwrap();
-    let mqtt = MqttOutput::start(format!("mqtt://{mqtt}/answers").parse().unwrap()).unwrap();
+    let outputs = OutputsConfig {
+        station: "press-3".into(),
+        http: Some(format!("http://{http}/answers").parse().unwrap()),
+        mqtt: Some(format!("mqtt://{mqtt}/answers").parse().unwrap()),
+    };
+    let shown = (&history, &Arc::default());
+    let outputs = Output::start(&outputs, &folder.path().join(".outbox"), shown).unwrap();
     let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
     let library = LibraryFolder { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
     let settings = Settings {
@@ -298,7 +303,8 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     let (ordered, events) = (Arc::default(), Arc::default());
     let ends = Ends { commands: station.commands(), ordered: Arc::clone(&ordered), events };
     let station = station.recogniser(by("explain")).listener(reporter).listener(keeper);
-    station.listener(http).listener(mqtt).listener(ends).run().unwrap();
+    let station = outputs.into_iter().fold(station, Station::listener);
+    station.listener(ends).run().unwrap();
     drop(server);
     let took = ordered.lock().unwrap().unwrap().elapsed();
     assert!(took < LIMIT, "the end took {took:?}");

@@ -12,7 +12,7 @@ use surfaced::scene::{LibraryToml, Scene};
 use surfaced::station::config::StationConfig;
 
 /// Blocks that show something else than commands, by how they begin, and what they are.
-const SHOWN: [(&str, &str); 8] = [
+const SHOWN: [(&str, &str); 11] = [
     ("my-library/", "a listing of files"),
     ("device ─►", "a drawing of the source code"),
     ("format = 1", "a file, read below"),
@@ -20,11 +20,14 @@ const SHOWN: [(&str, &str); 8] = [
     ("[outputs]", "a file, read by the configuration's own tests"),
     ("drag for at least", "what the command above it prints for LMT108"),
     ("$ curl ", "requests with their answers, made by tests/it/serve.rs"),
+    ("SELECT ", "the same question is asked by tools/many-stations in .ci/run"),
+    ("sql", "the same"),
+    ("ini", "files for systemd"),
     ("python", "examples, run by tools/python/run in .ci/run"),
 ];
 
 /// Commands, by how they begin, that are not run here, and why.
-const ELSEWHERE: [(&str, &str); 23] = [
+const ELSEWHERE: [(&str, &str); 26] = [
     ("surfaced enroll steel ", "needs a stylus; tests/it/run.rs has one on a pseudo-terminal"),
     ("surfaced run --library my-library ", "needs a stylus; tests/it/run.rs has one"),
     ("surfaced eval LMT_108_", "needs the recordings; a test below runs it where they are"),
@@ -48,6 +51,9 @@ const ELSEWHERE: [(&str, &str); 23] = [
     ("tools/peers/run ", "installs 600 MB of packages, and needs the recordings"),
     ("cargo run --release -- replay", "a test below runs the program so"),
     ("surfaced replay --speed 1.0 --serve", "the same"),
+    ("surfaced replay --speed 1.0 --config ", "needs a broker; tests/outputs.rs has one"),
+    ("surfaced outputs test ", "the same"),
+    ("surfaced fleet ", "the same, for tools/many-stations in .ci/run"),
 ];
 
 /// A page's path within the repository, and its text.
@@ -257,7 +263,7 @@ fn files_of_the_pages_are_read() {
     }
     let mut outputs = 0;
     let tables = include_str!("../../configs/README.md").to_string();
-    for block in blocks(&(tables + include_str!("../../src/serve/README.md"))) {
+    for block in blocks(&(tables + include_str!("../../src/outputs/README.md"))) {
         if block.starts_with("format = 1") {
             StationConfig::parse(&block, Path::new("station.toml")).unwrap();
             stations += 1;

@@ -127,6 +127,10 @@ pub(super) struct HistoryBlock {
 pub(super) struct OutputsBlock {
     pub http: Option<Spanned<String>>,
     pub mqtt: Option<Spanned<String>>,
+    pub station: Option<Spanned<String>>,
+    pub ca: Option<Spanned<PathBuf>>,
+    pub certificate: Option<Spanned<PathBuf>>,
+    pub key: Option<Spanned<PathBuf>>,
 }
 
 /// The file that holds the defaults.

@@ -21,7 +21,8 @@ use crate::scan::Detection;
 use crate::scene::{Scene, SceneError, SourceId};
 
 pub(crate) use lines::fitting;
-pub use output_address::{HttpAddress, MqttAddress};
+pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, TlsFiles};
+pub(crate) use output_address::{is_segment, machine_name};
 
 impl StationConfig {
     /// The defaults.
@@ -117,10 +118,8 @@ pub struct StationConfig {
     pub trials: u32,
     /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
     pub keep_mb: u32,
-    /// The address to which answers are posted, if any.
-    pub http: Option<HttpAddress>,
-    /// The broker and topic under which answers are published by MQTT, if any.
-    pub mqtt: Option<MqttAddress>,
+    /// The programs that answers go to.
+    pub outputs: OutputsConfig,
 }
 
 /// The stylus.

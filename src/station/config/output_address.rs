@@ -1,8 +1,23 @@
 //! Addresses of outputs in the configuration.
 
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use http::Uri;
+
+/// The first topic segment of stations whose address names none.
+const PREFIX: &str = "surfaced";
+
+/// The outputs of a station.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputsConfig {
+    /// The station's name, in every answer: letters, digits, `-` and `_`.
+    pub station: String,
+    /// The address to which answers are posted, if any.
+    pub http: Option<HttpAddress>,
+    /// The broker that answers are published by, if any.
+    pub mqtt: Option<MqttAddress>,
+}
 
 /// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,29 +28,71 @@ pub struct HttpAddress {
     pub path: String,
 }
 
-/// A topic of an MQTT broker.
+/// An MQTT broker, and where on it topics begin.
 #[derive(Clone, PartialEq, Eq)]
 pub struct MqttAddress {
-    /// The host, and the port: 1883 unless it is said.
+    /// The host, and the port: 1883 unless it is said, or 8883 with TLS.
     pub host: (String, u16),
-    /// The topic that answers are published under.
-    pub topic: String,
+    /// The first segments of the topics.
+    pub prefix: String,
     /// User and password, if the broker wants them.
     pub credentials: Option<(String, String)>,
+    /// Certificates, where the address begins with `mqtts`.
+    pub tls: Option<TlsFiles>,
+}
+
+/// Files of certificates, in PEM.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// The authorities that may vouch for the broker; without them, those of the system.
+    pub ca: Option<PathBuf>,
+    /// The client's certificate and its key, if the broker wants one.
+    pub client: Option<(PathBuf, PathBuf)>,
 }
 
 impl std::fmt::Debug for MqttAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         // Never the password.
-        write!(f, "MqttAddress({}:{}/{})", self.host.0, self.host.1, self.topic)
+        write!(f, "MqttAddress({self})")
     }
 }
 
-/// The parts of an address of a scheme, with its usual port.
-fn parts(text: &str, scheme: &str, port: u16) -> Option<(Uri, (String, u16))> {
+impl std::fmt::Display for MqttAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let scheme = if self.tls.is_some() { "mqtts" } else { "mqtt" };
+        write!(f, "{scheme}://{}:{}/{}", self.host.0, self.host.1, self.prefix)
+    }
+}
+
+impl std::fmt::Display for HttpAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "http://{}:{}{}", self.host.0, self.host.1, self.path)
+    }
+}
+
+/// Whether a text may be a segment of a topic on every broker.
+pub fn is_segment(text: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+    (1..=64).contains(&text.len()) && text.chars().all(plain)
+}
+
+/// The name of a station that is given none: that of its machine.
+pub fn machine_name() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .or_else(|_| std::env::var("COMPUTERNAME"))
+        .unwrap_or_default();
+    let first = name.trim().split('.').next().unwrap_or_default();
+    let plain: String =
+        first.chars().map(|c| if is_segment(&c.to_string()) { c } else { '-' }).take(64).collect();
+    if plain.is_empty() { "station".into() } else { plain }
+}
+
+/// The parts of an address, with its usual port.
+fn parts(text: &str, schemes: &[(&str, u16)]) -> Option<(Uri, (String, u16))> {
     let uri: Uri = text.parse().ok()?;
-    let host = uri.host().filter(|_| uri.scheme_str() == Some(scheme))?.to_string();
-    let port = uri.port_u16().unwrap_or(port);
+    let (_, usual) = schemes.iter().find(|(scheme, _)| uri.scheme_str() == Some(*scheme))?;
+    let host = uri.host()?.to_string();
+    let port = uri.port_u16().unwrap_or(*usual);
     let host = host.trim_start_matches('[').trim_end_matches(']').to_string();
     Some((uri, (host, port)))
 }
@@ -44,7 +101,7 @@ impl FromStr for HttpAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (uri, host) = parts(text, "http", 80).ok_or(
+        let (uri, host) = parts(text, &[("http", 80)]).ok_or(
             "expected an address such as \"http://127.0.0.1:9000/answers\"; for TLS, put a proxy \
              in between",
         )?;
@@ -57,18 +114,23 @@ impl FromStr for MqttAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected = "expected an address such as \"mqtt://127.0.0.1:1883/surfaced/answers\"";
-        let (uri, host) = parts(text, "mqtt", 1883).ok_or(expected)?;
-        let topic = uri.path().trim_matches('/').to_string();
-        if topic.is_empty() || topic.contains(['#', '+']) {
-            return Err(expected.into());
+        let (uri, host) = parts(text, &[("mqtt", 1883), ("mqtts", 8883)])
+            .ok_or("expected an address such as \"mqtt://127.0.0.1:1883\"")?;
+        let path = uri.path().trim_matches('/');
+        let prefix = if path.is_empty() { PREFIX } else { path }.to_string();
+        if !prefix.split('/').all(is_segment) {
+            return Err(format!(
+                "topics would begin with \"{prefix}\"; use letters, digits, `-` and `_` between \
+                 slashes, such as \"mqtt://127.0.0.1:1883/hall-3\""
+            ));
         }
         let user = uri.authority().and_then(|authority| authority.as_str().rsplit_once('@'));
         let credentials = user.map(|(user, _)| {
             let (user, password) = user.split_once(':').unwrap_or((user, ""));
             (user.to_string(), password.to_string())
         });
-        Ok(Self { host, topic, credentials })
+        let tls = (uri.scheme_str() == Some("mqtts")).then(TlsFiles::default);
+        Ok(Self { host, prefix, credentials, tls })
     }
 }
 
@@ -81,18 +143,32 @@ mod tests {
         let http: HttpAddress = "http://example:9000/a/b?c=d".parse().unwrap();
         assert_eq!((http.host, http.path.as_str()), (("example".into(), 9000), "/a/b?c=d"));
         assert_eq!("http://[::1]".parse::<HttpAddress>().unwrap().host, ("::1".into(), 80));
-        let mqtt: MqttAddress = "mqtt://me:secret@broker/surfaced/answers".parse().unwrap();
-        assert_eq!(
-            (mqtt.host.clone(), mqtt.topic.as_str()),
-            (("broker".into(), 1883), "surfaced/answers")
-        );
+        let mqtt: MqttAddress = "mqtt://me:secret@broker/plant/hall-3".parse().unwrap();
+        assert_eq!(mqtt.to_string(), "mqtt://broker:1883/plant/hall-3");
         assert_eq!(mqtt.credentials, Some(("me".into(), "secret".into())));
         assert!(!format!("{mqtt:?}").contains("secret"));
+        let safe: MqttAddress = "mqtts://broker".parse().unwrap();
+        assert_eq!(
+            (safe.to_string().as_str(), safe.tls),
+            ("mqtts://broker:8883/surfaced", Some(TlsFiles::default()))
+        );
         for text in ["", "https://x/", "http:///x", "broker/x", "ftp://x"] {
             assert!(text.parse::<HttpAddress>().is_err(), "{text}");
         }
-        for text in ["mqtt://broker", "mqtt://broker/", "mqtt://broker/a+", "http://broker/a"] {
+        for text in [
+            "broker",
+            "mqtt://broker/a+",
+            "mqtt://broker/a//b",
+            "mqtt://broker/a.b",
+            "http://broker/a",
+        ] {
             assert!(text.parse::<MqttAddress>().is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn the_name_of_the_machine_is_a_segment_of_a_topic() {
+        assert!(is_segment(&machine_name()), "{}", machine_name());
+        assert!(!is_segment("") && !is_segment("a b") && !is_segment("a/b") && !is_segment("é"));
     }
 }

@@ -3,18 +3,19 @@
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, SensorKindName, StationFile,
-    StylusBlock, is_default, merged,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, OutputsBlock,
+    SensorKindName, StationFile, StylusBlock, is_default, merged,
 };
+use super::output_address::{is_segment, machine_name};
 use super::{
-    CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, StationConfig,
-    StylusConfig, lines,
+    CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, MqttAddress,
+    OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
 };
 use crate::device::camera::{FlashControl, Turn};
 use crate::device::microphone::Pick;
@@ -97,9 +98,43 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         by_t_star,
         trials,
         keep_mb: file.history.keep_mb,
-        http: output("http", file.outputs.http.as_ref())?,
-        mqtt: output("mqtt", file.outputs.mqtt.as_ref())?,
+        outputs: outputs(file.outputs, path)?,
     })
+}
+
+/// The outputs; files of certificates are found from the configuration's own folder.
+fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
+    let OutputsBlock { http, mqtt, station, ca, certificate, key } = block;
+    let name = match &station {
+        Some(name) if is_segment(name.get_ref()) => name.get_ref().clone(),
+        Some(name) => {
+            let problem = "station: use 1 to 64 letters, digits, `-` and `_`, such as \"press-3\"";
+            return mistake(name, problem);
+        }
+        None => machine_name(),
+    };
+    let file =
+        |path_in: &Spanned<PathBuf>| path.parent().unwrap_or(Path::new("")).join(path_in.get_ref());
+    let mut address: Option<MqttAddress> = output("mqtt", mqtt.as_ref())?;
+    let client = match (&certificate, &key) {
+        (Some(certificate), Some(key)) => Some((file(certificate), file(key))),
+        (None, None) => None,
+        (Some(alone), None) | (None, Some(alone)) => {
+            return mistake(alone, "`certificate` and `key` belong together; give both");
+        }
+    };
+    match (address.as_mut().and_then(|address| address.tls.as_mut()), ca.as_ref().or(key.as_ref()))
+    {
+        (Some(tls), _) => *tls = TlsFiles { ca: ca.as_ref().map(file), client },
+        (None, Some(stray)) => {
+            return mistake(
+                stray,
+                "certificates are for a broker with TLS; begin `mqtt` with mqtts://",
+            );
+        }
+        (None, None) => {}
+    }
+    Ok(OutputsConfig { station: name, http: output("http", http.as_ref())?, mqtt: address })
 }
 
 /// An address of `[outputs]`.

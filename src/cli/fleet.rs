@@ -1,0 +1,86 @@
+//! `surfaced fleet`: one page and one interface for the stations of a broker.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use super::keys::watch_signals;
+use super::serve::ServeArgs;
+use super::{Done, Failure};
+use crate::fleet::{self, FleetError, FleetSettings};
+use crate::serve::Settings;
+use crate::station::config::{MqttAddress, TlsFiles};
+
+/// The usual port: that of a station on the same machine is taken.
+const PORT: u16 = 8081;
+
+/// Show the stations of a broker on one page, until Ctrl-C
+///
+/// Each station whose configuration has `[outputs] mqtt` appears: its state, last answers and
+/// throughput, unknown scans, devices that are down, scans that wait for review, and a link to its own
+/// page. /api/v1/scans.jsonl and .csv hold the answers of all.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  surfaced fleet mqtt://127.0.0.1\n  \
+                        surfaced fleet mqtts://broker.example --ca ca.pem --serve 127.0.0.1:9000\n\n\
+                        Time: until you quit")]
+pub struct Args {
+    /// The broker, and the prefix of the stations' topics: mqtt://HOST, mqtts://USER:PASSWORD@HOST/PREFIX
+    broker: MqttAddress,
+    /// The certificate authority of the broker, where it is not one of the system's
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// The client certificate, where the broker wants one
+    #[arg(long, value_name = "FILE", requires = "key")]
+    certificate: Option<PathBuf>,
+    /// Its key
+    #[arg(long, value_name = "FILE", requires = "certificate")]
+    key: Option<PathBuf>,
+    /// The folder of the answers so far, which may be removed at any time [default:
+    /// ~/.cache/surfaced/fleet]
+    #[arg(long, value_name = "FOLDER")]
+    cache: Option<PathBuf>,
+    /// Space for them, in millions of bytes; the oldest make room
+    #[arg(long, default_value_t = 256, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    keep_mb: u32,
+    #[command(flatten)]
+    serve: ServeArgs,
+}
+
+pub fn run(args: &Args) -> Done {
+    let mut broker = args.broker.clone();
+    let client = args.certificate.clone().zip(args.key.clone());
+    match &mut broker.tls {
+        Some(tls) => *tls = TlsFiles { ca: args.ca.clone(), client },
+        None if args.ca.is_some() || client.is_some() => {
+            let problem = "certificates are for a broker with TLS; begin its address with mqtts://";
+            return Err(Failure::Usage(problem.into()));
+        }
+        None => {}
+    }
+    let cache = match &args.cache {
+        Some(folder) => folder.clone(),
+        None => default_cache()?,
+    };
+    let address = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
+    let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
+    let most_bytes = u64::from(args.keep_mb) * 1_000_000;
+    let server = fleet::start(FleetSettings { broker, cache, most_bytes, serve });
+    let server = server.map_err(|error| match error {
+        FleetError::Serve(error) => super::serve::failure(error),
+        FleetError::File(error) => Failure::from(error),
+    })?;
+    let signals = watch_signals(crossbeam_channel::unbounded().0)?;
+    say!("http://{}", server.address());
+    signals.wait();
+    server.stop();
+    Ok(())
+}
+
+fn default_cache() -> Result<PathBuf, Failure> {
+    let of = |name: &str, below: &str| {
+        let folder = std::env::var_os(name).filter(|folder| !folder.is_empty())?;
+        Some(PathBuf::from(folder).join(below))
+    };
+    let found =
+        of("XDG_CACHE_HOME", "surfaced/fleet").or_else(|| of("HOME", ".cache/surfaced/fleet"));
+    found.ok_or_else(|| Failure::Usage("there is no home folder; give --cache FOLDER".into()))
+}

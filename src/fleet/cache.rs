@@ -1,0 +1,257 @@
+//! The answers of all stations: on disk a line each, in memory where each stands.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use crate::history::HistoryError;
+use crate::history::log::{Log, Span};
+use crate::record::edit::is_plain;
+use crate::station::AnswerState;
+
+const LOG: &str = "answers.jsonl";
+/// Longest name of an answer.
+const LONGEST_ID: usize = 64;
+
+/// The part of an answer that is kept in memory, or read at the start.
+#[derive(Clone, Debug, Deserialize)]
+pub(super) struct Head {
+    pub station: String,
+    pub id: String,
+    pub unix_ms: u64,
+    pub state: AnswerState,
+    /// The number that the station's output gave it; none for one from its history.
+    #[serde(default)]
+    pub sequence: Option<u64>,
+    pub surface: Option<String>,
+    pub confidence: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Line {
+    answer: Head,
+}
+
+/// When an answer was given, its name, and its station: the order of the history.
+type Key = (u64, String, String);
+
+/// The answers, each once, by the time that they were given.
+#[derive(Debug)]
+pub(super) struct Cache {
+    log: Log,
+    entries: BTreeMap<Key, Entry>,
+    most: u64,
+    /// Answers from before this time made room for newer ones.
+    floor_ms: u64,
+    /// Held for as long as the cache is in use.
+    _lock: File,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    span: Span,
+    state: AnswerState,
+}
+
+/// The answers as they are now, for a reader that takes its time.
+pub(super) struct Snapshot {
+    log: Log,
+    spans: Vec<Span>,
+}
+
+impl Snapshot {
+    /// The text of each answer, the oldest first.
+    pub fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
+        self.spans.iter().map(|span| self.log.answer_text(*span))
+    }
+}
+
+impl Cache {
+    /// The cache in a folder, which is made if need be.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or written, or another program uses it.
+    pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
+        fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
+        let path = folder.join("lock");
+        let lock = File::create(&path).map_err(HistoryError::io(&path))?;
+        if lock.try_lock().is_err() {
+            return Err(HistoryError::InUse(folder.to_path_buf()));
+        }
+        let log = Log::open(&folder.join(LOG), false)?;
+        let mut entries = BTreeMap::new();
+        for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
+            entries.insert(key(&head), Entry { span, state: head.state });
+        }
+        let mut cache = Self { log, entries, most, floor_ms: 0, _lock: lock };
+        cache.make_room()?;
+        Ok(cache)
+    }
+
+    /// Adds an answer of a station, unless it is there already; gives its head if it is new.
+    ///
+    /// # Errors
+    /// With the reason, if it is not an answer of this station, or it cannot be written.
+    pub fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
+        let head = Head::deserialize(answer).map_err(|error| error.to_string())?;
+        if head.station != station || !is_plain(&head.id) || head.id.len() > LONGEST_ID {
+            return Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id));
+        }
+        if head.unix_ms < self.floor_ms || self.entries.contains_key(&key(&head)) {
+            return Ok(None);
+        }
+        let span =
+            self.log.append(&format!("{{\"answer\":{answer}}}")).map_err(|e| e.to_string())?;
+        self.entries.insert(key(&head), Entry { span, state: head.state });
+        self.make_room().map_err(|error| error.to_string())?;
+        Ok(Some(head))
+    }
+
+    /// Writes the log anew with the newest three quarters, where it is too long.
+    fn make_room(&mut self) -> Result<(), HistoryError> {
+        if self.log.bytes() <= self.most {
+            return Ok(());
+        }
+        let mut left = self.most / 4 * 3;
+        let fits = |entry: &&Entry| match left.checked_sub(u64::from(entry.span.length) + 1) {
+            Some(rest) => {
+                left = rest;
+                true
+            }
+            None => false,
+        };
+        let kept = self.entries.values().rev().take_while(fits).count();
+        for _ in kept..self.entries.len() {
+            self.entries.pop_first();
+        }
+        self.floor_ms = self.entries.first_key_value().map_or(0, |((unix_ms, ..), _)| *unix_ms);
+        let mut fresh = self.log.begin_anew()?;
+        for entry in self.entries.values_mut() {
+            entry.span = fresh.append(&self.log.line(entry.span)?)?;
+        }
+        self.log.replace(fresh)
+    }
+
+    /// How many answers there are.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// The time of each station's answers since a moment, and whether it was unknown.
+    pub fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
+        let from = (unix_ms, String::new(), String::new());
+        let entries = self.entries.range(from..);
+        entries.map(|(key, entry)| (key.2.as_str(), entry.state == AnswerState::Unknown))
+    }
+
+    /// The head of every answer, the oldest first; one that cannot be read is passed over.
+    pub fn heads(&self) -> impl Iterator<Item = Head> + '_ {
+        let head = |entry: &Entry| {
+            let line = self.log.line(entry.span).ok()?;
+            serde_json::from_str(&line).ok().map(|Line { answer }| answer)
+        };
+        self.entries.values().filter_map(head)
+    }
+
+    /// The newest answers first, at most `most`, of one station or all, and before a moment.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn newest(
+        &self,
+        most: usize,
+        station: Option<&str>,
+        before_ms: u64,
+    ) -> Result<Vec<String>, HistoryError> {
+        let end = (before_ms, String::new(), String::new());
+        let is_wanted = |key: &Key| station.is_none_or(|wanted| key.2 == wanted);
+        let wanted = self.entries.range(..end).rev().filter(|(key, _)| is_wanted(key));
+        wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
+    }
+
+    /// All answers as they are now, of one station or all.
+    ///
+    /// # Errors
+    /// If the system gives no second reader.
+    pub fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
+        let wanted =
+            self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));
+        let spans = wanted.map(|(_, entry)| entry.span).collect();
+        Ok(Snapshot { log: self.log.share()?, spans })
+    }
+}
+
+fn key(head: &Head) -> Key {
+    (head.unix_ms, head.id.clone(), head.station.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn row(station: &str, scan: u64) -> Value {
+        let id = format!("20260921-143000.{scan:03}-{scan:02}");
+        json!({
+            "station": station, "id": id, "sequence": scan, "unix_ms": 1_790_000_000_000 + scan,
+            "state": "named", "surface": "oak", "confidence": 0.9, "scan": scan,
+        })
+    }
+
+    fn scans(cache: &Cache) -> Vec<(String, u64)> {
+        let of = |text: Result<String, HistoryError>| {
+            let row: Value = serde_json::from_str(&text.unwrap()).unwrap();
+            (row["station"].as_str().unwrap().to_string(), row["scan"].as_u64().unwrap())
+        };
+        cache.snapshot(None).unwrap().texts().map(of).collect()
+    }
+
+    #[test]
+    fn answers_are_kept_once_and_in_the_order_of_their_time_whenever_they_come() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut cache = Cache::open(dir.path(), 1 << 20).unwrap();
+        for (station, scan, is_new) in [
+            ("a", 1, true),
+            ("a", 4, true),
+            ("b", 2, true),
+            ("a", 4, false),
+            ("a", 3, true),
+            ("b", 4, true),
+        ] {
+            assert_eq!(cache.add(station, &row(station, scan)).unwrap().is_some(), is_new);
+        }
+        let of = |name: &str, scan| (name.to_string(), scan);
+        let expected = [of("a", 1), of("b", 2), of("a", 3), of("a", 4), of("b", 4)];
+        assert_eq!(scans(&cache), expected);
+        assert!(cache.add("b", &row("a", 9)).unwrap_err().contains("\"a\""));
+        assert!(cache.add("a", &json!({ "id": "x" })).is_err());
+        assert!(matches!(Cache::open(dir.path(), 1), Err(HistoryError::InUse(_))));
+        drop(cache);
+        let mut cache = Cache::open(dir.path(), 1 << 20).unwrap();
+        assert_eq!(scans(&cache), expected);
+        assert!(cache.add("a", &row("a", 3)).unwrap().is_none(), "known after a restart");
+        let newest = cache.newest(2, Some("a"), 1_790_000_000_004).unwrap();
+        assert!(newest[0].contains("\"scan\":3") && newest[1].contains("\"scan\":1"), "{newest:?}");
+        assert_eq!(cache.since(1_790_000_000_004).count(), 2);
+    }
+
+    #[test]
+    fn the_oldest_make_room_and_are_not_taken_in_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let most = 20_000;
+        let mut cache = Cache::open(dir.path(), most).unwrap();
+        for scan in 1..=900 {
+            cache.add("a", &row("a", scan)).unwrap();
+            assert!(cache.log.bytes() <= most);
+        }
+        let kept = scans(&cache);
+        assert_eq!(kept.last().unwrap().1, 900);
+        assert!((50..200).contains(&kept.len()) && kept.len() == cache.len(), "{}", kept.len());
+        assert!(cache.add("a", &row("a", 1)).unwrap().is_none());
+        assert_eq!(scans(&cache), kept);
+    }
+}

@@ -1,0 +1,106 @@
+// The page of a fleet: the state of all stations, asked for every two seconds.
+
+import { $, clock, fill, hide, make, many, percent, printable, say } from "./dom.js";
+
+const EVERY_MS = 2000;
+const DOWN = ["absent", "stalled", "lost"];
+let stations = [];
+
+// The name of an answer, as a person says it.
+const nameOf = ({ state, surface }) => (state === "unknown" ? "unknown" : surface ?? "not named");
+
+// What somebody should look after, a line each.
+function troubles(station) {
+  const lines = [];
+  const down = (station.devices ?? []).filter(({ state }) => DOWN.includes(state));
+  if (station.state === "online") for (const { device, state } of down) lines.push(`${device}: ${state}`);
+  if (station.review > 0) lines.push(`${many(station.review, "scan")} to review`);
+  if (station.dropped > 0) lines.push(`${many(station.dropped, "answer")} dropped while the broker was away`);
+  if (station.page_problem) lines.push(`history not read: ${station.page_problem}`);
+  return lines;
+}
+
+function title(station) {
+  const heading = make("h3");
+  // Whoever publishes the address decides where it leads: nothing but a web page.
+  if (/^https?:\/\//.test(station.page ?? "")) {
+    const link = make("a", station.station);
+    link.href = station.page;
+    heading.append(link);
+  } else heading.append(printable(station.station));
+  const since = station.since_unix_ms ? ` since ${clock(station.since_unix_ms)}` : "";
+  heading.append(make("span", `${station.state ?? "not connected"}${station.state === "offline" ? since : ""}`));
+  return heading;
+}
+
+function card(station) {
+  const item = make("li");
+  const lines = troubles(station);
+  item.dataset.state = station.state === "online" ? (lines.length > 0 ? "trouble" : "online") : "offline";
+  item.append(title(station));
+  const [last, ...before] = station.answers;
+  if (last) {
+    const line = make("p", nameOf(last), "last");
+    line.dataset.state = last.state;
+    const sure = last.confidence === null || last.state === "unknown" ? "" : `${percent(last.confidence)} · `;
+    line.append(" ", make("small", `${sure}${clock(last.unix_ms)}`, "soft"));
+    item.append(line, make("p", before.length > 0 ? `before: ${before.map(nameOf).join(", ")}` : "", "before"));
+  }
+  const unknown = station.unknown_10_min > 0 ? `, ${station.unknown_10_min} unknown` : "";
+  item.append(make("p", `${many(station.scans_10_min, "scan")} in 10 min${unknown}`, "facts"));
+  if (lines.length > 0) {
+    const list = make("ul");
+    list.append(...lines.map((line) => make("li", line)));
+    item.append(list);
+  }
+  return item;
+}
+
+function sum(name, value, kind) {
+  const group = make("div");
+  if (kind) group.dataset[kind] = value > 0;
+  group.append(make("dt", name), make("dd", value.toLocaleString("en")));
+  return group;
+}
+
+function show() {
+  const online = stations.filter(({ state }) => state === "online");
+  const total = (of) => stations.reduce((all, station) => all + (of(station) ?? 0), 0);
+  fill("sums", [
+    sum("online", online.length),
+    sum("offline", stations.length - online.length, "bad"),
+    sum("scans in 10 min", total((station) => station.scans_10_min)),
+    sum("unknown in 10 min", total((station) => station.unknown_10_min), "warn"),
+    sum("devices down", online.reduce((all, station) => all + (station.devices_down ?? 0), 0), "bad"),
+    sum("scans to review", total((station) => station.review), "warn"),
+  ]);
+  const needy = (station) => station.state !== "online" || troubles(station).length > 0;
+  const shown = $("trouble-only").checked ? stations.filter(needy) : stations;
+  fill("stations", shown.map(card));
+  hide("no-stations", stations.length > 0);
+}
+
+// What is wrong as a whole; nothing if nothing is.
+function problemOf(state) {
+  if (!state) return "This page's program does not answer; is it still running?";
+  return state.broker.problem ? `The broker is not connected: ${state.broker.problem}. It is tried again.` : "";
+}
+
+async function load() {
+  const state = await fetch("/api/v1/state").then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
+  const problem = problemOf(state);
+  hide("problem", problem === "");
+  say("problem", problem);
+  $("link").dataset.state = problem === "" ? "connected" : "lost";
+  say("link", problem === "" ? "connected" : "disconnected");
+  if (state) {
+    stations = state.stations;
+    say("about", `${state.broker.address} · ${many(state.scans, "answer")} kept`);
+    say("version", state.version);
+    show();
+  }
+  setTimeout(load, EVERY_MS);
+}
+
+$("trouble-only").addEventListener("change", show);
+load();

@@ -1,0 +1,285 @@
+//! The stations of a fleet: their states, their last answers, and which answers are missing.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant, SystemTime};
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::cache::{Cache, Head};
+use crate::record;
+use crate::station::AnswerState;
+
+/// Most stations; names come from the network.
+const MOST: usize = 1000;
+/// Last answers that are shown of a station.
+const RECENT: usize = 5;
+/// The time over which answers are counted.
+const COUNTED: Duration = Duration::from_secs(600);
+/// How long answers may be on their way before they count as missing.
+const ON_THEIR_WAY: Duration = Duration::from_secs(10);
+/// The time after which a page that could not be read is tried again.
+const AGAIN: Duration = Duration::from_secs(60);
+
+/// The fields of a station's published state that are shown.
+const FIELDS: [&str; 9] = [
+    "state",
+    "version",
+    "page",
+    "devices",
+    "devices_down",
+    "counts",
+    "review",
+    "sequence",
+    "dropped",
+];
+
+fn unix_ms() -> u64 {
+    record::unix_ms(SystemTime::now())
+}
+
+/// All stations, by name.
+#[derive(Debug, Default)]
+pub(super) struct Stations(BTreeMap<String, Station>);
+
+/// One station.
+#[derive(Debug, Default)]
+struct Station {
+    /// The state that it published last.
+    card: Map<String, Value>,
+    /// When it became what it is.
+    since_unix_ms: u64,
+    recent: VecDeque<Recent>,
+    /// The number of its newest answer, and when that was given.
+    newest: (u64, u64),
+    /// Since when its state has told of answers that did not come.
+    behind: Option<Instant>,
+    /// Answers from this time on are to be read from its own history.
+    missing_from_ms: Option<u64>,
+    /// Not before this moment.
+    not_before: Option<Instant>,
+    /// Why its own history cannot be read, if so.
+    page_problem: Option<String>,
+}
+
+/// One of the last answers.
+#[derive(Clone, Debug, Serialize)]
+struct Recent {
+    id: String,
+    unix_ms: u64,
+    state: AnswerState,
+    surface: Option<String>,
+    confidence: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct StationView<'a> {
+    station: &'a str,
+    #[serde(flatten)]
+    card: &'a Map<String, Value>,
+    since_unix_ms: u64,
+    page_problem: Option<&'a str>,
+    /// Within the last ten minutes.
+    scans_10_min: u64,
+    unknown_10_min: u64,
+    /// The newest first.
+    answers: &'a VecDeque<Recent>,
+}
+
+impl Stations {
+    /// The stations of a cache, as far as it knows them.
+    pub fn of(cache: &Cache) -> Self {
+        let mut stations = Self::default();
+        cache.heads().for_each(|head| stations.answered(&head));
+        // What made room is not read again.
+        for station in stations.0.values_mut() {
+            station.missing_from_ms = station.missing_from_ms.filter(|from_ms| *from_ms > 0);
+        }
+        stations
+    }
+
+    fn named(&mut self, name: &str) -> Option<&mut Station> {
+        if self.0.len() >= MOST && !self.0.contains_key(name) {
+            return None;
+        }
+        Some(self.0.entry(name.into()).or_default())
+    }
+
+    /// Takes in an answer that is new.
+    pub fn answered(&mut self, head: &Head) {
+        let Some(station) = self.named(&head.station) else { return };
+        let Head { id, unix_ms, state, surface, confidence, .. } = head.clone();
+        let recent = Recent { id, unix_ms, state, surface, confidence };
+        let at = station.recent.iter().position(|other| other.unix_ms <= unix_ms);
+        station.recent.insert(at.unwrap_or(station.recent.len()), recent);
+        station.recent.truncate(RECENT);
+        let Some(sequence) = head.sequence else { return };
+        let (newest, newest_ms) = station.newest;
+        // A station whose outbox is new counts from 1 again.
+        if sequence > newest + 1 || (sequence <= newest && sequence > 1) {
+            station.misses(newest_ms);
+        }
+        station.newest = (sequence, unix_ms);
+    }
+
+    /// Takes in the state of a station: a last will has fewer fields, and leaves the others.
+    pub fn stated(&mut self, name: &str, state: &Map<String, Value>) {
+        let Some(station) = self.named(name) else { return };
+        let is_new = station.card.get("state") != state.get("state");
+        for field in FIELDS {
+            if let Some(value) = state.get(field) {
+                station.card.insert(field.into(), value.clone());
+            }
+        }
+        if is_new {
+            station.since_unix_ms = unix_ms();
+            station.not_before = None;
+        }
+        let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
+        if tells <= station.newest.0 {
+            station.behind = None;
+        } else if station.behind.is_none() {
+            station.behind = Some(Instant::now());
+        }
+    }
+
+    /// A station whose own history is to be read: its name, its page, and from when on. The page of a
+    /// replay is there for longer than its answers come.
+    pub fn next_to_read(&mut self) -> Option<(String, String, u64)> {
+        let now = Instant::now();
+        for (name, station) in &mut self.0 {
+            if station.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
+                station.behind = None;
+                let from = station.newest.1;
+                station.misses(from);
+            }
+            let is_due = station.not_before.is_none_or(|moment| moment <= now);
+            let page = station.card.get("page").and_then(Value::as_str);
+            if let (Some(from), Some(page), true) = (station.missing_from_ms, page, is_due) {
+                return Some((name.clone(), page.into(), from));
+            }
+        }
+        None
+    }
+
+    /// The own history of a station was read, or not, and why.
+    pub fn was_read(&mut self, name: &str, from_ms: u64, done: Result<(), String>) {
+        let Some(station) = self.0.get_mut(name) else { return };
+        station.page_problem = done.err();
+        if station.page_problem.is_some() {
+            station.not_before = Some(Instant::now() + AGAIN);
+        } else if station.missing_from_ms == Some(from_ms) {
+            station.missing_from_ms = None;
+            let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
+            station.newest.0 = station.newest.0.max(tells);
+        }
+    }
+
+    /// All of them, for programs.
+    pub fn view(&self, cache: &Cache) -> Value {
+        let mut counts: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
+        for (name, is_unknown) in cache.since(unix_ms().saturating_sub(COUNTED.as_millis() as u64))
+        {
+            let (scans, unknown) = counts.entry(name).or_default();
+            (*scans, *unknown) = (*scans + 1, *unknown + u64::from(is_unknown));
+        }
+        let view = |(name, station): (&String, &Station)| {
+            let (scans_10_min, unknown_10_min) =
+                counts.get(name.as_str()).copied().unwrap_or_default();
+            let view = StationView {
+                station: name,
+                card: &station.card,
+                since_unix_ms: station.since_unix_ms,
+                page_problem: station.page_problem.as_deref(),
+                scans_10_min,
+                unknown_10_min,
+                answers: &station.recent,
+            };
+            // Plain structs, numbers and text: nothing here that JSON cannot express.
+            serde_json::to_value(view).unwrap_or_default()
+        };
+        self.0.iter().map(view).collect()
+    }
+}
+
+impl Station {
+    fn misses(&mut self, from_ms: u64) {
+        let from = self.missing_from_ms.map_or(from_ms, |before| before.min(from_ms));
+        self.missing_from_ms = Some(from);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn answered(stations: &mut Stations, sequence: Option<u64>, unix_ms: u64) {
+        let (station, id) = ("a".into(), format!("x-{unix_ms}"));
+        let (state, surface) = (AnswerState::Named, Some("oak".into()));
+        stations.answered(&Head {
+            station,
+            id,
+            unix_ms,
+            state,
+            sequence,
+            surface,
+            confidence: None,
+        });
+    }
+
+    fn online(sequence: u64) -> Map<String, Value> {
+        let page = "http://127.0.0.1:1";
+        json!({ "state": "online", "page": page, "sequence": sequence })
+            .as_object()
+            .unwrap()
+            .clone()
+    }
+
+    #[test]
+    fn answers_that_are_missing_are_read_from_the_last_one_before_them() {
+        let mut stations = Stations::default();
+        (1..=3).for_each(|n| answered(&mut stations, Some(n), 10 * n));
+        stations.stated("a", &online(3));
+        assert_eq!(stations.next_to_read(), None);
+        answered(&mut stations, Some(6), 60);
+        let due = Some(("a".into(), "http://127.0.0.1:1".into(), 30));
+        assert_eq!(stations.next_to_read(), due);
+        stations.was_read("a", 30, Err("a token is needed".into()));
+        assert_eq!(stations.next_to_read(), None, "not at once again");
+        stations.stated("a", json!({ "state": "offline" }).as_object().unwrap());
+        stations.stated("a", &online(6));
+        assert_eq!(stations.next_to_read(), due, "it is back");
+        stations.was_read("a", 30, Ok(()));
+        answered(&mut stations, None, 40);
+        answered(&mut stations, Some(7), 70);
+        assert_eq!(stations.next_to_read(), None);
+        // Its outbox is new.
+        answered(&mut stations, Some(1), 80);
+        assert_eq!(stations.next_to_read(), None);
+        answered(&mut stations, Some(3), 100);
+        assert_eq!(stations.next_to_read().unwrap().2, 80);
+    }
+
+    #[test]
+    fn a_last_will_leaves_the_rest_of_a_state_and_the_last_answers_are_in_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let cache = Cache::open(dir.path(), 1 << 20).unwrap();
+        let mut stations = Stations::of(&cache);
+        stations.stated("a", &online(0));
+        stations.stated("a", json!({ "state": "offline", "other": 1 }).as_object().unwrap());
+        for unix_ms in [10, 30, 20, 60, 50, 40] {
+            answered(&mut stations, None, unix_ms);
+        }
+        let view = stations.view(&cache);
+        assert_eq!(
+            (&view[0]["state"], &view[0]["page"]),
+            (&json!("offline"), &json!("http://127.0.0.1:1"))
+        );
+        assert_eq!(view[0]["other"], Value::Null);
+        let order: Vec<_> =
+            view[0]["answers"].as_array().unwrap().iter().map(|a| &a["unix_ms"]).collect();
+        assert_eq!(order, [60, 50, 40, 30, 20]);
+    }
+}

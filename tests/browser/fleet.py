@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+"""The page of a fleet in headless Chromium: three stations appear with their answers, one is killed, and
+what needs somebody can be shown alone.
+
+    tests/browser/fleet.py target/release/surfaced [FOLDER FOR SCREENSHOTS]
+
+Needs mosquitto, chromium and chromedriver (Debian: mosquitto chromium chromium-driver), and axe-core
+(`pip install axe-core-python`).
+"""
+
+import importlib.machinery
+import importlib.util
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from review import shots_of
+from webdriver import Browser
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "many-stations"
+
+
+def load(path):
+    loader = importlib.machinery.SourceFileLoader("many_stations", str(path))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader("many_stations", loader))
+    loader.exec_module(module)
+    return module
+
+
+def cards(browser):
+    return browser.run("""return [...document.querySelectorAll('#stations > li')].map(
+        card => [card.querySelector('h3').innerText, card.dataset.state, card.querySelector('.last')?.innerText ?? ''])""")
+
+
+def check(browser, fleet, stations, shots):
+    browser.open(fleet.url)
+    browser.wait("three stations with an answer", lambda: sum(bool(last) for _, _, last in cards(browser)) == 3, 60)
+    assert [name.split()[0] for name, _, _ in cards(browser)] == ["press-0", "press-1", "press-2"], cards(browser)
+    links = browser.run("return [...document.querySelectorAll('#stations h3 a')].map(a => a.href)")
+    assert links == [station.url + "/" for station in stations], links
+    for scheme in ("dark", "light"):
+        browser.scheme(scheme)
+        browser.accessible(f"fleet, {scheme}")
+    shots_of(browser, shots, "fleet")
+    stations[1].process.kill()
+    browser.wait("the one that was killed", lambda: [state == "offline" for _, state, _ in cards(browser)] == [False, True, False])
+    browser.click("#trouble-only")
+    names = lambda: [name.split()[0] for name, _, _ in cards(browser)]  # noqa: E731
+    browser.wait("it stays", lambda: "press-1" in names())
+    shown = json.loads(browser.run("""return JSON.stringify([...document.querySelectorAll('#sums div')].map(
+        group => [group.querySelector('dt').innerText, group.querySelector('dd').innerText]))"""))
+    assert ["offline", "1"] in shown and ["online", "2"] in shown, shown
+    errors = [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"]
+    assert not errors, errors
+
+
+def main():
+    surfaced, shots = str(Path(sys.argv[1]).resolve()), sys.argv[2] if len(sys.argv) > 2 else None
+    many = load(TOOL)
+    with tempfile.TemporaryDirectory() as place, Browser() as browser:
+        folder = Path(place)
+        data = many.make_data(surfaced, folder, 60)
+        broker = many.Mosquitto(folder)
+        fleet = many.Fleet(surfaced, broker.port, folder / "cache")
+        stations = [many.Station(surfaced, folder, f"press-{at}", broker.port, data) for at in range(3)]
+        try:
+            for station in stations:
+                station.url = many.serving(station.process)
+            check(browser, fleet, stations, shots)
+        finally:
+            for station in stations:
+                station.end()
+            fleet.end()
+            broker.end()
+    print("the fleet's page shows its stations")
+
+
+if __name__ == "__main__":
+    main()
