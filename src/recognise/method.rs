@@ -50,8 +50,7 @@ pub trait Method: Send + Sync {
         None
     }
 
-    /// Restores a model from the bytes that [`EmbeddingModel`] stored; `None` if they are not
-    /// valid.
+    /// Restores a model from the bytes that [`EmbeddingModel`] stored; `None` if they are damaged.
     fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
         None
     }
@@ -59,8 +58,7 @@ pub trait Method: Send + Sync {
 
 /// A library, ready to name queries.
 pub trait Model: Send + Sync {
-    /// Prepares a query. The result can be used with all models of the same method and library
-    /// shape.
+    /// Prepares a query, once for all models of the same method and library shape.
     ///
     /// # Errors
     /// If the trial does not fit the scene.
@@ -87,8 +85,8 @@ pub trait Model: Send + Sync {
     }
 
     /// How long scans must last to reach `accuracy`; without it, to lose at most one percentage
-    /// point against whole scans. All commands and the page get this number here. `None` if the
-    /// method cannot follow scans in progress.
+    /// point against whole scans. All commands use this one number. `None` if the method cannot
+    /// follow scans.
     fn scan_time(self: Arc<Self>, accuracy: Option<f64>) -> Option<ScanTime> {
         Some(self.embedding()?.left_out_accuracy().scan_time(Goal::wanted(accuracy)))
     }
@@ -108,8 +106,7 @@ pub struct Evidence {
 pub struct SourceEvidence {
     /// The source.
     pub source: SourceId,
-    /// One term for each surface, in the order of [`Evidence::surfaces`]. Surfaces are ranked by
-    /// the sum of their terms over all sources, the smallest first. Infinite for a surface that
-    /// lacks the source.
+    /// A term for each surface; surfaces are ranked by the sum of their terms over all sources, the
+    /// smallest first. Infinite for a surface that lacks the source.
     pub terms: Vec<f64>,
 }

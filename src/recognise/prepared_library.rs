@@ -1,5 +1,4 @@
-//! Prepares the trials of a library: takes them from the cache where it is up to date, else from
-//! files.
+//! Prepares the trials of a library, or takes them from the cache where that is up to date.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -45,8 +44,7 @@ impl PreparedLibrary {
 
 /// Prepares those `entries` whose indices are in `wanted`, for a library of the shape that these
 /// have. `beside` is the folder of the library, whose cache is read and brought up to date; without
-/// it, everything is computed anew. `progress` is called with the number of trials done and their
-/// total.
+/// it, all is computed anew. `progress` is called with the number of trials done and their total.
 ///
 /// The result is the same with and without a cache: a stored trial is used only if the method's
 /// settings and the trial's files are unchanged. A trial whose files change while they are read is

@@ -96,8 +96,7 @@ impl Kept {
         let key = [method.model_key(shape)?, program_stamp()?].map(u64::to_le_bytes);
         let key = seed::stable_hash(&[&key[0], &key[1]]);
         let stamp = stamp(entries)?;
-        // A problem with this cache needs no remark: the model is trained and the file written
-        // again.
+        // A problem with this cache needs no remark: the file is written again.
         let (cache, _) = Cache::open(folder, &format!("{}-model", method.name()), key);
         Some(Self { cache, stamp })
     }

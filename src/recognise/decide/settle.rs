@@ -1,10 +1,10 @@
 //! When an answer is settled: a stopping rule, calibrated on left-out library trials.
 //!
 //! An answer is settled once its label has stayed the same for some time (the hold, at least 0.3 s
-//! of new samples) and its probability is at least 1 − ε. Of a fixed list of rules, each a hold and
-//! an ε, the one that stops earliest is taken whose loss on left-out library trials is within the
-//! stated loss, by an upper 90 % bound. A trial is lost if it is named right by its whole length
-//! and wrong where the rule stops; gains are not set off against losses.
+//! of new samples: old ones are no new evidence) and its probability is at least 1 − ε. Of a fixed
+//! list of rules, each a hold and an ε, the one that stops earliest is taken whose loss on left-out
+//! library trials is within the stated loss, by an upper 90 % bound. A trial is lost if it is named
+//! right by its whole length and wrong where the rule stops; gains are not set off against losses.
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
@@ -16,8 +16,7 @@
 //! |---|---|---|---|---|
 //! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.86 s | 0.70 s |
 //!
-//! Following a scan with ten looks a second takes 0.2 % of one core (processor time over scan
-//! time).
+//! Following a scan with ten looks a second takes 0.2 % of a core (processor time over scan time).
 
 use super::interval::jeffreys_quantile;
 
