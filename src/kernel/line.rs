@@ -102,9 +102,8 @@ impl PointGroup {
     }
 }
 
-/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is
-/// (−1)ᵏ/k! Σⱼ Heₖ(tⱼ) exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials
-/// Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
+/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is (−1)ᵏ/k! Σⱼ Heₖ(tⱼ)
+/// exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
     "x86_64+avx2+fma",
