@@ -57,8 +57,8 @@ fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<Stri
 
 impl About {
     /// Reads `trial.toml` in a trial's folder; a missing file counts as an empty one.
+    ///
     /// # Errors
-    /// Reads `trial.toml` in a trial's folder; a missing file counts as an empty one.
     /// With the line, if the file is not TOML, has an unknown key or an impossible value.
     pub fn read(trial: &Path) -> Result<Self, LibraryError> {
         let path = trial.join(FILE);

@@ -11,7 +11,7 @@ pub struct Unreadable {
     /// Index of the trial among the entries.
     pub entry: usize,
     pub source: SourceId,
-    /// Why.
+    /// Why it cannot be read.
     pub error: LibraryError,
 }
 

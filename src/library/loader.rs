@@ -15,7 +15,7 @@ pub(crate) enum SourceFiles {
     /// One WAV or FLAC file, its header at opening, and whether its two channels are averaged.
     Series { path: PathBuf, header: Header, mixed: bool },
     Picture(PathBuf),
-    /// One text file a channel.
+    /// One text file for each channel.
     Columns { paths: Vec<PathBuf>, rate_hz: f64 },
 }
 

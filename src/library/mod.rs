@@ -29,12 +29,12 @@ use crate::trial::{Signal, SignalError, Trial, TrialKey};
 /// Why a trial or a library cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// the file system said no
+    /// the file system refused
     #[error("{}: {error}", path.display())]
     Io {
         /// the file or folder
         path: PathBuf,
-        /// what the file system said
+        /// its error
         error: std::io::Error,
     },
     /// a file that does not hold what it should
@@ -85,7 +85,7 @@ pub struct Outline {
     pub frames: usize,
 }
 
-/// The outline of each source of a trial that is a series.
+/// The outline of each series among the sources of a trial.
 pub type Outlines = BTreeMap<SourceId, Outline>;
 
 impl Outline {
@@ -121,7 +121,7 @@ impl LibraryError {
         }
     }
 
-    /// Errors of several files as one, if there are any.
+    /// Turns errors of several files into one; `None` if there are none.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
             0 | 1 => errors.pop(),
@@ -318,9 +318,9 @@ impl Entry {
 /// Labelled trials, and the description of their sources.
 #[derive(Clone, Debug)]
 pub struct Library {
-    /// Its name, to be shown.
+    /// Its name, for people.
     pub name: String,
-    /// The sources: the defaults, and those that the library itself describes.
+    /// The sources: the defaults, and those described in the library itself.
     pub scene: Scene,
     /// The trials, sorted by key.
     pub entries: Vec<Entry>,

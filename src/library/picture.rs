@@ -1,4 +1,4 @@
-//! Reading PNG and JPEG pictures.
+//! Reads PNG and JPEG pictures.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,7 +13,7 @@ use crate::trial::{Image, SignalError};
 /// Limits of side (in pixels) and memory (in bytes): a hostile header may promise anything.
 const MAX_SIDE: u32 = 1 << 14;
 const MAX_BYTES: u64 = 1 << 28;
-/// Largest file of a picture in bytes.
+/// Largest picture file, in bytes.
 const MOST_FILE: u64 = 1 << 26;
 
 /// Reads a picture of 320 × 480 pixels, or one that lies on its side.

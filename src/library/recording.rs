@@ -1,4 +1,4 @@
-//! Reading the recording format, version 1.
+//! Reads the recording format, version 1.
 //!
 //! ```text
 //! LIBRARY/
@@ -94,7 +94,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
     something(folder, opening.library())
 }
 
-/// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one, by `LIBRARY/library.toml`.
+/// Opens the trial `LIBRARY/SURFACE/TRIAL` as a library of one; `LIBRARY/library.toml` applies.
 ///
 /// # Errors
 /// As [`open`].
@@ -308,7 +308,7 @@ impl<'a> RecordingOpening<'a> {
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
-            // No error: another program may be adding trials just now.
+            // This is no error, since another program may be adding trials just now.
             let why = format!(
                 "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
                  `trial = N` or `user = \"…\"` in trial.toml",

@@ -1,4 +1,4 @@
-//! Files that hold one series, a channel a column: WAV or FLAC, by their extension.
+//! Files that hold one series: WAV or FLAC, by their extension.
 
 use std::path::Path;
 

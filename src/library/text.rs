@@ -1,11 +1,11 @@
-//! Reading text files with one number a line, one file a channel.
+//! Reads text files: one file for each channel, with one number in each line.
 
 use std::path::{Path, PathBuf};
 
 use super::{LibraryError, files};
 use crate::trial::Series;
 
-/// Reads one file a channel and crops all to the shortest.
+/// Reads one file for each channel, and crops all to the shortest.
 ///
 /// # Errors
 /// If a file cannot be read, is empty, or holds a line that is not one finite number.

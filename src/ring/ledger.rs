@@ -21,7 +21,7 @@ const NAP: Duration = Duration::from_millis(2);
 /// Most stretches under way at once; beyond that, frames are lost, so that the latest one grows.
 const STRETCHES: usize = 256;
 
-/// The producer's half.
+/// The producer's half of the bookkeeping.
 pub(super) struct Ledger {
     meter: Arc<Meter>,
     stretches: HeapProd<(u64, u64)>,
@@ -32,7 +32,7 @@ pub(super) struct Ledger {
     room: Receiver<()>,
 }
 
-/// The consumer's half.
+/// The consumer's half of the bookkeeping.
 pub(super) struct Reckoning {
     meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,

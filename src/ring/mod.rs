@@ -1,9 +1,9 @@
 //! One ring for each stream (one producer, one consumer): from a device's thread to the collector.
 //!
-//! A device holds the [`Sink`] and the collector the tap. Frames are counted from the start of the
-//! stream, **lost ones included**, so that an index always stands for the same moment, whatever was
-//! lost before it. Each frame ends in exactly one of two ways: it comes out of the tap, or the tap
-//! reports it as missing, at its place in the order.
+//! A device holds the [`Sink`], and the collector the tap, out of which the data come. Frames are
+//! counted from the start of the stream, **lost ones included**, so that an index always stands for
+//! the same moment, whatever was lost before it. Each frame ends in exactly one of two ways: it
+//! comes out of the tap, or the tap reports it as missing, at its place in the order.
 //!
 //! A producer pushes in one of two ways:
 //! - `push` never blocks, for sensors that cannot wait: data that do not fit are lost, and counted;

@@ -82,12 +82,12 @@ impl Detector {
         self.config
     }
 
-    /// Whether there is contact, during which noise floors are held.
+    /// Whether there is contact, during which noise floors must not rise.
     pub fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
-    /// Takes the next hop: the highest level among the streams.
+    /// Takes the level of the next hop, the highest among the streams.
     pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;

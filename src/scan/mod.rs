@@ -1,7 +1,9 @@
 //! Makes scans out of streams: empties the rings and cuts out sources between their marks.
 //!
-//! A [`Session`] runs devices and one collector, each on its own thread, and sends [`Event`]s. A
-//! [`Scan`] holds only data from the rings; its true label is kept separately.
+//! A mark says where a scan or one of its sources begins or ends; a replayed recording sets marks
+//! itself, for live devices a detector does. A [`Session`] runs devices and one collector, each on
+//! its own thread, and sends [`Event`]s. A [`Scan`] holds only data from the rings, and apart from
+//! them its true label.
 
 pub(crate) mod clock;
 mod collect;

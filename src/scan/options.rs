@@ -68,7 +68,7 @@ pub struct CutFrom {
     pub source: SourceId,
     /// Its stream.
     pub stream: SourceId,
-    /// The part of the scan.
+    /// The part of the scan that the source covers.
     pub phase: Phase,
     /// The number of the stream's channels, from the first one, that belong to the source.
     pub channels: usize,

@@ -223,7 +223,7 @@ impl Scene {
         Ok(self)
     }
 
-    /// One source.
+    /// The source of this name.
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
         self.sources.get(id)
     }

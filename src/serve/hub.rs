@@ -216,7 +216,7 @@ pub enum Undelivered {
 }
 
 impl Hub {
-    /// A hub before the first event; `missed` counts the events that found no room in its queue.
+    /// A hub before the first event; the reporter counts events without room in `missed`.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
@@ -380,7 +380,7 @@ pub struct StateDocument<'a> {
 }
 
 impl<'a> StateDocument<'a> {
-    /// Collects the state now.
+    /// Collects what is known now.
     pub fn of(
         state: &'a State,
         enrolls: bool,
@@ -446,7 +446,7 @@ pub struct Checks {
 }
 
 impl Checks {
-    /// Before the first audit.
+    /// The state before the first audit.
     pub fn new(audit: Option<Audit>) -> Self {
         let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
         Self { audit, view: Mutex::new(view) }

@@ -13,7 +13,7 @@ use crate::library::LibraryError;
 
 /// How long an edit waits for readers: less than a browser does.
 const PATIENCE: Duration = Duration::from_secs(8);
-/// How long it waits before it says for whom.
+/// How long a program waits before it logs for whom.
 const SILENT: Duration = Duration::from_secs(1);
 /// Time between two attempts.
 const PAUSE: Duration = Duration::from_millis(50);

@@ -298,7 +298,8 @@ impl Editor {
         taken_back.map_or(Ok(Undone { step, gone }), Err)
     }
 
-    /// The trials called `SURFACE/TRIAL` or like one of their files, or all trials of a `SURFACE`.
+    /// The trials of these names: `SURFACE/TRIAL`, a file of it, or `SURFACE` for all of its
+    /// trials.
     fn choose<'e>(
         &self,
         folder: &Path,

@@ -34,7 +34,7 @@ impl<'a> Plan<'a> {
     /// goes to the folder of the surface, and keeps its file name.
     ///
     /// # Errors
-    /// If a file would need a folder called by a label that no folder can have.
+    /// If a file would need a folder named after a label that no folder can have.
     pub fn rename(
         &mut self,
         from: &Path,
@@ -53,7 +53,7 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// The folder that is called by a label, as spelt on disk.
+    /// The folder named after a label: the existing one as spelt on disk, or else a new one.
     fn folder_of_label(&self, file: &Path, label: &str) -> Result<PathBuf, LibraryError> {
         let there = files::list(self.root)?.into_iter();
         let same = |item: &Listed| item.is_dir && !item.is_hidden() && normal(&item.name) == label;

@@ -130,8 +130,8 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
     Ok((steps, at))
 }
 
-/// Takes the last step off the list. If undoing it put a trial in another place than before, the
-/// earlier step that had put the trial there is told the new place.
+/// Takes the last step off the list. If undoing it put a trial in another place than before, notes
+/// the new place in the earlier step that had put the trial there.
 fn undone(steps: &mut Vec<KnownStep>) {
     let Some(KnownStep { step, undoing: Some((_, moves)), .. }) = steps.pop() else { return };
     for went in &moves {
