@@ -2,8 +2,8 @@
 //!
 //! A mark says where a scan or one of its sources begins or ends; a replayed recording sets marks
 //! itself, for live devices a detector does. A [`Session`] runs devices and one collector, each on
-//! its own thread, and sends [`Event`]s. A [`Scan`] holds only data from the rings, and apart from
-//! them its true label.
+//! its own thread, and sends [`Event`]s. A [`Scan`] holds only data from the rings; its true label
+//! is kept separately.
 
 pub(crate) mod clock;
 mod collect;

@@ -129,7 +129,7 @@ async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
 type ScanPath = Result<Path<String>, PathRejection>;
 
 fn name(id: ScanPath) -> Result<String, Problem> {
-    let bad = |_| Problem::Bad("a scan is named by its `id`, or its number".into());
+    let bad = |_| Problem::Bad("name the scan by its `id` or its number".into());
     id.map(|Path(id)| id).map_err(bad)
 }
 
@@ -252,7 +252,7 @@ impl Was {
                 let surface = label::check("surface", &surface).map_err(Problem::Bad)?;
                 Ok(Some(Correction::Surface { surface }))
             }
-            _ => Err(Problem::Bad("a scan was one of `surface`, `unknown` and `bad`".into())),
+            _ => Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
         }
     }
 }
@@ -366,7 +366,7 @@ fn to_library(
         return refuse("say first which surface this scan was");
     };
     if scan["spoiled"].as_array().is_some_and(|reasons| !reasons.is_empty()) {
-        return refuse("this scan is spoiled, and no good trial");
+        return refuse("this scan is spoiled, so it cannot become a trial");
     }
     let about = About::read(folder)?;
     let opened = recording::open_trial(folder, &library.scene)?;

@@ -155,7 +155,7 @@ function showCorrection(scan) {
   const spoiled = scan.spoiled.length > 0;
   const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
   if (scan.became) parts.push(`trial ${scan.became}`);
-  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
+  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, so it cannot become a trial");
   say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
   hide("was-clear", !scan.correction);
