@@ -21,7 +21,7 @@ use crate::library::files;
 use crate::record::edit::is_plain;
 use crate::station::Answer;
 
-/// Longest line that is read, with its end: an answer of some ten thousand surfaces.
+/// Longest line that is read, in bytes: an answer that ranks some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
 
 /// The part of an answer that is kept in memory.
@@ -51,7 +51,7 @@ pub(super) enum LogLine {
 }
 
 impl LogLine {
-    /// The scan that it is about, which names a folder.
+    /// The id of the line's scan, which is also the name of a folder.
     fn id(&self) -> &str {
         match self {
             Self::Answer(Head { id, .. })
@@ -82,7 +82,7 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Opens the log, to be read, and to be written unless `read_only`.
+    /// Opens the log for reading, and for writing unless `read_only`.
     pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
         let mut options = OpenOptions::new();
@@ -90,7 +90,8 @@ impl Log {
         if !read_only {
             options.append(true).create(true);
         }
-        // Refused at once, unlike by a pipe that nobody writes into.
+        // Anything but a regular file is refused here: opening a named pipe would wait for a
+        // writer.
         let is_regular = match files::open(path) {
             Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -104,7 +105,8 @@ impl Log {
         self.bytes
     }
 
-    /// The lines of the last `most` bytes; what a crash cut short, or is none of ours, is passed over.
+    /// The lines in the last `most` bytes. Lines that a crash cut short, or that have another
+    /// format, are skipped.
     pub fn read(&mut self, most: u64) -> Result<Vec<(LogLine, Span)>, HistoryError> {
         self.lines(most).map_err(HistoryError::io(&self.path))
     }
@@ -142,7 +144,7 @@ impl Log {
         text.extend_from_slice(line.as_bytes());
         text.push(b'\n');
         let written = self.file.write_all(&text);
-        // A part of the line may have come to the disk, and counts.
+        // A part of the line may be on disk, and counts.
         self.bytes = match (&written, self.file.metadata()) {
             (Err(_), Ok(about)) => about.len(),
             _ => self.bytes + text.len() as u64,
@@ -172,7 +174,7 @@ impl Log {
         Ok(whole.map(|whole| whole.answer).unwrap_or_default())
     }
 
-    /// An empty log that may take the place of this one.
+    /// Creates an empty log that can replace this one.
     pub fn begin_anew(&self) -> Result<Self, HistoryError> {
         let path = self.path.with_extension("jsonl.unfinished");
         match std::fs::remove_file(&path) {
