@@ -44,8 +44,8 @@ pub trait Method: Send + Sync {
         shape: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError>;
 
-    /// Hash of everything except the trials that a library's model depends on; `None` for a method
-    /// whose models are made as fast as they could be read.
+    /// Hash of all that a library's model depends on besides the trials; `None` for a method whose
+    /// models are made as fast as they could be read.
     fn model_key(&self, _shape: &LibraryShape) -> Option<u64> {
         None
     }
@@ -79,7 +79,7 @@ pub trait Model: Send + Sync {
         Ok(None)
     }
 
-    /// The model as one of `embedding`, which can do more; `None` for other methods.
+    /// The model as that of the method `embedding`, which can do more; `None` for other methods.
     fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
         None
     }
@@ -106,7 +106,7 @@ pub struct Evidence {
 pub struct SourceEvidence {
     /// The source.
     pub source: SourceId,
-    /// A term for each surface; surfaces are ranked by the sum of their terms over all sources, the
-    /// smallest first. Infinite for a surface that lacks the source.
+    /// A term for each surface: the smaller the sum of its terms over all sources, the more alike
+    /// the surface. Infinite for a surface that lacks the source.
     pub terms: Vec<f64>,
 }

@@ -19,8 +19,7 @@ pub enum Prepared {
     Samples(Arc<PreparedTrial>),
     /// Frames, for `embedding`.
     Frames(Arc<TrialFrames>),
-    /// A list of numbers for each source, for the comparison classifiers. Feature tables hold only
-    /// this.
+    /// Numbers for each source, for the comparison classifiers; all that feature tables hold.
     Features(Arc<FeatureVector>),
 }
 

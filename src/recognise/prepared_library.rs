@@ -21,7 +21,7 @@ pub struct PreparedLibrary {
     pub shape: Arc<LibraryShape>,
     /// The prepared trials at the indices of their entries; `None` for those that were not wanted.
     pub trials: Vec<Option<Prepared>>,
-    /// Problems with the cache, one line of text each; none of them prevents the result.
+    /// Problems with the cache, one line of text each; the trials are usable all the same.
     pub remarks: Vec<String>,
     /// How many trials came from the cache.
     pub from_cache: usize,
@@ -43,8 +43,8 @@ impl PreparedLibrary {
 }
 
 /// Prepares those `entries` whose indices are in `wanted`, for a library of the shape that these
-/// have. `beside` is the folder of the library, whose cache is read and brought up to date; without
-/// it, all is computed anew. `progress` is called with the number of trials done and their total.
+/// have. `beside` is the folder of the library, whose cache is read and updated; without `beside`,
+/// all is computed anew. `progress` is called with the number of trials done and their total.
 ///
 /// The result is the same with and without a cache: a stored trial is used only if the method's
 /// settings and the trial's files are unchanged. A trial whose files change while they are read is

@@ -22,14 +22,14 @@ pub struct ReadyModel {
     pub model: Arc<dyn Model>,
     /// Whether it came from the cache.
     pub from_cache: bool,
-    /// Problems with the caches, one line of text each; none of them prevents the model.
+    /// Problems with the caches, one line of text each; the model is usable all the same.
     pub remarks: Vec<String>,
 }
 
 /// Makes a model of those `entries` whose indices are in `wanted`. `beside` is the folder of the
-/// library; the caches there are read and brought up to date: that of models (`METHOD-model`), then
-/// that of prepared trials, see [`super::prepare_library`]. Without it, everything is computed
-/// anew. `progress` is called with the number of trials prepared so far and their total.
+/// library; the caches there are read and updated: that of models (`METHOD-model`), then that of
+/// prepared trials, see [`super::prepare_library`]. Without `beside`, all is computed anew.
+/// `progress` is called with the number of trials prepared so far and their total.
 ///
 /// The result is the same with and without a cache: a stored model is used only if the method, the
 /// files of all trials and this program are unchanged.

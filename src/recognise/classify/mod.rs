@@ -37,7 +37,7 @@ use crate::seed;
 use crate::trial::{Trial, TrialKey};
 
 /// Standardised features are clipped at this distance from 0: a larger value comes from a broken
-/// sensor and must not drown all others.
+/// sensor and must not outweigh all others.
 const FARTHEST: f64 = 10.0;
 /// A feature whose deviation is below this share of 1 + |mean| counts as constant.
 const CONSTANT: f64 = 1e-9;
@@ -50,7 +50,7 @@ pub enum Scores {
     Trials {
         /// in the order of [`TrainingSet::keys`]
         log_scores: Vec<f64>,
-        /// number of voters
+        /// number of nearest trials that vote
         k: usize,
     },
 }
@@ -77,7 +77,7 @@ pub trait Classifier: Clone + Send + Sync + 'static {
     }
 }
 
-/// A library as classifiers see it.
+/// A library in the form that classifiers learn from.
 #[derive(Clone, Debug)]
 pub struct TrainingSet {
     /// Standardised features, shape (trials, features).
@@ -105,7 +105,7 @@ impl TrainingSet {
     }
 }
 
-/// A comparison classifier as a method.
+/// A comparison classifier, made a [`Method`].
 #[derive(Clone, Debug)]
 pub struct OnFeatures<C> {
     name: &'static str,
@@ -192,8 +192,7 @@ fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
     columns.values().map(|c| c.used.len()).sum::<usize>().max(1)
 }
 
-/// The standardised features of a trial. A source that it lacks is replaced by the library's mean,
-/// 0.
+/// The standardised features of a trial; 0, the library's mean, for a source that it lacks.
 fn standardised(
     columns: &BTreeMap<SourceId, Columns>,
     vector: &FeatureVector,

@@ -5,7 +5,7 @@ use ndarray::{Array1, Array2, ArrayView1, Axis};
 use super::super::embedding::linear::{cholesky, solve_lower};
 use super::{Classifier, Scores, TrainingSet, squared_distance};
 
-/// Values of k that are tried, each by naming the library's trials by the others.
+/// Values of k that are tried, by naming each library trial by the others.
 const NEIGHBOURS: [usize; 4] = [1, 3, 5, 7];
 /// Weight of the identity in the covariance: often there are more features than trials.
 const SHRINKAGE: f64 = 0.1;
@@ -84,7 +84,7 @@ fn covariance(features: &Array2<f64>) -> Array2<f64> {
     covariance
 }
 
-/// The k by which the others name most trials of the library right; the smallest in a tie.
+/// The k with which most library trials are named right by the others; the smallest in a tie.
 fn best_k(features: &Array2<f64>, class: &[usize]) -> usize {
     let classes = class.iter().max().map_or(0, |most| most + 1);
     let mut right = [0usize; NEIGHBOURS.len()];

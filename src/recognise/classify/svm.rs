@@ -37,7 +37,8 @@ struct Pair {
 }
 
 impl Pair {
-    /// Value of the decision function; `kernel` holds the kernel of the query with each trial.
+    /// Value of the decision function; `kernel` holds the kernel values of the query and each
+    /// trial.
     fn decide(&self, kernel: &[f64]) -> f64 {
         self.bias + self.support.iter().map(|&(i, weight)| weight * kernel[i]).sum::<f64>()
     }
@@ -155,8 +156,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     let mut alpha = vec![0.0; n];
     // Gradient of the negated objective.
     let mut gradient = vec![-1.0; n];
-    // Every step improves the objective, so the loop ends; the limit is for kernels spoilt by
-    // rounding.
+    // Every step improves the objective; the limit is for kernels spoilt by rounding.
     for _ in 0..1000 * n {
         let up = |t: usize| if signs[t] > 0.0 { alpha[t] < cost } else { alpha[t] > 0.0 };
         let down = |t: usize| if signs[t] > 0.0 { alpha[t] > 0.0 } else { alpha[t] < cost };
@@ -171,7 +171,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
         let gain = |t: usize| (violation(i) - violation(t)).powi(2) / curvature(t);
         let below = (0..n).filter(|&t| down(t) && violation(t) < violation(i) - TOLERANCE);
         let Some(j) = below.max_by(|&a, &b| gain(a).total_cmp(&gain(b))) else { break };
-        // A step along yᵢαᵢ + yⱼαⱼ = constant.
+        // A step that keeps yᵢαᵢ + yⱼαⱼ constant.
         let room = |t: usize, rises: bool| if rises { cost - alpha[t] } else { alpha[t] };
         let step = ((violation(i) - violation(j)) / curvature(j))
             .min(room(i, signs[i] > 0.0))
@@ -185,7 +185,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     (alpha.clone(), bias(&alpha, &gradient, signs, cost))
 }
 
-/// The mean bias over free support vectors, or the middle of the range that the bound ones allow.
+/// The mean over free support vectors (0 < α < C), else the middle of the range the others allow.
 fn bias(alpha: &[f64], gradient: &[f64], signs: &[f64], cost: f64) -> f64 {
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
     let (mut sum, mut free) = (0.0, 0.0);

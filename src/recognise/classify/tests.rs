@@ -44,7 +44,7 @@ fn check<C: Classifier>(classifier: C) {
             );
         }
     }
-    // Neither the order of the library nor chance matters.
+    // The result depends neither on the order of the library nor on chance.
     let mut turned = rest;
     turned.reverse();
     let again = method.fit(turned, &shape).unwrap();

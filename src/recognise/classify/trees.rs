@@ -154,7 +154,7 @@ impl Classifier for AdaBoost {
     }
 }
 
-/// As many indices as there are weights, drawn with these as probabilities.
+/// As many indices as there are weights, drawn in proportion to these.
 fn draw(weights: &[f64], rng: &mut impl Rng) -> Vec<usize> {
     let mut sum = 0.0;
     let cumulative: Vec<f64> = weights

@@ -2,15 +2,15 @@
 //!
 //! Nonconformity is the distance to the nearest surface in discriminant space. Groups of library
 //! trials are left out in turn, and each trial is measured by the model trained without its group.
-//! A query is measured by each of these models, and compared with the trials that its model left
-//! out. The p-value (`fit` in JSON) is the share of left-out trials that are at least as strange as
-//! the query, which is counted among them (cross-conformal prediction, Vovk 2015, "Cross-conformal
-//! predictors", Annals of Mathematics and Artificial Intelligence 74). For surfaces of the library,
-//! and people like the library's, it falls below α about as often as α says. A finished scan is
-//! compared with whole trials; a shorter scan than these, or one in progress, with beginnings of
-//! trials no longer than itself. In a library of one person, its trials differ less from each other
-//! than from another person's scans; there, excerpts of 40 % stand for whole trials, three of them
-//! counted as one trial.
+//! A query is measured by each of these models, and compared with the trials that the same model
+//! left out. The p-value (`fit` in JSON) is the share of left-out trials that are at least as
+//! strange as the query, which is counted among them (cross-conformal prediction, Vovk 2015,
+//! "Cross-conformal predictors", Annals of Mathematics and Artificial Intelligence 74). For
+//! surfaces of the library, and people like the library's, it is α or less in a share of about α of
+//! the scans. A finished scan is compared with whole trials; a shorter one, or one in progress,
+//! with beginnings of trials no longer than itself. The trials of one person differ less from each
+//! other than from another person's; so in a library of one person, excerpts of 40 % stand for
+//! whole trials, three of them counted as one trial.
 //!
 //! Only a method that can leave out library trials cheaply has this measure: `embedding`.
 //! `reference` would have to compare every trial of the library with all others whenever a library
@@ -64,7 +64,7 @@ impl Calibration {
     }
 
     /// The share of trials, the query counted among them, that are at least as strange as the
-    /// query. `of_query` gives the query's nonconformity by the model without a group.
+    /// query. `of_query` gives the query's nonconformity by the model without a given group.
     fn p_value(&self, of_query: impl Fn(usize) -> f64) -> f64 {
         let at_least = |(group, values): (usize, &Vec<f64>)| {
             let own = of_query(group);
@@ -95,8 +95,8 @@ impl Conformity {
     }
 
     /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1)
-    /// to 1. `of_query` gives its nonconformity by the model without a group. `None` if the scan is
-    /// shorter than all calibrations.
+    /// to 1. `of_query` gives its nonconformity by the model without a given group. `None` if the
+    /// scan is shorter than every length that was calibrated.
     pub fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let calibration = if scan_s >= WHOLE * whole.scan_s {
@@ -146,7 +146,7 @@ pub const FEWEST: usize = 9;
 pub struct Rejection {
     /// Stated rate of false rejections, α.
     pub rate: f64,
-    /// Left-out library trials that the threshold rests on.
+    /// Number of left-out library trials that the threshold rests on.
     pub trials: usize,
     /// Whether whole people were left out; otherwise the rate holds only for the library's people.
     pub across_people: bool,
@@ -267,7 +267,7 @@ mod tests {
         let scans = [(0, 1.0), (0, 2.0), (0, 3.0), (1, 10.0), (1, 20.0), (1, 30.0)];
         let excerpts = Conformity::new(vec![Calibration::new(1.0, 3, scans.into_iter())]);
         assert_eq!(excerpts.trials(), 2);
-        // At least as strange: two of three excerpts of one trial, one of the other: (2/3 + 1/3 +
+        // Two of three excerpts of one trial and one of the other are as strange: (2/3 + 1/3 +
         // 1)/3.
         let p_value = excerpts.p_value(2.0, |group| [1.5, 25.0][group]).unwrap();
         assert!((p_value - 2.0 / 3.0).abs() < 1e-12, "{p_value}");

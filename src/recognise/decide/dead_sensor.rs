@@ -8,12 +8,12 @@ const PLAIN: &str = "the picture is of one colour";
 
 /// Leaves out the sources that have a stuck channel or a picture of one colour. Returns the query,
 /// and one line of text for each source left out. A channel that is constant in the library may be
-/// constant in the query; so may a switch, which rests most of the time. Nothing is left out if no
-/// other source would remain.
+/// constant in the query; so may a switch, which rarely changes. Nothing is left out if no other
+/// source would remain.
 ///
 /// `moves` says whether a channel of a source, counted from 0, varies in the library
-/// ([`crate::recognise::EmbeddingModel::moves`]). Library trials are not checked here: they were
-/// when they were enrolled.
+/// ([`crate::recognise::EmbeddingModel::moves`]). Library trials are not checked here, but when
+/// they are enrolled.
 pub fn without_flawed(
     mut trial: Trial,
     scene: &Scene,

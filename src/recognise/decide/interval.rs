@@ -39,10 +39,10 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
     wilson(successes as f64 / trials.max(1) as f64, trials as f64)
 }
 
-/// 95 % confidence interval of a share, from the successes and trials of several groups that
-/// differ, such as people. Wilson's, with fewer effective trials the more the groups differ and the
-/// fewer they are (Korn & Graubard 1998, "Confidence intervals for proportions with small expected
-/// number of positive counts estimated from survey data").
+/// 95 % confidence interval of a share, from the successes and trials of several groups, such as
+/// people. Wilson's interval for an effective number of trials, which is smaller the more the
+/// groups differ and the fewer they are (Korn & Graubard 1998, "Confidence intervals for
+/// proportions with small expected number of positive counts estimated from survey data").
 pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let count = groups.len() as f64;
     let (right, all) = groups.iter().fold((0, 0), |(r, n), group| (r + group.0, n + group.1));
@@ -62,8 +62,8 @@ pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
 }
 
 /// Whether `right` of `trials` show a share, judged by the median of the posterior under Jeffreys'
-/// prior, which is a little stricter than the share itself. Where so few trials could not show it
-/// even without a mistake, all of them must be right.
+/// prior, which is a little stricter than the plain quotient. Where so few trials could not show
+/// the share even without a mistake, all of them must be right.
 pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
     trials > 0
         && (right == trials && !can_show(trials, share)

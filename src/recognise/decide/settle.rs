@@ -1,10 +1,11 @@
 //! When an answer is settled: a stopping rule, calibrated on left-out library trials.
 //!
-//! An answer is settled once its label has stayed the same for some time (the hold, at least 0.3 s
-//! of new samples: old ones are no new evidence) and its probability is at least 1 − ε. Of a fixed
-//! list of rules, each a hold and an ε, the one that stops earliest is taken whose loss on left-out
-//! library trials is within the stated loss, by an upper 90 % bound. A trial is lost if it is named
-//! right by its whole length and wrong where the rule stops; gains are not set off against losses.
+//! An answer is settled once its label has stayed the same for a time called the hold (at least 0.3
+//! s of new samples, since old ones add no evidence) and its probability is at least 1 − ε. Each
+//! hold and ε of a fixed list make a rule. The rule chosen stops earliest among those whose loss on
+//! left-out library trials is within the stated loss, by an upper 90 % bound. A trial is lost if it
+//! is named right by its whole length and wrong where the rule stops; gains do not make up for
+//! losses.
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
@@ -23,13 +24,13 @@ use super::interval::jeffreys_quantile;
 /// Holds that are tried: how long the label must stay the same, in seconds of scan time.
 const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];
 
-/// ε of the rules, from the earliest to the latest.
+/// Values of ε that are tried, from the earliest to stop to the latest.
 const EPSILONS: [f64; 10] = [0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.003, 0.001];
 
 /// Confidence of the upper bound of the loss.
 const CONFIDENCE: f64 = 0.9;
 
-/// A rule for stopping.
+/// A stopping rule: how long one label must hold, and how probable it must be.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SettleRule {
     /// How long the label must have been the same, in seconds of new scan time.
@@ -57,7 +58,7 @@ pub struct Look {
     pub fits: bool,
 }
 
-/// Applies a rule look by look.
+/// Applies a stopping rule to the successive guesses (looks) at a scan.
 #[derive(Clone, Debug)]
 pub struct Watch {
     rule: SettleRule,
@@ -66,13 +67,13 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// A watch that has seen no look.
+    /// Starts before the first look.
     pub fn new(rule: SettleRule) -> Self {
         Self { rule, since: None, settled: None }
     }
 
-    /// Takes the next look. Returns the label and scan time at which the answer was settled, if it
-    /// is; later looks change nothing.
+    /// Takes the next guess. Returns the label and scan time at which the answer was settled, if it
+    /// is; later guesses change nothing.
     pub fn see(&mut self, look: Look) -> Option<(usize, f64)> {
         let (label, since_s) = self
             .since
@@ -99,7 +100,7 @@ pub struct Stops {
 }
 
 impl Stops {
-    /// Applies all rules to the looks at a trial, in order, until every rule has stopped.
+    /// Applies all rules to the successive guesses at a trial, until every rule has stopped.
     pub fn new(looks: impl Iterator<Item = Look>, truth: usize, whole: usize, scan_s: f64) -> Self {
         let mut watches: Vec<Watch> = rules().into_iter().map(Watch::new).collect();
         for look in looks {
@@ -113,12 +114,12 @@ impl Stops {
     }
 }
 
-/// A rule, and how it did on left-out library trials.
+/// A stopping rule, and how it did on left-out library trials.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Settling {
     /// The rule; `None` if no rule keeps the stated loss: then only the end of a scan settles it.
     pub rule: Option<SettleRule>,
-    /// The loss that was stated.
+    /// The loss that is allowed: a share of all trials.
     pub stated_loss: f64,
     /// Number of left-out trials.
     pub trials: usize,

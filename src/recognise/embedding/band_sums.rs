@@ -1,11 +1,11 @@
 //! Histograms of ln power in each band, from which all log-band features are computed.
 //!
 //! Features of log-band frames are means over frames of functions of ln power. These functions
-//! depend on the mean power of the piece (a series, its beginning or a copy), which changes with
-//! every frame. So frames are counted: bins of ln power are an eighth apart, and each value is
-//! shared between the two bins next to it, the nearer one getting more. The mean of a function over
-//! a histogram is that of its linear interpolation between bins: a smooth function of the samples,
-//! whose cost does not grow with the scan.
+//! depend on the mean power of the whole series or copy, which changes with every frame. So frames
+//! are counted: bins of ln power are an eighth apart, and each value is shared between the two bins
+//! next to it, the nearer one getting more. The mean of a function over a histogram is that of its
+//! linear interpolation between bins: a smooth function of the samples, whose cost does not grow
+//! with the scan.
 //!
 //! When the stylus leaves the surface, or a serial line repeats its last value, frames are far
 //! quieter than the rest and say nothing about the surface. The median that decides is known only
@@ -24,7 +24,7 @@ const BINS: f32 = 8.0;
 /// Width of a class of loudness, in units of ln power (6.5 dB).
 const LOUDNESS: f32 = 1.5;
 
-/// Frames more than this many classes (26 dB) below the median frame are not of the surface. A
+/// Frames more than this many classes (26 dB) below the median frame count as off the surface. A
 /// smaller distance would lose quiet parts of the texture itself.
 const QUIETER: i32 = 4;
 
@@ -61,7 +61,7 @@ impl Counts {
             0 => (first, last + 1),
             bins => (first.min(self.first), (last + 1).max(self.first + bins as i32)),
         };
-        // Whole vector registers.
+        // Rounded up to whole vector registers.
         let bins = ((end - first) as usize).next_multiple_of(LANES);
         let mut counts = vec![0.0; self.width * bins];
         let from = (self.first - first) as usize;
@@ -130,8 +130,7 @@ impl Counts {
         ln_mean.iter().flat_map(relative).collect()
     }
 
-    /// For each band: sum over frames of the values of `table` ([`Self::relative`]), and sum of
-    /// squares.
+    /// For each band: the sum over frames of the values in `table`, and the sum of their squares.
     fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
         let of_band = |(band, counts): (usize, &[f32])| {
             let values = &table[band / self.bands() * self.bins..][..self.bins];
@@ -156,7 +155,7 @@ fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
     }
 }
 
-/// Histograms of the frames of one view of a piece, for each class of loudness.
+/// Histograms of the frames of one view of a series, for each class of loudness.
 #[derive(Clone, Debug)]
 pub(super) struct BandSums {
     channels: usize,
@@ -165,7 +164,7 @@ pub(super) struct BandSums {
 }
 
 impl BandSums {
-    /// Without frames; `width` counts the bands of all channels.
+    /// Starts without frames; `width` counts the bands of all channels.
     pub fn new(channels: usize, width: usize) -> Self {
         Self { channels, width, by_loudness: BTreeMap::new() }
     }
@@ -199,7 +198,7 @@ impl BandSums {
     }
 }
 
-/// How the frames of one view become features, each band twice: in shape, relative to the piece's
+/// How the frames of one view become features, each band twice: in shape, relative to the series'
 /// own mean power, and in level, relative to the library's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ViewEmbedder {
@@ -210,7 +209,7 @@ pub(super) struct ViewEmbedder {
 }
 
 impl ViewEmbedder {
-    /// Takes its units from `pieces` of a library, at least one.
+    /// Takes means and deviations from series of a library, at least one.
     pub fn new(pieces: &[Counts]) -> Self {
         let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
         let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
@@ -224,7 +223,7 @@ impl ViewEmbedder {
         2 * BAND_FEATURES * self.shape.width()
     }
 
-    /// Appends the features of a piece, multiplied by a gain of e^`ln_gain`: means over its frames
+    /// Appends the features of the counted frames, their samples multiplied by e^`ln_gain`: means
     /// of cos ωz and sin ωz.
     pub fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
         let own = counts.ln_mean_power();

@@ -78,8 +78,8 @@ pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     logits.iter().map(|x| x - total).collect()
 }
 
-/// Posterior probabilities, mixed with equal ones so that none is above (m + ½)/(m + 1): more than
-/// that cannot be shown by m = `trials` left-out trials, even if all are named right.
+/// Posterior probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1): more
+/// cannot be shown by m = `trials` left-out trials, even if all are named right.
 pub fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
     let classes = log_posterior.len() as f64;
     let doubt = 0.5 / (trials as f64 + 1.0);

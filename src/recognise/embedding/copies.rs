@@ -58,7 +58,7 @@ pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     })
 }
 
-/// The generator of a trial's draws for one purpose.
+/// The random generator for one purpose of a trial.
 fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
     seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
 }

@@ -32,12 +32,12 @@ const INSIDE: f64 = 1e-10;
 /// A trained discriminant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Discriminant {
-    /// Shape (r, D), r < C.
+    /// From features to the space of the class means, whitened; shape (r, D), r < C.
     #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
     /// Projection of the centre of the class means.
     origin: Array1<f64>,
-    /// m_c, shape (C, r).
+    /// Class means m_c in that space, shape (C, r).
     means: Array2<f64>,
     /// Whether a class had training vectors.
     present: Vec<bool>,
@@ -45,11 +45,11 @@ pub struct Discriminant {
 
 /// Training vectors with their labels and groups.
 pub struct Vectors<'a> {
-    /// Shape (n, D).
+    /// Training vectors, shape (n, D).
     pub rows: &'a Array2<f32>,
-    /// Label of each row: below `classes`, the class of a whole trial; above, a copy's.
+    /// Label of each row: the class of a whole trial; from `classes` on, of a copy.
     pub labels: &'a [usize],
-    /// Group of each row.
+    /// Group of each row; groups are left out in turn.
     pub groups: &'a [usize],
     /// Number of classes.
     pub classes: usize,
@@ -61,7 +61,7 @@ pub struct Vectors<'a> {
 struct Metric<'a> {
     vectors: &'a Vectors<'a>,
     residuals: Residuals,
-    /// L.
+    /// L of S = L·Lᵀ.
     factor: Array2<f64>,
     /// Weight of Σ r·rᵀ in S.
     weight: f64,
@@ -156,7 +156,7 @@ impl Discriminant {
         Self { projection: change(self.projection), ..self }
     }
 
-    /// The same for vectors of `dims` features, of which only `columns` count.
+    /// The same discriminant for vectors of `dims` features, of which only `columns` count.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
         self.map_projection(|projection| {
             if columns.len() == dims {
@@ -182,7 +182,7 @@ impl Discriminant {
         (of_class, self.means.dot(&self.origin))
     }
 
-    /// d_c for each class; infinite for those without training vectors.
+    /// Squared distance d_c to each class mean; infinite for classes without training vectors.
     pub fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
         self.distances_in_space(&self.project(vector))
     }
@@ -200,7 +200,7 @@ impl Discriminant {
         projected.map(|u: Vec<f64>| self.distances_in_space(&u)).collect()
     }
 
-    /// d_c of a vector in the space of the class means.
+    /// The squared distances d_c of a vector in the space of the class means.
     fn distances_in_space(&self, u: &[f64]) -> Vec<f64> {
         let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
             if present {
@@ -259,7 +259,7 @@ impl<'a> Metric<'a> {
         Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)
     }
 
-    /// Mean of the means of some classes.
+    /// Mean of the means of the classes that are `present`.
     fn centre(&self, present: &[bool]) -> Array1<f64> {
         let known: Vec<usize> = (0..present.len()).filter(|&c| present[c]).collect();
         self.residuals.means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len().max(1) as f64
@@ -290,7 +290,7 @@ impl<'a> Metric<'a> {
             }
         }
         let rest = cholesky(rest)?;
-        // The class means move away from the group's whole trials.
+        // Without the group's whole trials, the class means move.
         let mut centre = self.centre(&present);
         let mut white = self.white(&centre, &present);
         let mut move_by = Array2::<f64>::zeros((rows.len(), classes));

@@ -25,7 +25,7 @@ use crate::recognise::shape::LibraryShape;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
 
-/// Surfaces that a guess names, at most.
+/// How many surfaces a guess names at most.
 const NAMED: usize = 5;
 
 /// Follows one scan after the other.
@@ -46,7 +46,7 @@ struct ScanSoFar {
     plain: BTreeSet<SourceId>,
     looks: u64,
     watch: Option<Watch>,
-    /// Something did not fit: there are no more guesses for this scan.
+    /// Samples did not fit: there are no more guesses for this scan.
     failed: bool,
 }
 
@@ -126,7 +126,7 @@ impl Follower {
     }
 }
 
-/// The most probable surfaces, in their own order in a tie.
+/// The most probable surfaces, in alphabetical order in a tie.
 fn named(surfaces: &[String], posterior: &Posterior) -> Vec<(String, f64)> {
     let mut order: Vec<usize> = (0..surfaces.len()).collect();
     order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
@@ -246,7 +246,7 @@ impl Follower {
     /// step was due or nothing can be said yet.
     ///
     /// # Errors
-    /// If what came cannot be compared with the library.
+    /// If received samples cannot be compared with the library.
     pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
         let mut said = None;
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
@@ -287,7 +287,8 @@ impl Follower {
     }
 
     /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
-    /// it is finished. `None` where the source was not followed.
+    /// it is finished. `None` where the source was not followed, or had samples that are not
+    /// finite.
     pub fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
         let whole = self.scan.waiting.get(source).filter(|waiting| !waiting.broken);
         whole.map(|waiting| waiting.flaws.flaws())
@@ -302,7 +303,7 @@ impl Follower {
 /// Sums of the scan so far.
 struct ScanSums {
     shape: Arc<LibraryShape>,
-    /// In the order of the vector.
+    /// Sources in the order of the vector; `None` until they are received.
     sources: Vec<Option<SourceSums>>,
 }
 

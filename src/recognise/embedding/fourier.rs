@@ -1,10 +1,9 @@
 //! Fourier features: cos ωz and sin ωz for ω = 0.6 and 1.2.
 //!
 //! z is the value of a band minus the library's mean, divided by the library's standard deviation.
-//! The squared distance between two means of such features is the MMD² of the kernel Σ_ω cos ω(z −
-//! z′), which has rank four: Bochner's theorem with two fixed frequencies instead of random ones.
-//! Each value costs one sine and cosine; the double-angle formulas give those of the second
-//! frequency.
+//! The squared distance between two means of such features is the MMD² of a kernel of rank four,
+//! Σ_ω cos ω(z − z′): Bochner's theorem with two fixed frequencies instead of random ones. Each
+//! value costs one sine and cosine; double-angle formulas give those of the second frequency.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,12 +21,12 @@ pub(super) const LANES: usize = 8;
 pub(super) struct BandScale {
     /// Mean of each band over a library.
     centre: Vec<f32>,
-    /// ω/(π·deviation) of each band.
+    /// ω/(π·deviation) of each band: angles in half turns.
     factor: Vec<f32>,
 }
 
 impl BandScale {
-    /// From means and deviations of bands; a thousandth is added to each deviation, so that none is
+    /// From means and deviations of bands; each deviation gets a thousandth more, so that none is
     /// 0.
     pub fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
         let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));

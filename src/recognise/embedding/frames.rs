@@ -26,20 +26,20 @@ use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Duration of a long frame in seconds, where that is enough samples.
 const FRAME_S: f64 = 0.0464;
-/// The least samples of a long frame, where trials are long enough.
+/// Fewest samples of a long frame, where trials are long enough.
 const LEAST_POINTS: f64 = 64.0;
 /// A long frame is at most this share of the library's median trial.
 const MOST_OF_TRIAL: f64 = 0.25;
 /// How many times longer a long frame is than a short one.
 const SHORTER: usize = 4;
-/// The least samples of any frame.
+/// Fewest samples of any frame.
 const FEWEST: usize = 4;
 /// Most bands of a long frame and of a short one.
 const BANDS: [usize; 2] = [40, 24];
 /// Highest frequency where no band is configured, in Hz.
 const UNSAID_HZ: f64 = 500.0;
 
-/// How the series of one source are framed: long frames first, then short ones.
+/// How the series of one source are cut into frames: long frames first, then short ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceViews(pub [FrameView; 2]);
 
@@ -136,7 +136,7 @@ impl Piece {
 /// A series of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrames {
-    /// How it was framed.
+    /// How it was cut into frames.
     pub views: SourceViews,
     /// Its length in samples.
     pub samples: usize,
@@ -153,7 +153,7 @@ pub struct SeriesFrames {
 pub struct Beginning {
     /// Moments of its samples.
     pub moments: Moments,
-    /// For each view with longer frames than this: one frame padded with zeros; else empty.
+    /// One zero-padded frame for each view with longer frames than this beginning; else empty.
     pub padded: [PackedFrames; 2],
 }
 
@@ -208,12 +208,12 @@ impl SeriesFrames {
     }
 }
 
-/// Number of samples a channel in a time in seconds.
+/// Number of samples a channel within the first `seconds`.
 pub fn samples_by(seconds: f64, rate_hz: f64) -> usize {
     (seconds * rate_hz - 1e-6).ceil().max(0.0) as usize
 }
 
-/// The key and the seed by which the copies of a library trial are drawn.
+/// The key and seed by which the copies of a library trial are drawn.
 #[derive(Clone, Copy)]
 struct Drawn<'a> {
     key: &'a TrialKey,

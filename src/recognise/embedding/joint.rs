@@ -19,7 +19,7 @@ use crate::recognise::follow::LOOK_S;
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 
-/// Standardised features are clipped to ± this.
+/// Standardised features are clipped to plus or minus this.
 const CLIP: f32 = 8.0;
 
 /// How one source becomes its stretch of the vector.
@@ -49,7 +49,7 @@ impl SourceEmbedder {
         }
     }
 
-    /// Embeds a whole source, or a copy of it with its number.
+    /// The vector of a whole source, or of one of its copies, given with its number.
     fn embed(&self, source: &SourceFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         match (self, source) {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
@@ -69,7 +69,7 @@ impl SourceEmbedder {
     }
 }
 
-/// One source of the vector.
+/// One source, and its columns of the vector.
 #[derive(Clone, Debug)]
 pub(super) struct Stretch {
     pub spec: SourceSpec,
@@ -110,7 +110,7 @@ pub(super) struct JointEmbedder {
     pub stretches: Vec<Stretch>,
     /// Mean of each feature over the library's whole trials.
     mean: Vec<f32>,
-    /// 1/deviation of each.
+    /// 1/standard deviation of each feature.
     factor: Vec<f32>,
 }
 
@@ -126,7 +126,7 @@ pub(super) struct StoredJoint {
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
-    /// Takes the units of each source from a library; mean and deviation are set later.
+    /// Takes each source's scales from a library; `standardise_by` sets means and deviations.
     pub fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let of_source = |spec: &SourceSpec| {
             let with = |t: &'_ Arc<TrialFrames>| t.sources.contains_key(&spec.id);
@@ -150,7 +150,7 @@ impl JointEmbedder {
         Self { stretches, mean: Vec::new(), factor: Vec::new() }
     }
 
-    /// The parts that the scene does not give.
+    /// The parts to store: those that the scene does not give.
     pub fn to_stored(&self) -> StoredJoint {
         let parts = |s: &Stretch| (s.spec.id.clone(), s.embedder.clone(), s.first.clone());
         StoredJoint {
@@ -160,7 +160,7 @@ impl JointEmbedder {
         }
     }
 
-    /// Restores it; `None` if the parts do not fit the scene.
+    /// Restores an embedder; `None` if the stored parts do not fit the scene.
     pub fn from_stored(scene: &Scene, stored: StoredJoint) -> Option<Self> {
         let with_spec = |(id, embedder, first): (SourceId, SourceEmbedder, TrialKey)| {
             let spec = scene.sources().find(|spec| spec.id == id)?.clone();
@@ -198,8 +198,8 @@ impl JointEmbedder {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
 
-    /// The vector of a whole trial or a copy with its number, not yet standardised; 0 for sources
-    /// that it lacks.
+    /// The vector of a whole trial, or of one of its copies, given with its number. It is not yet
+    /// standardised, and 0 for sources that the trial lacks.
     fn raw(&self, trial: &TrialFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         let of_source = |stretch: &Stretch| {
             let source = trial.sources.get(&stretch.spec.id)?;
@@ -257,9 +257,9 @@ impl JointEmbedder {
         debug_assert!(vector.iter().all(|x| x.is_finite()));
     }
 
-    /// The standardised vectors of the beginnings of a library trial's drag, after each of `looks`,
-    /// which count from 1 and rise. Sources that are not dragged, or ended before, are as in
-    /// `whole`, the vector of the whole trial.
+    /// The standardised vectors of the beginnings of a library trial's drag, after each of `looks`:
+    /// steps of [`LOOK_S`], counted from 1, rising. Sources that do not belong to the drag, or
+    /// ended before, are as in `whole`, the vector of the whole trial.
     pub fn beginnings(
         &self,
         trial: &TrialFrames,
@@ -316,7 +316,7 @@ impl JointEmbedder {
         }
     }
 
-    /// Length of a trial's drag in seconds: that of its longest dragged source, if it has one.
+    /// Length of a trial's drag in seconds: its longest source recorded while dragging, if any.
     pub fn drag_s(&self, trial: &TrialFrames) -> Option<f64> {
         let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
         let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());

@@ -15,12 +15,11 @@ pub(super) struct Labels {
     pub class: Vec<usize>,
     /// Number of classes.
     pub classes: usize,
-    /// Group of each trial; groups are left out together.
+    /// Group of each trial; the trials of a group are left out together.
     pub group: Vec<usize>,
     /// Number of groups.
     pub groups: usize,
-    /// Whether groups consist of users: then what is found by leaving them out holds for other
-    /// people.
+    /// Whether groups consist of users: then results of leaving out hold for other people, too.
     pub across_users: bool,
 }
 

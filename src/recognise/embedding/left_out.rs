@@ -1,5 +1,5 @@
 //! Leaves library trials out, group by group, and finds how sure a model may be, how far from all
-//! surfaces a known trial can lie, when an answer is settled, and how many are right by each time.
+//! surfaces a known trial can lie, when an answer is settled, and which are right by each time.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -32,9 +32,9 @@ const MOST_BEGUN: usize = 400;
 /// Discriminants for one set of sources: from all trials, and from those outside each group.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Trained {
-    /// From all trials; plain distances to the class means if the library cannot train one.
+    /// Trained on all trials; plain distances to the class means if that is not possible.
     pub all: Discriminant,
-    /// Without each group; `None` where too few trials are left.
+    /// Trained without each group; `None` where too few trials are left.
     pub without: Vec<Option<Discriminant>>,
     /// How far left-out trials lie from all surfaces by these sources.
     pub conformity: Conformity,
@@ -119,10 +119,10 @@ impl Trained {
     }
 }
 
-/// Results of leaving trials out.
+/// What was found by leaving trials out.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    /// τ by the length of a scan.
+    /// Temperature τ of probabilities, as a function of the length of a scan.
     pub temperature: Temperature,
     /// Distances of whole left-out trials, with their classes.
     pub held_out: Vec<HeldOut>,
@@ -244,11 +244,11 @@ pub(super) struct FollowedTrial {
     pub whole: usize,
     /// Length of its drag in seconds.
     pub drag_s: f64,
-    /// One look after each [`LOOK_S`] of the drag.
+    /// The guess after each [`LOOK_S`] of the drag.
     pub looks: Vec<LeftOutLook>,
 }
 
-/// One look at a left-out trial.
+/// The guess at one look at a left-out trial.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LeftOutLook {
     pub class: usize,
@@ -290,7 +290,7 @@ impl FollowedTrial {
     }
 }
 
-/// Number of looks at a drag.
+/// Number of looks (one each [`LOOK_S`]) at a drag.
 pub(super) fn looks_in(drag_s: f64) -> usize {
     (drag_s / LOOK_S + 1e-9).floor() as usize
 }

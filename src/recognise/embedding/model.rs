@@ -41,16 +41,15 @@ pub struct EmbeddingModel {
     left_out: LeftOut,
     /// Discriminants for sets of sources that a query has, but no library trial.
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
-    /// The library's trials, until they are followed as scans that grow.
+    /// The library's trials, kept until `followed` is made of them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
-    /// The left-out trials, once they were followed.
+    /// The left-out trials, each named at every look of its growing drag.
     followed: OnceLock<Vec<FollowedTrial>>,
-    /// The stopping rule for the options that were asked for first: later scans mostly have the
-    /// same.
+    /// The stopping rule for the first options asked for: later scans mostly have the same.
     settling: OnceLock<(FollowOptions, Settling)>,
 }
 
-/// How far a query is from each surface, and what that means.
+/// The probability of each surface for a query, and the p-value.
 pub(super) struct Posterior {
     /// ln of softmax(−distance/2τ).
     pub log_posterior: Vec<f64>,
@@ -122,7 +121,7 @@ impl EmbeddingModel {
         &self.left_out.held_out
     }
 
-    /// The length that a finished scan counts as after a drag of `drag_s` seconds, if any.
+    /// The length that a finished scan with a drag of `drag_s` counts as; infinite without a drag.
     pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
         drag_s.map_or(f64::INFINITY, |drag_s| self.left_out.ended_s(drag_s))
     }
@@ -151,7 +150,8 @@ impl EmbeddingModel {
         trained
     }
 
-    /// What distances to all surfaces and a p-value mean for a scan of `scan_s` seconds.
+    /// Makes a posterior from distances to all surfaces and a p-value of a scan of `scan_s`
+    /// seconds.
     fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
         let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
         Posterior {
@@ -247,7 +247,7 @@ impl EmbeddingModel {
         if found_for == options { settling.clone() } else { choose() }
     }
 
-    /// The left-out trials, followed as scans that grow; only once.
+    /// The left-out trials, each named at every look of its growing drag; computed once.
     fn followed(&self) -> &[FollowedTrial] {
         self.followed.get_or_init(|| {
             let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -402,11 +402,10 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore); `None` if it
-    /// cannot be written.
+    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore); `None` if
+    /// that fails.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
-        // In the order of `Stored`. Following left-out trials takes a while, unless it was done
-        // before.
+        // In the order of `Stored`. Following left-out trials takes a while, unless already done.
         let joint = self.joint.to_stored();
         let stored = (&self.keys, joint, &self.training, &self.left_out, self.followed());
         postcard::to_allocvec(&stored).ok()
@@ -416,7 +415,7 @@ impl EmbeddingModel {
 /// A query as a vector, to be named by any of its sources.
 pub struct QueryVector {
     model: Arc<EmbeddingModel>,
-    /// Standardised.
+    /// The query's vector, standardised.
     vector: Vec<f32>,
     present: Present,
 }

@@ -15,7 +15,7 @@ const LAGS: usize = 4;
 /// Keeps logarithms finite: far below a 24-bit converter's step.
 const FLOOR: f64 = 1e-9;
 
-/// Statistics of one channel: see [`Statistics::moments`].
+/// The statistics of one channel, in order: see [`Statistics::moments`].
 pub const MOMENTS: [&str; 9] = [
     "ln of the standard deviation",
     "skewness, cube root",
@@ -73,8 +73,8 @@ fn products(channels: usize, lag: usize) -> usize {
     1 + OF_CHANNEL * channels + lag * channels * channels
 }
 
-/// Sums over blocks. If any channel moves in a block, blocks without movement are left out: they
-/// are gaps that a serial line has filled with its last value.
+/// Sums over the blocks in which any channel moves, or over all blocks if none does. Blocks without
+/// movement are gaps that a serial line has filled with its last value.
 #[derive(Clone, Debug)]
 struct Sums {
     channels: usize,
@@ -113,7 +113,7 @@ impl Sums {
     }
 }
 
-/// The sums of a piece of a series, from which its moments follow.
+/// The sums of a series or of a part of it, from which its moments follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
     /// The value that is subtracted from each channel.
@@ -192,7 +192,7 @@ impl Moments {
     }
 }
 
-/// Statistics of a piece of a series.
+/// Statistics of a series or of a part of it.
 #[derive(Clone, Debug)]
 pub struct Statistics {
     /// [`MOMENTS`], channel by channel.
@@ -210,9 +210,9 @@ pub struct Statistics {
 pub struct GrowingMoments {
     /// Samples a block.
     block: usize,
-    /// Known once a block is complete.
+    /// The mean of the first block, once that is complete.
     reference: Option<Vec<f32>>,
-    /// The last samples of earlier blocks, as far back as the longest lag or their beginning.
+    /// The last frames of earlier blocks, as many as the longest lag if there are as many.
     before: Vec<f32>,
     /// Samples of the block that is not complete yet.
     pending: Vec<f32>,

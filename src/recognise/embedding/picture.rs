@@ -7,7 +7,7 @@ use super::band_sums::{Counts, ViewEmbedder};
 use super::linear::{EigenPairs, push_upper};
 use super::tiles::{CHANNELS, Part, PictureTiles, STACKED};
 
-/// Added to the eigenvalues of a covariance, in units of its variance.
+/// Added to the eigenvalues of a covariance after division by its unit.
 const RIDGE: f64 = 1e-4;
 
 /// The unit of variance in level: a standard deviation of a tenth of full scale, squared.
@@ -20,7 +20,7 @@ pub(super) struct PictureEmbedder {
 }
 
 impl PictureEmbedder {
-    /// Takes its units from `pictures`, at least one.
+    /// Takes means and deviations from `pictures`, at least one.
     pub fn new(pictures: &[&PictureTiles]) -> Self {
         let counts: Vec<Counts> = pictures.iter().map(|p| p.counts(Part::Whole)).collect();
         Self { tiles: ViewEmbedder::new(&counts) }
@@ -47,7 +47,7 @@ impl PictureEmbedder {
         let mut variances: Vec<f64> =
             (0..STACKED).map(|i| statistics.covariance[i * (STACKED + 1)]).collect();
         variances.sort_by(f64::total_cmp);
-        // In a grey picture, two of three channels do not vary.
+        // In a grey picture, two of three channels do not vary, so the median may be 0.
         let own = variances[STACKED / 2].max(1e-3 * variances[STACKED - 1]).max(1e-12);
         let power = (2.0 * ln_gain).exp();
         let eigen = EigenPairs::new(statistics.covariance, STACKED);

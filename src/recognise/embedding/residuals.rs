@@ -10,7 +10,7 @@ pub struct Residuals {
     pub counts: Vec<f64>,
     /// Mean of each label, shape (labels, D).
     pub means: Array2<f64>,
-    /// Shape (n, D).
+    /// Rows minus the means of their labels, shape (n, D).
     pub rows: Array2<f32>,
 }
 

@@ -3,8 +3,7 @@
 //! in shape, with the piece's own level taken off, and in level.
 //!
 //! Means, moments and lag covariance respond to all frequencies. They are left out where a source
-//! is compared in part of its spectrum: what is configured to be excluded must not come back by
-//! them.
+//! is compared in part of its spectrum: excluded frequencies must not come back through them.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -41,8 +40,8 @@ pub(super) struct SeriesEmbedder {
 }
 
 impl SeriesEmbedder {
-    /// Takes its units from `trials` of a library, at least one. They are compared within
-    /// `band_hz`, if that is configured.
+    /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band
+    /// in which they are compared, if one is configured.
     pub fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
@@ -94,13 +93,13 @@ impl SeriesEmbedder {
             + channels * (channels - 1) / 2
     }
 
-    /// The vector of a piece of a series at `rate_hz`, multiplied by a gain of e^`ln_gain`.
+    /// The vector of a series or a copy at `rate_hz`, multiplied by a gain of e^`ln_gain`.
     pub fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
         let sums = [0, 1].map(|view| counted(&self.views, &piece.frames[view], view));
         self.vector(&sums, &piece.moments, rate_hz, ln_gain)
     }
 
-    /// The vector of a piece, from its sums.
+    /// The vector of a series or a part of it, from its sums.
     pub fn vector(
         &self,
         views: &[BandSums; 2],
@@ -128,7 +127,8 @@ impl SeriesEmbedder {
         vector
     }
 
-    /// How much louder a piece is than the library: mean of ln over the channels that move in both.
+    /// How much louder a series is than the library: mean ln ratio of the channels that move in
+    /// both.
     fn ln_gain(&self, stats: &Statistics) -> f64 {
         let louder: Vec<f64> = (stats.deviations.iter().zip(&self.deviations))
             .filter(|(own, library)| **own > STILL && **library > STILL)

@@ -36,7 +36,7 @@ const DIRECTIONS: usize = 4;
 const POWER_FLOOR: f32 = 1e-14;
 /// Displacements, in rows and columns, of the pixels whose covariance is taken.
 const DISPLACED: [(usize, usize); 7] = [(0, 0), (0, 1), (1, 0), (0, 4), (4, 0), (0, 16), (16, 0)];
-/// The longest of these.
+/// The longest displacement.
 const REACH: usize = 16;
 /// Step between the rows of pixels that enter the covariance.
 const ROW_STEP: usize = 4;
@@ -104,7 +104,7 @@ impl PictureTiles {
         CHANNELS * rings().count
     }
 
-    /// Histograms of the tiles that lie in a part.
+    /// Histograms of ln power of the tiles in a part.
     pub(super) fn counts(&self, part: Part) -> Counts {
         let mut values = Vec::new();
         self.tiles.unpack(Self::width(), 0..TILES[0] * TILES[1], &mut values);
@@ -281,7 +281,7 @@ struct Rings {
     /// Number of bands that have a bin.
     count: usize,
     window: Vec<f32>,
-    /// 2/(N·Σw²).
+    /// Turns |X|² into power: 2/(N·Σw²).
     scale: f32,
     plan: Arc<dyn Fft<f32>>,
 }

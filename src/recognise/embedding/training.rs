@@ -33,16 +33,16 @@ const JITTER: f64 = 1e-5;
 /// The standardised training vectors of a library.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
-    /// Shape (rows, D): first one row per whole trial, in order, then the rows of each trial's
+    /// Shape (rows, D): one row for each whole trial, in order, then the rows of each trial's
     /// copies.
     #[serde(with = "packed::matrix")]
     rows: Array2<f32>,
-    /// Class and kind of each row: kind · classes + class.
+    /// Class and kind of each row: kind · classes + class; kind 0 is a whole trial.
     labels: Vec<usize>,
     /// Group of each row; rows of one group are left out together.
     groups: Vec<usize>,
     classes: usize,
-    /// γ.
+    /// Shrinkage γ of the scatter.
     shrinkage: f64,
     group_count: usize,
     /// Whether each trial has each source.
@@ -88,8 +88,7 @@ impl Training {
         Self { rows, labels: of_rows, groups, classes, group_count, shrinkage, present }
     }
 
-    /// Checks training vectors that were stored; `None` if they do not fit these labels or vectors
-    /// of `dims` features.
+    /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
     pub fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
         let Self { rows, present, shrinkage, .. } = self;
         let trials = labels.class.len();
@@ -177,8 +176,8 @@ impl Training {
     }
 
     /// Discriminants for the sources that are `present`: from all trials, and from those outside
-    /// each group, `None` where these are too few or all alike. If all trials together cannot train
-    /// one, it measures plain distances to the class means.
+    /// each group, `None` where these are too few or all alike. If not even all trials can train
+    /// one, the first gives plain distances to the class means.
     pub fn discriminants(
         &self,
         joint: &JointEmbedder,

@@ -122,7 +122,7 @@ impl Texture {
         let contrast = contrast / pairs;
         let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
         for (i, j) in (0..LEVELS).flat_map(|i| (0..LEVELS).map(move |j| (i, j))) {
-            // Pairs have no order.
+            // Pairs of pixels have no order.
             let count = counts[i][j] + counts[j][i];
             if count > 0 {
                 let p = f64::from(count) / (2.0 * pairs);

@@ -3,8 +3,8 @@
 //! A source with a spectrum is cut in two ways, called views: long frames (about 46 ms, 40 bands)
 //! and short ones (about 12 ms, 24 bands), which overlap by half. Each frame loses its mean, since
 //! a sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
-//! and the power of its bins averaged over bands whose edges are equally spaced in ln(1 + f/f0), f0
-//! = a tenth of the highest frequency. The result is A = ln(mean power + 1e-14). Power is
+//! and the power of its bins averaged over bands with edges equally spaced in ln(1 + f/f0), where
+//! f0 is a tenth of the highest frequency. The result is A = ln(mean power + 1e-14). Power is
 //! 2|X|²/(L·Σw²) with samples in units of full scale, so that 16-bit quantisation amounts to about
 //! 8e-14 a bin.
 
@@ -37,8 +37,8 @@ pub struct FrameView {
 }
 
 impl FrameView {
-    /// A view with frames of `frame_s` seconds, rounded in log2 to a power of two of samples, and
-    /// at most `bands` bands. A band is at least a bin wide, and none lies above half the rate.
+    /// A view whose frames last `frame_s` seconds, rounded (in log2) to a power of two of samples,
+    /// with at most `bands` bands, each at least a bin wide and none above half the rate.
     pub fn new(
         rate_hz: f64,
         channels: usize,
@@ -141,8 +141,8 @@ impl ViewFrames {
         frames
     }
 
-    /// Appends all whole frames of `samples`. Returns how many samples a channel may be dropped
-    /// before the next call.
+    /// Appends all whole frames of `samples`. Returns how many samples a channel the next call does
+    /// not need again.
     pub fn extend(&mut self, samples: &[f32]) -> usize {
         let view = &self.view;
         let new = view.frames_in(samples.len() / view.channels);
@@ -185,7 +185,7 @@ impl ViewFrames {
 struct Workspace {
     plan: Arc<dyn RealToComplex<f32>>,
     window: Vec<f32>,
-    /// 2/(L·Σw²).
+    /// Turns |X|² into power: 2/(L·Σw²).
     scale: f32,
     input: Vec<f32>,
     output: Vec<Complex<f32>>,

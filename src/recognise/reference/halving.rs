@@ -1,12 +1,12 @@
 //! Successive halving: compares all trials by a few repetitions, and only the best by more.
 //!
 //! Positions are shared, so a repetition draws the same samples from every trial, and trials far
-//! from the query show at once. Repetitions resample one recording: dropping a trial after one of
-//! them saves work and rarely changes a label, but says nothing about confidence. With the default
-//! stages 12 % of the work remains. Measured: on LMT108's dragging sounds of 20 surfaces (`mi2`,
-//! leave one trial out, R = 10) the label was that of the exact method in 200 of 200 queries, and
-//! in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench reference --
-//! halving`).
+//! from the query stand out at once. Repetitions resample one recording: dropping a trial after one
+//! of them saves work and rarely changes a label, but says nothing about confidence. With the
+//! default stages 12 % of the work remains. Measured: on LMT108's dragging sounds of 20 surfaces
+//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200
+//! queries, and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench
+//! reference -- halving`).
 
 use std::collections::BTreeSet;
 

@@ -105,10 +105,10 @@ pub const NAME: &str = "reference";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionMode {
-    /// Once a repetition, for every trial: far cheaper.
+    /// Once a repetition, the same for every trial: far cheaper.
     #[default]
     Shared,
-    /// Again for every pair, as the authors' program does.
+    /// Anew for every pair, as the authors' program does.
     PerPair,
 }
 

@@ -188,8 +188,8 @@ impl<'a> QueryComparison<'a> {
             .sum()
     }
 
-    /// The sums of each source's scores of a library trial, after more repetitions; `None` for a
-    /// source that the query or the trial lacks.
+    /// Adds the scores of a library trial over more repetitions to `sums`, source by source; `None`
+    /// for a source that the query or the trial lacks.
     fn add_scores(
         &self,
         trial: &PreparedTrial,
@@ -216,7 +216,7 @@ impl<'a> QueryComparison<'a> {
         self.query.sources.iter().map(|spec| spec.weight).collect()
     }
 
-    /// The library's trials before the first repetition.
+    /// The library's trials, without scores.
     fn all(&self, library: &[Arc<PreparedTrial>]) -> Vec<Scored> {
         let scored = |trial: &Arc<PreparedTrial>| Scored {
             trial: trial.clone(),
@@ -226,7 +226,7 @@ impl<'a> QueryComparison<'a> {
         library.iter().map(scored).collect()
     }
 
-    /// The same trials after `until` repetitions.
+    /// Adds the scores of `trials` up to `until` repetitions.
     fn go_on(&self, trials: Vec<Scored>, until: usize) -> Result<Vec<Scored>, RecogniseError> {
         let add = |Scored { trial, sums, repetitions }: Scored| {
             let sums = self.add_scores(&trial, &sums, repetitions..until)?;

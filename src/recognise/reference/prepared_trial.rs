@@ -16,17 +16,17 @@ use crate::trial::{Signal, Trial, TrialKey};
 
 /// One source of a trial, cut to some length and ready to be compared.
 pub struct SampledSource {
-    /// One set for each repetition; empty where positions are drawn for each pair.
+    /// One set of samples a repetition; empty where positions are drawn for each pair.
     pub sets: Vec<SampleSet>,
-    /// Kept only where positions are drawn for each pair.
+    /// All samples, kept only where positions are drawn for each pair.
     pub domain: Option<DomainSamples>,
 }
 
 /// A source, its rate and frames if it is a series, and its sets.
 type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of a source stay in memory besides the trial's own: as many as `surfaced chart`
-/// needs.
+/// How many lengths of a source stay in memory besides the trial's own: enough for `surfaced
+/// chart`.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths used so far, in frames.
@@ -38,7 +38,7 @@ pub struct PreparedTrial {
     /// Rate and frames of each source that the scene describes; an image has neither.
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
-    /// By length in frames; the trial's own length first.
+    /// Each source, cut to the lengths used so far; the trial's own length comes first.
     cuts: Mutex<SampledSources>,
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::kernel::{LineSum, Number, Points, SelfMean, length_scale};
 
-/// Sets with at most this many distinct samples (the metal detector has two) are summed over these.
+/// Kernel sums of a set with at most this many distinct samples run over these only.
 const MOST_DISTINCT: usize = 8;
 
 /// Allowed error of n·MMD² from rounding coordinates to f32; beyond it, sums are in f64.
@@ -14,7 +14,7 @@ const ROUNDING_ALLOWED: f64 = 3e-5;
 /// Allowed error of n·MMD² from a table of K(y, y); beyond it, there is no table.
 const TABLE_ALLOWED: f64 = 3e-5;
 
-/// From this many times a set's own length scale on, the whole set is one tight cluster.
+/// Beyond this many times its own length scale, a set looks like one tight cluster.
 const AFAR: f64 = 8.0;
 
 /// Samples drawn from one source. Once σ is known, comparisons do not depend on their order.
@@ -104,8 +104,7 @@ impl SampleSet {
         Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
     }
 
-    /// Computes again what is not stored of a set; false if the stored fields contradict each
-    /// other.
+    /// Recomputes what is not stored of a set; false if the stored fields contradict each other.
     pub(super) fn complete(&mut self) -> bool {
         let (dims, count) = (self.dims(), self.values.len());
         if count == 0 || dims == 0 || count % dims != 0 || self.centre.len() != dims {
@@ -185,7 +184,7 @@ impl SampleSet {
         }
     }
 
-    /// The kernel sum of the first channel as a function on a line, at length scale `sigma`.
+    /// The first channel's kernel sum at length scale `sigma`, as a function of one variable.
     pub(super) fn line(&self, sigma: f64) -> LineSum {
         let n = self.n();
         match &self.values {

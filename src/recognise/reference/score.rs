@@ -81,7 +81,7 @@ pub enum SumPrecision {
 ///
 /// Each pays: without the sum over distinct samples a query of eight sources takes four times as
 /// long, without the line 1.3 times, and lanes take a tenth of the time of f64. `cargo bench
-/// --bench reference -- sums` times a score by each of them, beside f64.
+/// --bench reference -- sums` times each of them.
 pub struct QuerySet<'a> {
     set: &'a SampleSet,
     align_mean: bool,
@@ -190,7 +190,7 @@ impl<'a> QuerySet<'a> {
         CrossSums { yy: points.sum(points), zz: *zz, yz }
     }
 
-    /// The point that is z's centre once y is shifted: the origin of y's coordinates.
+    /// The origin for y's coordinates: the point that the shift of y moves to z's centre.
     fn origin(&self, shift: &dyn Fn(usize) -> f64) -> Vec<f64> {
         self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect()
     }

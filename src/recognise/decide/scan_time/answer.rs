@@ -1,11 +1,11 @@
-//! The answer to how long to drag, or why it is not known.
+//! The answer to how long a scan must last, or why that is not known.
 
 use crate::recognise::follow::FollowOptions;
 
 /// How accurately scans are to be named.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// This share named right.
+    /// This share of scans named right.
     Accuracy(f64),
     /// The accuracy of whole scans, less this share.
     Loss(f64),
@@ -47,12 +47,12 @@ pub enum Shortfall {
         /// the surfaces with too few trials, and how many each lacks
         lacking: Vec<(String, usize)>,
     },
-    /// Too few trials to show the share even if all were named right; a scan should last as long as
-    /// they do.
+    /// Too few trials to show the share even if all were right; scans should last as long as they
+    /// do.
     TooFewTrials {
-        /// the share
+        /// the share to be shown
         share: f64,
-        /// trials to record
+        /// about how many trials to record
         more: usize,
     },
     /// Not even whole trials reach the target.
@@ -71,13 +71,13 @@ pub struct ScanTime {
     pub enough: Option<AccuracyAt>,
     /// The same for the whole length of the trials.
     pub whole: Option<AccuracyAt>,
-    /// Left-out trials that this rests on.
+    /// Number of left-out trials that the answer rests on.
     pub trials: usize,
     /// People in the library.
     pub people: usize,
-    /// Whether it holds for other people: each person was left out in turn.
+    /// Whether the accuracy holds for other people: each person was left out in turn.
     pub across_people: bool,
-    /// Why `enough` is none, or the whole length.
+    /// Why `enough` is `None` or the whole length, if it is.
     pub shortfall: Option<Shortfall>,
 }
 
@@ -95,13 +95,13 @@ struct ScanTimeDocument {
     /// Median length of the library's trials, and the share named right by their whole length.
     whole_s: Option<f64>,
     accuracy_whole: Option<f64>,
-    /// Left-out trials that this rests on.
+    /// Number of left-out trials that the answer rests on.
     trials: usize,
     /// People in the library, and whether each was left out in turn.
     people: usize,
     across_people: bool,
     reason: Option<String>,
-    /// About how many trials are lacking, where too few are the reason.
+    /// About how many trials to record, if too few are the reason.
     more_trials: Option<usize>,
 }
 
@@ -163,7 +163,7 @@ impl ScanTime {
         self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
     }
 
-    /// Trials that are lacking, where too few are the reason.
+    /// How many trials to record, if too few are the reason.
     pub fn more_trials(&self) -> Option<usize> {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),

@@ -6,8 +6,8 @@
 //! share named right by each time, from which [`LeftOutAccuracy::scan_time`] reads the answer.
 //! `surfaced duration`, `plan`, `replay`, `run` and the countdowns all use this one number. It is
 //! never shorter than the first time by which enough trials could be tested for an unknown surface,
-//! since a shorter scan has no full answer. Too few trials to show the accuracy give their whole
-//! length.
+//! since a shorter scan has no full answer. If there are too few trials to show the accuracy, it is
+//! their whole length.
 //!
 //! The accuracy would be flattered if the trials that choose the time also stated it. So it is
 //! cross-fitted: for each group of trials, all other groups choose the time at which the group is
@@ -40,7 +40,7 @@ pub struct LeftOutScan {
     pub scan_s: f64,
     /// Whether it was named right after each time of [`looked_after`].
     pub right: Vec<bool>,
-    /// Whether it could be tested for an unknown surface after each of these times.
+    /// Whether it could be tested for an unknown surface after each time of [`looked_after`].
     pub judged: Vec<bool>,
     /// Whether it was named right by its whole length.
     pub right_whole: bool,
@@ -67,8 +67,8 @@ struct LeftOutGroup {
 /// How many left-out trials are named right by each scan time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LeftOutAccuracy {
-    /// In seconds, rising; the median length of the trials comes last and stands for their whole
-    /// length.
+    /// Scan times in seconds, rising; the median length of the trials comes last and stands for
+    /// their whole length.
     times: Vec<f64>,
     /// Trials with a full answer by each time: a name, and a test for an unknown surface.
     measured: Vec<usize>,
@@ -77,7 +77,7 @@ pub struct LeftOutAccuracy {
 }
 
 impl LeftOutAccuracy {
-    /// Counts the trials named right by each time; one shorter than a time, by its whole length.
+    /// Counts the trials named right by each time; a trial shorter than that, by its whole length.
     pub(crate) fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
         let mut lengths: Vec<f64> = scans.iter().map(|scan| scan.scan_s).collect();
         lengths.sort_by(f64::total_cmp);
@@ -90,7 +90,7 @@ impl LeftOutAccuracy {
         times.push(whole_s);
         let count = scans.iter().map(|scan| scan.group + 1).max().unwrap_or(0);
         let mut groups = vec![LeftOutGroup { trials: 0, right: vec![0; times.len()] }; count];
-        // If no trial can be tested for an unknown surface, there is no test to wait for.
+        // If no trial can be tested for an unknown surface, nobody waits for such a test.
         let judges = scans.iter().any(|scan| scan.judged.contains(&true));
         let is_measured = |scan: &LeftOutScan, at: usize| {
             let judged = scan.judged.get(at).filter(|_| judges && at < shorter);
@@ -225,7 +225,8 @@ impl ScanTime {
 mod tests {
     use super::*;
 
-    /// `trials` trials of 2 s, ten groups, each named right from `right_from(i)` seconds on.
+    /// `trials` trials of 2 s in ten groups; trial i is named right from `right_from(i)` seconds
+    /// on.
     fn accuracy(trials: usize, right_from: impl Fn(usize) -> f64) -> LeftOutAccuracy {
         let scan = |i: usize| LeftOutScan {
             group: i % 10,
@@ -257,7 +258,7 @@ mod tests {
         assert!((found(Goal::Accuracy(0.95)).scan_s - 0.5).abs() < 1e-9);
         let all = found(Goal::Loss(0.01));
         assert!((all.scan_s - 1.0).abs() < 1e-9 && all.accuracy == 1.0 && all.accuracy_low < 1.0);
-        // Right at 0.5 s and wrong again at 0.8 s: later times decide.
+        // Right at 0.5 s, but wrong again at 0.8 s: the scan must last longer than that.
         let mut relapse = mostly;
         relapse.groups.iter_mut().for_each(|group| group.right[7] = 0);
         let found = relapse.scan_time(Goal::Accuracy(0.95)).enough.unwrap();
