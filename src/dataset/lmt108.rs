@@ -57,8 +57,7 @@ fn is_scans(item: &Listed) -> bool {
 /// Opens the database at its root.
 ///
 /// # Errors
-/// If a folder cannot be read, the scene describes a source otherwise than the database has it, or
-/// no recording can be used.
+/// If a folder cannot be read, the scene contradicts the database, or no recording can be used.
 pub(super) fn open(
     root: &Path,
     listed: &[Listed],
@@ -128,8 +127,7 @@ struct FoundFiles {
 }
 
 impl FoundFiles {
-    /// Adds all files below `folder`; `above` holds the names, in lower case, of the folders
-    /// between the root and it.
+    /// Adds all files below `folder`; `above` names the folders above it, in lower case.
     fn walk(&mut self, folder: &Listed, above: &mut Vec<String>) -> Result<(), LibraryError> {
         above.push(folder.name.to_ascii_lowercase());
         for item in files::list(&folder.path)? {

@@ -133,8 +133,7 @@ pub enum SearchOutcome {
         /// the largest lag tested
         largest_lag: usize,
     },
-    /// A lag was found, but dependence returns beyond it, as in a periodic signal: within the range
-    /// there is no T*.
+    /// No T* within the range: a lag was found, but beyond it dependence returns.
     Returns {
         /// where Algorithm 1 as printed stops
         first: usize,

@@ -10,16 +10,14 @@
 //! ```
 //!
 //! [`report()`] computes T* for the surfaces and sources of a library, [`OnlineDuration`] for the
-//! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into the seconds to
-//! drag, and `figure` draws it.
+//! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into seconds to drag.
 //!
 //! # What T* means
 //! Two samples T* apart depend on each other no more than those of a Gaussian process with a
 //! correlation of 0.1: the second is new evidence about the surface. This holds for any source that
 //! is a series in time, whether methods compare it as a series or by its spectrum. For a spectrum,
 //! T* is no distance between bins: it says how far apart two parts of one drag must be for the
-//! second to add evidence, and so how many such parts a drag holds. Images have no T*, nor have
-//! taps, which are too short.
+//! second to add evidence, and so how many such parts a drag holds. Images and taps have no T*.
 //!
 //! There may be no T*: "never" if the signal repeats itself or drifts through a whole trial, "too
 //! little data" if the trials are too few or too short for a signal this slow, and "not within the

@@ -39,8 +39,7 @@ fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
     Fold { name: fold.name.clone(), library, queries }
 }
 
-/// Accuracy with and without a user's first trials in the library, on the same queries. Shares are
-/// fractions from 0 to 1.
+/// Accuracy from 0 to 1 on the same queries, with and without a user's trials in the library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct EnrolmentOutcome {
     /// Trials of each surface that the user enrolled.

@@ -17,8 +17,7 @@ pub enum Protocol {
     LeaveOneTrialOut,
     /// Each user is a fold; the library is everybody else (10 vs 1).
     AllVsOneUser,
-    /// `HALVES` folds, the people in turn: a random half of a person's trials of each surface is
-    /// compared with the other half.
+    /// `HALVES` folds, the people in turn: a random half of their trials against the other half.
     RandomHalves,
 }
 

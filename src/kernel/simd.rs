@@ -1,5 +1,4 @@
-//! Gaussian sums with AVX-512 intrinsics. `sum_f32` in [`super::sums`] computes the same in safe
-//! Rust; tests compare the two.
+//! Gaussian sums with AVX-512 intrinsics, tested against `sum_f32` in [`super::sums`] in safe Rust.
 //!
 //! To evaluate 2^(−q/16), q the squared distance, −q is rounded to an integer N by adding 1.5·2²³.
 //! 2^(N/16) comes from a table of 16 values and an exponent. For the rest f, |f| ≤ ½, 2^(f/16) is a

@@ -258,8 +258,7 @@ fn by_channels<T: Number, const FUSED: bool>(a: &Points<T>, b: &Points<T>, of_se
     }
 }
 
-/// The kernel sum, row by row. For a sum of points with themselves, blocks right of the diagonal
-/// count twice.
+/// The kernel sum, row by row. With `of_self`, blocks right of the diagonal count twice.
 #[inline(always)]
 fn sum<T: Number, const FUSED: bool>(
     a: &Points<T>,

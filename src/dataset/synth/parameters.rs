@@ -163,8 +163,7 @@ impl Difficulty {
     /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: on
     /// 108 such surfaces, expert against users, the method `reference` comes near the accuracies in
     /// the paper (table in `src/dataset/synth/mod.rs`). So this scene is no evidence for
-    /// `reference`, must not be used to rank methods, and its accuracies are not published as
-    /// results.
+    /// `reference`, must not be used to rank methods, and yields no published results.
     ///
     /// Weak sources are weak because surfaces resemble each other in them; large differences
     /// between users would instead make them misleading and spoil the product over sources. Offsets

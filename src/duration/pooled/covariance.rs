@@ -23,8 +23,7 @@ pub struct Covariances {
     pub lags: Vec<Vec<f64>>,
 }
 
-/// The covariance at lag 0 over all trials, F × F, and the covariances at each lag, in ⌈20/Q⌉
-/// blocks of starts for each trial.
+/// The covariance at lag 0 over all trials, F × F, and that at each lag, in ⌈20/Q⌉ blocks a trial.
 pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances) {
     let count = features.columns.len();
     let parts = BLOCKS.div_ceil(features.trials);
@@ -176,8 +175,7 @@ fn rows<const B: usize>(
 }
 
 // Slow changes move a trial's mean. Subtracting the mean therefore lowers the covariance at every
-// lag by the mean's variance V, so that long correlations look short. V follows from the
-// covariance.
+// lag by the mean's variance V, so that long correlations look short.
 
 /// Variance of the trial mean, F × F:
 ///

@@ -41,8 +41,7 @@ pub enum PooledAnswer {
         /// one-sided 95 % upper bound: the spacing to use
         upper: f64,
     },
-    /// Dependence does not fall below the threshold up to the longest lag: the signal is periodic,
-    /// or it drifts.
+    /// Dependence stays above the threshold up to the longest lag: the signal repeats or drifts.
     Never,
     /// Dependence falls below the threshold too late for the trials to show that it stays there.
     NotWithinRange,

@@ -106,9 +106,8 @@ fn deviation(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
     (values.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
 }
 
-/// Largest variance inflation over all channels: the ratio of the variance of a mean of many
-/// samples to what it would be if they were independent. 2τ for an Ornstein–Uhlenbeck process; at
-/// least 1.
+/// Largest variance inflation over all channels, at least 1: the ratio of the variance of a mean of
+/// many samples to that of independent samples. 2τ for an Ornstein–Uhlenbeck process.
 ///
 /// For a channel it is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), with Γ the corrected
 /// covariance of the channel's features and w the weight of a lag.

@@ -17,16 +17,14 @@ pub use rows::{ByRule, Estimator, PooledRow, PooledSettings, SceneDuration, Sour
 /// The surfaces and sources for which T* is computed, and how.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// Sources. If empty, `pooled` uses all that are recorded while dragging, Algorithm 1 those of
-    /// domain `time`.
+    /// Sources. If empty, `pooled` uses all of the drag, Algorithm 1 those of domain `time`.
     pub sources: Vec<SourceId>,
     /// Surfaces; if empty, all.
     pub surfaces: Vec<String>,
     /// The user whose trials are used; if `None`, for each surface the user with the most trials.
     /// Trials of several users differ in level, which would look like dependence without end.
     pub user: Option<String>,
-    /// Makes Algorithm 1 treat the named sources as series in time, whatever their domain; `pooled`
-    /// always does.
+    /// Makes Algorithm 1 treat the named sources as series in time, as `pooled` always does.
     pub as_time: bool,
     /// n, the number of samples that a scan must yield.
     pub samples: usize,
@@ -97,8 +95,7 @@ pub enum ReportError {
     Nothing(String),
 }
 
-/// Computes T* and scan durations of a library; `progress` receives the number of surfaces done and
-/// of all surfaces.
+/// T* and scan durations of a library; `progress` gets the numbers of surfaces done and in total.
 ///
 /// # Errors
 /// If a trial cannot be read, the settings are not possible, or the library has no such surface or

@@ -20,8 +20,7 @@ pub enum Estimator {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(tag = "rule", rename = "pooled")]
 pub struct PooledSettings {
-    /// Threshold between 0 and 1: the dependence of a Gaussian process with this correlation is
-    /// small enough.
+    /// Threshold: a Gaussian process of this correlation, from 0 to 1, depends little enough.
     pub dependence: f64,
 }
 
@@ -109,8 +108,7 @@ pub struct SceneDuration {
 }
 
 impl SourceDuration {
-    /// The time between samples for planning scans: the upper bound of T* if the rule has one, else
-    /// T* itself.
+    /// The time between samples for planning scans: the upper bound of T* if there is one, else T*.
     pub(crate) fn spacing_s(&self) -> Option<Second> {
         match &self.by_rule {
             ByRule::Pooled(row) => row.t_star_upper_s,

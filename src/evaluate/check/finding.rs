@@ -1,5 +1,4 @@
-//! Faults of a library: a line for each source and kind of fault, the worst first, with the
-//! command that fixes it.
+//! Faults of a library: a line for each source and kind of fault, with the command that fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -238,8 +237,7 @@ fn listed(trials: &[String], verb: &str) -> String {
 }
 
 /// Makes a finding for each source and kind, the worst first. Of each source of a trial only the
-/// worst fault counts. A fault that half of `all` trials have becomes advice to check the sensor
-/// instead.
+/// worst fault counts. A fault that half of `all` trials have becomes advice on the sensor.
 fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Finding>, Vec<String>) {
     faults.sort_by(|a, b| (a.kind, &a.source).cmp(&(b.kind, &b.source)));
     let mut seen = BTreeSet::new();

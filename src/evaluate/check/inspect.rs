@@ -37,8 +37,7 @@ pub(super) struct Measured {
     pub hash: Option<u64>,
 }
 
-/// Reads all trials. Returns the trials with any readable source, and the sources that cannot be
-/// read.
+/// Reads all trials. Returns those with a readable source, and the sources that cannot be read.
 pub(super) fn inspect(
     entries: Vec<Entry>,
     scene: &Scene,

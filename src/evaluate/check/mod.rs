@@ -34,8 +34,7 @@ const FOR_UNKNOWN: usize = 99;
 pub struct CheckReport {
     /// Number of trials that could be used.
     pub trials: usize,
-    /// Trials that were left out, and how many of them were named correctly; `None` if none could
-    /// be left out.
+    /// Trials that were left out, if any could be, and how many of them were named correctly.
     #[serde(flatten, serialize_with = "left_out_share")]
     pub share: Option<Share>,
     /// The audit of each surface, sorted by name.

@@ -6,12 +6,10 @@ use crate::evaluate::{Confusion, Outcome, Prediction, Protocol};
 use crate::recognise::{log_discrepancy, medians};
 use crate::trial::TrialKey;
 
-/// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages,
-/// as printed.
+/// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ReportRow {
-    /// Where the paper reports the setting: a table, its `text`, or the figure of `pairs`; `beside`
-    /// if nowhere.
+    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; else `beside`.
     pub place: &'static str,
     pub name: String,
     pub protocol: &'static str,

@@ -67,8 +67,7 @@ impl Rows {
     }
 }
 
-/// All settings that are run, in the order in which they are shown. The `Table I` row named [`ALL`]
-/// is the paper's main result.
+/// All settings, in the order shown. The `Table I` row named [`ALL`] is the paper's main result.
 pub fn rows() -> Vec<Row> {
     let mut rows = Rows(Vec::new());
     table_1(&mut rows);

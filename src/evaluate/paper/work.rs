@@ -18,8 +18,7 @@ use crate::trial::TrialKey;
 /// shard.
 ///
 /// # Errors
-/// If a trial cannot be read or compared. If data for a setting are missing, its result says so
-/// instead.
+/// If a trial cannot be read or compared. Missing data are no error: a setting's result says so.
 pub fn work(
     library: &Library,
     options: &ReferenceOptions,

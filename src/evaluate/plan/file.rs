@@ -113,8 +113,7 @@ impl Plan {
     /// Reads a plan.
     ///
     /// # Errors
-    /// If the file cannot be read, is not TOML, has an unknown key, or an impossible value. Errors
-    /// in TOML tell line and column.
+    /// With the place in the file, if it cannot be read, is not TOML, or has wrong keys or values.
     pub fn read(path: &Path) -> Result<Self, PlanError> {
         let shown = || path.display().to_string();
         let text = std::fs::read_to_string(path)

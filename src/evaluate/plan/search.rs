@@ -99,8 +99,7 @@ pub fn search(
     search.steps.extend(found.as_ref().map(ScanTime::line));
     search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
     let mut expected = search.expected(&outcome, &choice, scan_s, options.protocol);
-    // If no scan time has the accuracy asked for, the target counts as missed, even if these folds
-    // reach it.
+    // If no scan time has the requested accuracy, the target is missed, whatever these folds say.
     expected.reached &= found.is_none_or(|found| found.scan_s().is_some());
     let plan = Plan {
         library: library.name.clone(),

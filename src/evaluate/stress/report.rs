@@ -13,8 +13,7 @@ pub struct StressCell {
     pub accuracy: f64,
     /// Share of queries of known surfaces that would be rejected.
     pub known_rejected: f64,
-    /// Share of queries of unknown surfaces that would be rejected; `None` if the library is too
-    /// small to leave surfaces out.
+    /// Share of queries of unknown surfaces that would be rejected; `None` if there are none.
     pub unknown_rejected: Option<f64>,
     /// Expected calibration error of the stated probability, for methods that state one.
     pub calibration_error: Option<f64>,

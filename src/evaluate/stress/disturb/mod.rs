@@ -182,8 +182,7 @@ fn each_series(
     }
 }
 
-/// Changes each sample of these series: `change` gets the sample, the channel's spread and the
-/// level.
+/// Changes each sample of these series; `change` gets it, the channel's spread and the level.
 fn each_sample(
     trial: &mut Trial,
     setting: &mut Setting<'_>,
