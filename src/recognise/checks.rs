@@ -6,8 +6,7 @@ use super::error::RecogniseError;
 use crate::scene::{Domain, SourceId, SourceSpec};
 use crate::trial::{Signal, TrialKey};
 
-/// Checks that a signal of the trial `key` is an image or a series, and has as many channels, as
-/// `spec` says.
+/// Checks that a signal is an image or a series, and has as many channels, as `spec` says.
 ///
 /// # Errors
 /// If it does not match.

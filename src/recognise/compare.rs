@@ -56,8 +56,7 @@ pub struct TestOptions {
 /// positions, and tests each source.
 ///
 /// # Errors
-/// If a trial does not fit the scene, if the trials have no source in common, or if their rates
-/// differ.
+/// If a trial does not fit the scene, or the trials share no source, or their rates differ.
 pub fn compare(
     z: &Trial,
     y: &Trial,

@@ -37,8 +37,7 @@ struct Pair {
 }
 
 impl Pair {
-    /// Value of the decision function; `kernel` holds the kernel values of the query and each
-    /// trial.
+    /// Value of the decision function; `kernel` holds the kernel of the query and each trial.
     fn decide(&self, kernel: &[f64]) -> f64 {
         self.bias + self.support.iter().map(|&(i, weight)| weight * kernel[i]).sum::<f64>()
     }

@@ -49,8 +49,7 @@ fn row(query: ArrayView1<'_, f64>) -> FeatureMatrix {
     DenseMatrix::new(1, values.len(), values, false).expect("one row")
 }
 
-/// Shares of votes as scores. Each of n surfaces gets 1/n of an extra vote, so that none has a
-/// share of 0.
+/// Shares of votes as scores. Each of n surfaces gets 1/n of an extra vote, so that none has 0.
 fn shares(votes: &[f64]) -> Scores {
     let each = 1.0 / votes.len() as f64;
     let total: f64 = votes.iter().sum::<f64>() + 1.0;

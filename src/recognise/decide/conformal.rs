@@ -13,8 +13,7 @@
 //! whole trials, three of them counted as one trial.
 //!
 //! Only a method that can leave out library trials cheaply has this measure: `embedding`.
-//! `reference` would have to compare every trial of the library with all others whenever a library
-//! is read.
+//! `reference` would have to compare all trials of the library with each other whenever it is read.
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; four surfaces at a time are left
@@ -157,8 +156,7 @@ pub struct Rejection {
 }
 
 impl Rejection {
-    /// The threshold for the usual rate, 1 %, or for the lowest rate that `trials` left-out trials
-    /// can show.
+    /// The threshold for 1 %, the usual rate, or the lowest rate that `trials` trials can show.
     ///
     /// # Errors
     /// With fewer than `FEWEST` trials, which would wrongly reject more than one scan in ten.
@@ -267,8 +265,7 @@ mod tests {
         let scans = [(0, 1.0), (0, 2.0), (0, 3.0), (1, 10.0), (1, 20.0), (1, 30.0)];
         let excerpts = Conformity::new(vec![Calibration::new(1.0, 3, scans.into_iter())]);
         assert_eq!(excerpts.trials(), 2);
-        // Two of three excerpts of one trial and one of the other are as strange: (2/3 + 1/3 +
-        // 1)/3.
+        // Two of three excerpts of one trial and one of the other: (2/3 + 1/3 + 1)/3.
         let p_value = excerpts.p_value(2.0, |group| [1.5, 25.0][group]).unwrap();
         assert!((p_value - 2.0 / 3.0).abs() < 1e-12, "{p_value}");
         assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY]), 2.0);

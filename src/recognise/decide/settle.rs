@@ -198,8 +198,7 @@ mod tests {
         assert_eq!(settled(&unfit), None);
     }
 
-    /// A trial whose early looks say `early` with probability 0.8 until 1 s, then the truth with
-    /// certainty.
+    /// A trial whose looks say `early` with probability 0.8 until 1 s, then the truth, certainly.
     fn stops(early: usize, truth: usize) -> Stops {
         let look = |i: usize| Look {
             scan_s: 0.1 * i as f64,

@@ -73,8 +73,7 @@ impl Discriminant {
     /// of tr W/D: larger than the number of columns if these are coordinates in a subspace.
     /// `shrinkage` is γ.
     ///
-    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes have
-    /// any.
+    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes occur.
     pub fn train(
         vectors: &Vectors<'_>,
         dims: usize,
@@ -97,8 +96,8 @@ impl Discriminant {
         present: Vec<bool>,
         scale: f64,
     ) -> Option<Self> {
-        // Cholesky factor of the means' inner products; a mean in the space of those before it adds
-        // no column.
+        // Cholesky factor of the means' inner products; a mean that depends on others adds no
+        // column.
         let inner = white.t().dot(inverse);
         let largest = inner.diag().iter().copied().fold(0.0, f64::max);
         let classes = present.len();

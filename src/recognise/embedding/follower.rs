@@ -287,8 +287,7 @@ impl Follower {
     }
 
     /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
-    /// it is finished. `None` where the source was not followed, or had samples that are not
-    /// finite.
+    /// it is finished. `None` if the source was not followed, or had NaN or infinite samples.
     pub fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
         let whole = self.scan.waiting.get(source).filter(|waiting| !waiting.broken);
         whole.map(|waiting| waiting.flaws.flaws())

@@ -26,8 +26,7 @@ pub(super) struct BandScale {
 }
 
 impl BandScale {
-    /// From means and deviations of bands; each deviation gets a thousandth more, so that none is
-    /// 0.
+    /// From means and deviations of bands; a thousandth is added to deviations, so that none is 0.
     pub fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
         let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));
         Self { factor: deviation.iter().map(factor).collect(), centre }

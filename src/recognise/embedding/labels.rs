@@ -1,5 +1,4 @@
-//! Labels of a library's trials for training: their classes, and the groups in which they are left
-//! out.
+//! Labels of a library's trials for training: their classes, and the groups that are left out.
 
 use crate::trial::TrialKey;
 

@@ -150,8 +150,7 @@ impl EmbeddingModel {
         trained
     }
 
-    /// Makes a posterior from distances to all surfaces and a p-value of a scan of `scan_s`
-    /// seconds.
+    /// Makes a posterior from the distances to all surfaces and the p-value of a scan.
     fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
         let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
         Posterior {
@@ -402,8 +401,7 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore); `None` if
-    /// that fails.
+    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore), if possible.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless already done.
         let joint = self.joint.to_stored();

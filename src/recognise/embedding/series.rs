@@ -127,8 +127,7 @@ impl SeriesEmbedder {
         vector
     }
 
-    /// How much louder a series is than the library: mean ln ratio of the channels that move in
-    /// both.
+    /// How much louder a series is than the library: mean ln ratio over channels moving in both.
     fn ln_gain(&self, stats: &Statistics) -> f64 {
         let louder: Vec<f64> = (stats.deviations.iter().zip(&self.deviations))
             .filter(|(own, library)| **own > STILL && **library > STILL)

@@ -330,8 +330,7 @@ impl Rings {
         }
     }
 
-    /// The ln power of the bands of two tiles at once, which are the real and the imaginary part of
-    /// `pair`.
+    /// The ln power of the bands of two tiles, which are the real and imaginary part of `pair`.
     fn transform(&self, pair: &mut [Complex<f32>], scratch: &mut [Complex<f32>]) -> [Vec<f32>; 2] {
         self.plan.process_with_scratch(pair, scratch);
         for row in 0..SIDE {

@@ -33,8 +33,7 @@ const JITTER: f64 = 1e-5;
 /// The standardised training vectors of a library.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
-    /// Shape (rows, D): one row for each whole trial, in order, then the rows of each trial's
-    /// copies.
+    /// Shape (rows, D): one row for each whole trial, in order, then those of each trial's copies.
     #[serde(with = "packed::matrix")]
     rows: Array2<f32>,
     /// Class and kind of each row: kind · classes + class; kind 0 is a whole trial.

@@ -97,8 +97,7 @@ impl Texture {
         Self { level: grey.iter().map(level).collect(), grey, variance }
     }
 
-    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation use the grey values, not the
-    /// levels.
+    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation use unrounded grey values.
     fn at(&self, step: usize) -> [f64; TEXTURES.len()] {
         let mut counts = [[0u32; LEVELS]; LEVELS];
         let (mut contrast, mut pairs) = (0.0, 0);

@@ -130,8 +130,7 @@ pub struct ViewFrames {
 }
 
 impl ViewFrames {
-    /// The frames of a recording. `samples` are interleaved; fewer than a frame are padded with
-    /// zeros.
+    /// The frames of a recording of interleaved samples; a short one is padded with zeros.
     pub fn new(view: FrameView, samples: &[f32]) -> Self {
         let mut frames = Self { view, values: Vec::new() };
         frames.extend(samples);
@@ -141,8 +140,7 @@ impl ViewFrames {
         frames
     }
 
-    /// Appends all whole frames of `samples`. Returns how many samples a channel the next call does
-    /// not need again.
+    /// Appends all whole frames; returns how many samples a channel are not needed again.
     pub fn extend(&mut self, samples: &[f32]) -> usize {
         let view = &self.view;
         let new = view.frames_in(samples.len() / view.channels);

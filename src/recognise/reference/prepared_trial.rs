@@ -25,8 +25,7 @@ pub struct SampledSource {
 /// A source, its rate and frames if it is a series, and its sets.
 type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of a source stay in memory besides the trial's own: enough for `surfaced
-/// chart`.
+/// How many lengths of a source stay in memory besides the trial's own: enough for `chart`.
 const KEPT_LENGTHS: usize = 3;
 
 /// Each source at the lengths used so far, in frames.

@@ -47,8 +47,7 @@ pub enum Shortfall {
         /// the surfaces with too few trials, and how many each lacks
         lacking: Vec<(String, usize)>,
     },
-    /// Too few trials to show the share even if all were right; scans should last as long as they
-    /// do.
+    /// Too few trials to show the share even if all were right; scans should last as long.
     TooFewTrials {
         /// the share to be shown
         share: f64,

@@ -225,8 +225,7 @@ impl ScanTime {
 mod tests {
     use super::*;
 
-    /// `trials` trials of 2 s in ten groups; trial i is named right from `right_from(i)` seconds
-    /// on.
+    /// `trials` trials of 2 s in ten groups; trial i is named right from `right_from(i)` s on.
     fn accuracy(trials: usize, right_from: impl Fn(usize) -> f64) -> LeftOutAccuracy {
         let scan = |i: usize| LeftOutScan {
             group: i % 10,
