@@ -5,8 +5,9 @@
 //!   answers.jsonl                every answer, and what people said of it; see `log`
 //!   scans/ID/                    one scan in the recording format, the newest ones
 //!     trial.toml  ac.wav  ca1.png  …
-//!     .why.json                  why it was named as it was, and its outline beside the nearest trial's
+//!     .why.json                  reasons for its name, and outlines of it and of the nearest trial
 //!     .nearest-ca1.jpg           pictures of the nearest trial
+//!   aside/ID/                    scans that are missing from the log, which may be damaged
 //! ```
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.

@@ -1,4 +1,4 @@
-//! A station with no more devices than some sources need.
+//! Reduces a station to the devices that some sources need.
 
 use std::collections::BTreeSet;
 
@@ -15,10 +15,9 @@ enum DevicePart {
 }
 
 impl StationConfig {
-    /// This station with only those parts that a scan of `sources` needs: their devices and cuts
-    /// and, so that scans
-    /// are detected, one device that shows contact: of those needed, if one does, else the stylus,
-    /// else the microphone.
+    /// This station with only those parts that a scan of `sources` needs: their devices and cuts,
+    /// and a device that shows contact, so that scans are detected: one of those needed if
+    /// possible, else the stylus, else the microphone.
     pub fn only(mut self, sources: &[SourceId]) -> Self {
         self.detection.cuts.retain(|cut| sources.contains(&cut.source));
         let cuts = &self.detection.cuts;

@@ -7,7 +7,7 @@ use http::Uri;
 /// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpAddress {
-    /// The host, and the port: 80 unless it is said.
+    /// The host and the port, by default 80.
     pub host: (String, u16),
     /// The path, with its query.
     pub path: String,
@@ -16,7 +16,7 @@ pub struct HttpAddress {
 /// A topic of an MQTT broker.
 #[derive(Clone, PartialEq, Eq)]
 pub struct MqttAddress {
-    /// The host, and the port: 1883 unless it is said.
+    /// The host and the port, by default 1883.
     pub host: (String, u16),
     /// The topic that answers are published under.
     pub topic: String,
@@ -31,7 +31,7 @@ impl std::fmt::Debug for MqttAddress {
     }
 }
 
-/// The parts of an address of a scheme, with its usual port.
+/// The URI, host and port in an address of this scheme, whose default port is `port`.
 fn parts(text: &str, scheme: &str, port: u16) -> Option<(Uri, (String, u16))> {
     let uri: Uri = text.parse().ok()?;
     let host = uri.host().filter(|_| uri.scheme_str() == Some(scheme))?.to_string();

@@ -1,4 +1,4 @@
-//! From a file laid over the defaults to what the program works with.
+//! Turns a file laid over the defaults into the objects that the program works with.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -122,7 +122,7 @@ where
     }
 }
 
-/// The source of the scene called `name`, which stands at `at`.
+/// The source of the scene called `name`; `at` is where that name stands in the file.
 fn known<S>(name: &str, at: &Spanned<S>, scene: &Scene) -> Result<SourceId, Mistake> {
     if let Some(spec) = scene.get(name) {
         return Ok(spec.id.clone());
@@ -170,7 +170,7 @@ fn microphone(block: MicrophoneBlock) -> Result<Option<MicrophoneConfig>, Mistak
             None => return mistake(&channel, "channel = 0; channels are counted from 1"),
         },
     };
-    // Letters alone.
+    // The name has letters only.
     let stream = SourceId::new(SOUND).expect("letters name a source");
     Ok(present.then_some(MicrophoneConfig { device, pick, stream }))
 }
@@ -248,7 +248,7 @@ impl StreamCuts<'_> {
         self
     }
 
-    /// All of them, each source once; `file` is anything in the file.
+    /// The cuts, if each source occurs once; `file` is any value, whose line an error names.
     fn checked<S>(self, file: &Spanned<S>) -> Result<Vec<CutFrom>, Mistake> {
         let mut seen = BTreeSet::new();
         match self.cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {
@@ -268,7 +268,7 @@ fn detection(
     let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
     for (name, kind) in &block.listen {
         let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
-            // Of a device that this station does not have.
+            // A source of a device that this station does not have.
             known(name, kind, scene)?;
             continue;
         };
