@@ -50,7 +50,7 @@ pub fn amplitude_spectrum(
         input.resize(points, 0.0);
         output.resize(points / 2 + 1, Complex::default());
         scratch.resize(plan.get_scratch_len().max(scratch.len()), Complex::default());
-        // Its only error is a wrong length, and these lengths come from the plan.
+        // The transform's only error is a wrong length, and these lengths come from the plan.
         plan.process_with_scratch(input, output, scratch).expect("buffers of the plan's lengths");
         output[bins.start.min(output.len())..bins.end.min(output.len())]
             .iter()

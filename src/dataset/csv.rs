@@ -45,7 +45,7 @@ pub struct CsvForm {
 pub struct CsvTrials {
     /// The trials, in the order of the file.
     pub trials: Vec<Trial>,
-    /// Mean rate of the rows in Hz before resampling, if they were resampled.
+    /// Mean rate of the rows in Hz before resampling, if rows were resampled.
     pub uneven_hz: Option<f64>,
 }
 

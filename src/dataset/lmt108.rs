@@ -40,8 +40,8 @@ pub(super) fn is_root(listed: &[Listed]) -> bool {
     listed.iter().any(|item| is_scans(item) && holds_recordings(item))
 }
 
-/// Whether a folder that is named like one of [`FOLDERS`] holds recordings of the database, or no
-/// files at all. It may also be a surface of that name in another library.
+/// Whether a folder named like one of [`FOLDERS`] holds recordings of the database, or no files at
+/// all. Otherwise it may be a surface of that name in another library.
 fn holds_recordings(folder: &Listed) -> bool {
     let mut found = FoundFiles::default();
     // Counts a folder that cannot be listed as the database's: reading it will report the error.
@@ -224,7 +224,7 @@ fn source_files(
     mut paths: Vec<PathBuf>,
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
-        // `complete` has ensured that there is a file.
+        // `complete` has ensured that `paths` is not empty.
         "mi1" | "mi2" => {
             headers.series(spec, Declared { rate_hz: None, band: true }, &paths.remove(0))?
         }

@@ -33,8 +33,8 @@ use crate::seed;
 pub enum Rule {
     /// The (1 − α) quantile of the R values of HSIC: Algorithm 1 as printed.
     Quantile,
-    /// The upper end of the two-sided (1 − α) Student-t interval of their mean: the authors'
-    /// program, and its Fig. 7.
+    /// The upper end of the two-sided (1 − α) Student-t interval of the mean of the R values: the
+    /// authors' program, and the paper's Fig. 7.
     MeanCi,
 }
 
@@ -64,8 +64,8 @@ pub struct Algorithm1Settings {
     pub largest_lag: usize,
     /// Test every lag from 1 upwards, instead of a coarse grid that is refined.
     pub exhaustive: bool,
-    /// Test lags beyond the first independent one too, and reject it if dependence returns: a
-    /// periodic signal never becomes independent. Algorithm 1 as printed does not do so.
+    /// After the first independent lag, test longer ones too, and reject the first if dependence
+    /// returns: a periodic signal never becomes independent. Algorithm 1 as printed omits this.
     pub look_beyond: bool,
     /// Seed of every draw.
     pub seed: u64,
@@ -248,7 +248,7 @@ impl<'a> Search<'a> {
         point
     }
 
-    /// HSIC and κ of the samples of all trials at `start`, paired with those `lag` later.
+    /// HSIC and κ of the samples of all trials at `start`, paired with the samples `lag` later.
     fn test(&self, lag: usize, draw: usize, start: usize) -> (f64, f64) {
         let Algorithm1Settings { alpha, threshold, seed, .. } = self.settings;
         let shape = (self.trials.count(), self.trials.channels());

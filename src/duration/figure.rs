@@ -29,7 +29,7 @@ pub fn figure(
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
                 panels.push(Box::new(move |area| algorithm1_panel(area, row, curve)));
             }
-            // The first row of a source draws the panel of all its rows.
+            // All rows of a source share a panel, which is added at the first of them.
             ByRule::Pooled(_) if durations[..i].iter().all(|d| d.source != row.source) => {
                 let rows = rows_of(durations, &row.source);
                 if !rows.is_empty() {

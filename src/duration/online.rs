@@ -104,7 +104,7 @@ impl OnlineDuration {
         Ok(self.estimate())
     }
 
-    /// T* of the frames in the window, if there are enough of them.
+    /// T* of the frames in the window; `None` if there are too few.
     pub fn estimate(&self) -> Option<OnlineEstimate> {
         let held = self.history.len() / self.channels;
         let frames = held.min(self.frames_in(self.settings.window_s));

@@ -3,9 +3,9 @@
 use crate::kernel::{FEWEST_PAIRS, HsicError};
 use crate::trial::Series;
 
-/// Share of equal samples at one end of a channel's range above which it counts as saturated.
+/// Share of equal samples at one end of a channel's range above which the channel is refused.
 const SATURATED: f64 = 0.5;
-/// Share of such samples above which a remark says that the channel is saturated.
+/// Share of equal samples at one end of a channel's range above which a remark tells of saturation.
 const WORTH_SAYING: f64 = 0.02;
 /// About this number of times are compared between trials, to see whether the trials differ.
 const MOMENTS: usize = 2000;

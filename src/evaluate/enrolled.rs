@@ -44,9 +44,9 @@ fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
 pub struct EnrolmentOutcome {
     /// Trials of each surface that the user enrolled.
     pub trials: usize,
-    /// Share of queries named correctly with these trials in the library.
+    /// Share of queries named correctly with the user's trials in the library.
     pub accuracy: f64,
-    /// Share of the same queries named correctly without these trials.
+    /// Share of the same queries named correctly without the user's trials in the library.
     #[serde(flatten, serialize_with = "without")]
     pub without: Share,
     /// The first share minus the second.
@@ -99,7 +99,7 @@ mod tests {
         let mut keys = Vec::new();
         for surface in ["a", "b"] {
             keys.extend((1..=2).map(|n| TrialKey::new(surface, EXPERT, n)));
-            // Not in the order of their numbers.
+            // Numbers out of order, since `enrol` must sort them.
             keys.extend([3, 1, 2].map(|n| TrialKey::new(surface, "user1", n)));
             keys.push(TrialKey::new(surface, "user2", 1));
         }

@@ -118,11 +118,11 @@ pub struct Query {
     pub prepared: Prepared,
     /// The sources that were left out, and why.
     pub left_out: Vec<String>,
-    /// The moment when its raw samples were in memory and preparation began.
+    /// The moment when the query's raw samples were in memory and preparation began.
     pub started: Instant,
 }
 
-/// The reasons why sources were left out, each with the queries that it concerns.
+/// The reasons why sources were left out of queries, each with the queries concerned.
 pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
 
 /// The result of naming all queries.
@@ -292,7 +292,7 @@ impl<'a> Run<'a, '_> {
         let query = self.query(model, index, seconds)?;
         let mut remarks = query.left_out;
         let ranking = match model.rank(&query.prepared) {
-            // Too little to name it: counts as named wrong.
+            // A query with too little data to name counts as named wrong.
             Err(error @ RecogniseError::TooLittle) => {
                 remarks.push(format!("not named: {error}"));
                 None

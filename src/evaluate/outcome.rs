@@ -14,7 +14,7 @@ use crate::trial::TrialKey;
 pub struct Prediction {
     /// The query; its surface is the truth.
     pub key: TrialKey,
-    /// Index of its fold.
+    /// Index of the query's fold.
     pub fold: usize,
     /// The answer.
     pub surface: String,
@@ -38,7 +38,7 @@ impl Prediction {
 pub struct FoldAccuracy {
     /// User or trial that was left out.
     pub name: String,
-    /// Its queries, and how many of them were named correctly.
+    /// The fold's queries, and how many of them were named correctly.
     pub share: Share,
 }
 

@@ -47,7 +47,7 @@ fn squared_distances(channels: &[Vec<f64>], n: usize) -> Vec<f64> {
     squared
 }
 
-/// Median, the mean of the two middle values where their number is even.
+/// The median; of an even number of values, the mean of the two middle ones.
 fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;

@@ -31,7 +31,7 @@ pub struct CentredMoments {
 }
 
 impl CentredMoments {
-    /// Computes them for a symmetric matrix of shape (n, n) whose rows sum to zero. O(n³).
+    /// Computes the sums over a symmetric matrix of shape (n, n) whose rows sum to zero. O(n³).
     pub fn of(w: &Array2<f64>) -> Self {
         let square = w.dot(w);
         let diagonal = w.diag();

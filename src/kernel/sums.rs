@@ -223,7 +223,7 @@ macro_rules! dispatched_sum {
             "aarch64+neon"
         ))]
         fn $name(a: &Points<$number>, b: &Points<$number>, of_self: bool) -> f64 {
-            // Without an instruction for a fused multiplication it would be a slow library call.
+            // Without an instruction for it, a fused multiplication would be a slow library call.
             if target_cfg_f!(any(target_feature = "fma", target_feature = "neon")) {
                 by_channels::<$number, true>(a, b, of_self)
             } else {

@@ -223,7 +223,7 @@ fn with_a_dead_line(mut trial: Trial) -> Trial {
         if let (Signal::Series(series), true) = (&*signal, is_dead(id)) {
             let still = vec![0.0; series.samples().len()];
             let dead = Series::new(series.rate_hz(), series.channels(), still);
-            // Its length and rate are those of a valid series.
+            // `dead` has the length and the rate of `series`, which is valid.
             *signal = Signal::Series(dead.expect("zeros at a rate that was one"));
         }
     }

@@ -8,7 +8,7 @@ use super::effect::Effect;
 /// The scene to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
-    /// number of surfaces; surface k does not depend on it
+    /// number of surfaces; surface k is the same for every number
     pub surfaces: usize,
     /// trials of each surface by the expert
     pub trials: u32,
@@ -29,7 +29,7 @@ pub struct Parameters {
 pub struct Twins {
     /// the first surface, counted from 0
     pub original: usize,
-    /// the surface that resembles it, counted from 0
+    /// the surface that resembles the first, counted from 0
     pub twin: usize,
     /// distance of the twin from the original: 0 is the same surface, 1 an unrelated one
     pub distance: f64,
@@ -75,7 +75,7 @@ pub struct Difficulty {
     pub sound_level: Effect,
     /// slope of the dragging sound's spectrum
     pub sound_slope: Effect,
-    /// ln of the height of each bump of that spectrum, relative to its slope
+    /// ln of the height of each bump of the dragging sound's spectrum, relative to its slope
     pub sound_bump: Effect,
     /// ln of the centre of each bump, in Hz
     pub sound_centre: Effect,
@@ -97,7 +97,7 @@ pub struct Difficulty {
     pub acceleration_axis: Effect,
     /// slope of the acceleration's spectrum
     pub acceleration_slope: Effect,
-    /// ln of the height of each bump of that spectrum
+    /// ln of the height of each bump of the acceleration's spectrum
     pub acceleration_bump: Effect,
     /// ln of the centre of each bump, in Hz
     pub acceleration_centre: Effect,
@@ -117,7 +117,7 @@ pub struct Difficulty {
     // Infrared reflectance (ir).
     /// logit of the mean reflectance
     pub reflectance_level: Effect,
-    /// ln of the reflectance's standard deviation at a mean of ½; towards 0 and 1 it shrinks
+    /// ln of the reflectance's standard deviation at a mean of ½; less for means towards 0 and 1
     pub reflectance_width: Effect,
     /// skewness of the reflectance's distribution, 0 for none
     pub reflectance_skew: Effect,
@@ -151,7 +151,7 @@ pub struct Difficulty {
     pub gloss: Effect,
     /// ln of the brightness of the light without flash
     pub light: Effect,
-    /// warmth of that light: ln of the ratio of red to blue
+    /// warmth of the light without flash: ln of the ratio of red to blue
     pub warmth: Effect,
     /// ln of the brightness of the light with flash
     pub flash: Effect,

@@ -23,9 +23,9 @@ pub struct Curve {
 /// The lag at which a curve falls below a threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// Where the fit crosses the threshold, in frames; `None` if it stays above.
+    /// Lag at which the fit crosses the threshold, in frames; `None` if the fit stays above.
     pub estimate: Option<f64>,
-    /// Where the fit's upper confidence bound crosses it, in frames.
+    /// Lag at which the fit's upper confidence bound crosses the threshold, in frames.
     pub upper: Option<f64>,
 }
 

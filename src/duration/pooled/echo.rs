@@ -51,7 +51,7 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
                 input.fill(0.0);
                 input[..frames].copy_from_slice(&column[trial * frames..(trial + 1) * frames]);
                 let mut spectrum = forward.make_output_vec();
-                // Its only error is a wrong length, and these lengths come from the plan.
+                // The transform's only error is a wrong length; these lengths come from the plan.
                 forward.process(&mut input, &mut spectrum).expect("buffers of the plan's lengths");
                 spectrum
             })

@@ -8,7 +8,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::trial::Series;
 
-/// Share of its variance that a feature must keep when its projections on earlier ones are removed.
+/// A feature must keep this share of its variance when projections on earlier ones are removed.
 const LEAST_KEPT: f64 = 0.05;
 /// Most channels with which products of pairs are added.
 const MOST_PAIRED: usize = 4;

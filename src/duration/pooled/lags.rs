@@ -2,7 +2,7 @@
 
 /// Each lag up to this one has a bin of its own.
 const SINGLE: usize = 8;
-/// Ratio of a bin's upper edge to its lower one.
+/// Ratio of a bin's upper edge to its lower edge.
 const RATIO: f64 = 1.15;
 /// The longest lag is a trial's length divided by this.
 const LONGEST: usize = 4;
@@ -18,7 +18,7 @@ pub struct Lag {
     pub frames: usize,
     /// Distance from one start to the next, a power of two.
     pub stride: usize,
-    /// Number of lags that this one represents: half the distance between its two neighbours.
+    /// Number of lags that this sampled lag represents: half the distance between its neighbours.
     pub weight: f64,
 }
 

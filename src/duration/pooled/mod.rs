@@ -28,7 +28,7 @@ use lags::{Lags, lags};
 
 /// The longest lag must exceed T* by this factor, to show that dependence does not return.
 const BEYOND: f64 = 1.5;
-/// Repetitions of the correction for the trials' means: it depends on T*, and T* on it.
+/// Repetitions of the correction for the trials' means, since it and T* depend on each other.
 const CORRECTIONS: usize = 3;
 
 /// T* in samples, or why there is none.

@@ -46,7 +46,7 @@ pub struct SourceDuration {
     pub remarks: Vec<String>,
     /// Samples a second.
     pub rate_hz: Option<f64>,
-    /// Results that only this rule has.
+    /// Results that only the chosen rule has.
     #[serde(flatten)]
     pub by_rule: ByRule,
 }
@@ -61,7 +61,7 @@ pub enum ByRule {
         rule: Rule,
         /// The latest start t₁,max that was used, in samples.
         latest_start: Option<usize>,
-        /// HSIC, its bounds and κ at each lag for which they were computed.
+        /// HSIC, the bounds of HSIC, and κ at each lag that was tested.
         curve: Vec<CurvePoint>,
     },
     /// The rule `pooled`.
@@ -78,9 +78,9 @@ pub struct PooledRow {
     pub t_star_upper_s: Option<Second>,
     /// Length of the shortest trial.
     pub trial_s: Option<Second>,
-    /// Effective number of independent samples in a trial of that length.
+    /// Effective number of independent samples in the shortest trial.
     pub effective_samples: Option<f64>,
-    /// Effective number of independent samples among n samples spread over such a trial.
+    /// Effective number of independent samples among n samples spread over the shortest trial.
     pub effective_of_n: Option<f64>,
     /// Share of the variance that is due to lasting differences between trials.
     pub lasting_share: Option<f64>,
@@ -99,11 +99,11 @@ pub struct SceneDuration {
     pub source: SourceId,
     /// The longest scan that any surface needs; `None` if no surface has a T*.
     pub scan_s: Option<Second>,
-    /// T* of the surface that needs it.
+    /// T* of the surface that needs the longest scan.
     pub t_star_s: Option<Second>,
-    /// The surface that needs it.
+    /// The surface that needs the longest scan.
     pub surface: Option<String>,
-    /// Surfaces without a T*: it is not known how long to scan them.
+    /// Surfaces without a T*, whose scan duration is unknown.
     pub without: Vec<String>,
 }
 

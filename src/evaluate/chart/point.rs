@@ -153,7 +153,7 @@ impl Chart {
         point.sources.len() < self.sources.len()
     }
 
-    /// Scan time of a point: the part of the drag that it used.
+    /// Scan time of a point in seconds: the part of the drag that was used.
     pub fn scan_s(&self, point: &ChartPoint) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
     }

@@ -44,7 +44,7 @@ fn on_subsets() -> MethodSpec {
 pub struct Charted {
     pub what: Comparer,
     pub scene: Scene,
-    /// The part of each query's drag that is used, in seconds; `None` for all of it.
+    /// The first seconds of each query's drag to use, for each measurement; `None` for all of it.
     pub seconds: Vec<Option<f64>>,
 }
 
@@ -55,7 +55,7 @@ pub enum Comparer {
     Method(MethodSpec),
     /// A negative control: a method on data that should tell little, and a name of these data.
     Control(MethodSpec, String),
-    /// A negative control: loudness alone, and its name, which tells the sources.
+    /// A negative control: loudness alone, and a name of the control, which lists the sources.
     Loudness(String),
 }
 

@@ -10,9 +10,9 @@ use crate::printable::quoted;
 use crate::scene::SourceId;
 use crate::trial::Flaw;
 
-/// A trial is loud or quiet if it is this far, as ln, from its surface's median level: 20 dB.
+/// A trial is loud or quiet if its level, as ln, is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
-/// A trial is silent if it is this far, as ln, below its source's median level: 40 dB.
+/// A trial is silent if its level, as ln, is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
 /// A trial is short below this share of the median length.
 const SHORT: f64 = 1.0 / 3.0;
@@ -21,7 +21,7 @@ const FEWEST: usize = 3;
 /// Most trials that a finding names.
 const SHOWN: usize = 3;
 
-/// A kind of fault, the worst first.
+/// Kinds of faults, the worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FaultKind {
@@ -43,7 +43,7 @@ pub enum FaultKind {
     Level,
 }
 
-/// Trials of a library with one kind of fault.
+/// A fault of one kind, and the trials of a library that have it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Finding {
     pub kind: FaultKind,
@@ -53,7 +53,7 @@ pub struct Finding {
     pub trials: Vec<String>,
     /// The fault in a line.
     pub text: String,
-    /// The command that fixes it, if there is one.
+    /// The command that fixes the fault, if there is one.
     pub command: Option<String>,
 }
 
@@ -71,7 +71,7 @@ struct Fault {
 /// Names trials of a library, in texts and in commands that edit it.
 pub(super) struct Names<'a> {
     pub root: &'a Path,
-    /// Whether `surfaced library` can edit it.
+    /// Whether `surfaced library` can edit the library.
     pub editable: bool,
 }
 

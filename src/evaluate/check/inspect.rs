@@ -20,7 +20,7 @@ const MOST_KEPT: usize = 1 << 30;
 pub(super) struct Inspected {
     /// The trial; kept in memory if there is room.
     pub entry: Entry,
-    /// Flaws of its channels.
+    /// Flaws of the trial's channels.
     pub flaws: Vec<(SourceId, Flaw)>,
     /// Sources whose picture is of one colour.
     pub plain: Vec<SourceId>,

@@ -64,7 +64,7 @@ pub struct SurfaceCheck {
     /// Trials that were left out, and how many of them were named correctly.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
-    /// The surfaces for which it was mistaken, and how often, the most frequent first.
+    /// The surfaces with which its trials were confused, and how often, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
 
@@ -85,15 +85,15 @@ pub enum TrialVerdict {
 pub struct TrialCheck {
     #[serde(flatten)]
     pub key: TrialKey,
-    /// The answer when it was left out.
+    /// Whether the trial was named correctly when it was left out.
     pub verdict: TrialVerdict,
-    /// The answer, if there was one.
+    /// The surface that the trial was named when it was left out, if any.
     pub named: Option<String>,
     /// ln of the ratio of the second surface's score to the answer's.
     pub margin: Option<f64>,
-    /// Whether it was named another surface, and more clearly than most trials of that surface are.
+    /// Whether the trial was named another surface, more clearly than most trials of that surface.
     pub mislabelled: bool,
-    /// Flaws of its signals, a line each.
+    /// Flaws of the trial's signals, a line each.
     pub flaws: Vec<String>,
 }
 
@@ -116,9 +116,9 @@ fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Err
 
 /// A library to be audited.
 pub struct Audited<'a> {
-    /// Its folder.
+    /// The library's folder.
     pub root: &'a Path,
-    /// Whether `surfaced library` can edit it.
+    /// Whether `surfaced library` can edit the library.
     pub editable: bool,
     /// The sources to compare.
     pub scene: &'a Scene,
@@ -202,7 +202,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     }
 }
 
-/// The entry; if it looks mislabelled, under the surface that it was named and an unused number.
+/// The entry; if it looks mislabelled, with the surface that it was named and an unused number.
 fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
     let Some(label) = suspects.get(&entry.key) else { return entry.clone() };
     let key = TrialKey {

@@ -38,15 +38,15 @@ pub enum PlanError {
 pub struct Expected {
     /// The accuracy to reach.
     pub target: f64,
-    /// Whether whole scans reach it in cross-validation.
+    /// Whether whole scans reach the target in cross-validation.
     pub reached: bool,
-    /// Whether the lower end of the accuracy's interval reaches it too.
+    /// Whether the lower end of the accuracy's interval reaches the target too.
     pub shown: bool,
     /// Cross-validated accuracy: share of all queries.
     pub accuracy: f64,
-    /// Lower end of its 95 % Wilson interval.
+    /// Lower end of the accuracy's 95 % Wilson interval.
     pub accuracy_low: f64,
-    /// Upper end of that interval.
+    /// Upper end of the accuracy's 95 % Wilson interval.
     pub accuracy_high: f64,
     /// Number of queries.
     pub queries: usize,

@@ -28,7 +28,7 @@ pub struct PlanOptions {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceCost {
     pub source: SourceId,
-    /// Time to compare it alone with the library by `embedding`, in milliseconds (median).
+    /// Median time to compare this source alone with the library by `embedding`, in milliseconds.
     pub latency_ms: f64,
     /// Length of a whole recording, in seconds.
     pub scan_s: f64,

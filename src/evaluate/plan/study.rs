@@ -22,7 +22,7 @@ pub(super) struct StudiedSource {
     pub whole_s: f64,
     /// Number of values in a whole recording.
     pub values: f64,
-    /// Time to compare it alone, in milliseconds.
+    /// Median time to compare this source alone, in milliseconds.
     pub latency_ms: f64,
 }
 

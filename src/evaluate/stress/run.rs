@@ -54,7 +54,7 @@ impl StressPlan<'_> {
         kept
     }
 
-    /// Whether a query is also compared with a library without its surface.
+    /// Whether a query, given by index, is also compared with a library without its surface.
     pub fn is_unknown(&self, query: usize) -> bool {
         let surfaces: BTreeSet<&str> =
             self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();

@@ -30,9 +30,9 @@ pub struct Disturbance {
     pub axis: &'static str,
     pub levels: &'static [f64],
     pub kind: Kind,
-    /// Tells which sources it changes.
+    /// Whether the disturbance changes a source.
     pub touches: fn(&SourceSpec) -> bool,
-    /// Fewest such sources with which it makes sense.
+    /// The disturbance makes sense only with this number of such sources or more.
     pub fewest: usize,
 }
 
@@ -119,7 +119,7 @@ pub fn all() -> Vec<Disturbance> {
 }
 
 impl Disturbance {
-    /// Whether data with these sources have enough sources that it changes.
+    /// Whether enough of these sources are changed by the disturbance.
     pub fn fits(&self, sources: &[&SourceSpec]) -> bool {
         sources.iter().filter(|spec| (self.touches)(spec)).count() >= self.fewest
     }
@@ -182,7 +182,7 @@ fn each_series(
     }
 }
 
-/// Changes each sample of these series; `change` gets it, the channel's spread and the level.
+/// Changes each sample of such series: `change` gets the sample, its channel's spread, the level.
 fn each_sample(
     trial: &mut Trial,
     setting: &mut Setting<'_>,
