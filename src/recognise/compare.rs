@@ -26,7 +26,7 @@ pub struct SourceComparison {
     pub mmd2: f64,
     /// n·MMD²_b, averaged over repetitions, with the source's offset (1 for metal).
     pub score: f64,
-    /// Mean over repetitions of the threshold κ for MMD²_b, found by swapping within pairs.
+    /// Mean over repetitions of the threshold κ for MMD²_b, from swaps of samples within pairs.
     pub kappa: f64,
     /// Twice the mean of the repetitions' p-values, at most 1: valid however the repetitions
     /// depend on each other (Vovk & Wang 2020, "Combining p-values via averaging").

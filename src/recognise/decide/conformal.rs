@@ -77,7 +77,7 @@ impl Calibration {
 /// Nonconformity of left-out library trials, whole and cut to their beginnings.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformity {
-    /// In order of length; the one for whole scans comes last.
+    /// Calibrations in order of length; the one for whole scans comes last.
     by_length: Vec<Calibration>,
 }
 

@@ -37,8 +37,8 @@ pub fn without_flawed(
     (trial, remarks)
 }
 
-/// The sources to leave out, of `sources` with their flaws. Switches (sources with a fixed σ) stay;
-/// nothing is left out if no other source of the scene would remain.
+/// Which of `sources`, given with their flaws, to leave out. Switches (sources with a fixed σ)
+/// stay; nothing is left out if no other source of the scene would remain.
 pub fn left_out<'a, F>(
     scene: &Scene,
     sources: impl Iterator<Item = (&'a SourceId, Option<F>)>,

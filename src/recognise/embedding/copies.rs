@@ -23,7 +23,7 @@ pub const SHARE: f64 = 0.4;
 /// Standard deviation of the ln of a copy's gain: 2 dB, as the force of a hand varies.
 const LN_GAIN: f64 = 0.25;
 
-/// The same for pictures, where the light varies.
+/// Standard deviation of the ln of a copy's gain for pictures, where the light varies.
 const PICTURE_LN_GAIN: f64 = 0.2;
 
 /// Largest |ln| of a twin's stretch: a clock or a pace that is 6 % off.
@@ -58,7 +58,7 @@ pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     })
 }
 
-/// The random generator for one purpose of a trial.
+/// The random generator of a trial for one `purpose`.
 fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
     seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
 }

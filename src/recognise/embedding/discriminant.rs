@@ -86,9 +86,9 @@ impl Discriminant {
         (metric.all(), without.map(|group| metric.without(group)).collect())
     }
 
-    /// Takes the class means in white coordinates, shape (D, C), the same times the inverse of the
-    /// metric in these coordinates, L, the centre of the means, and a factor of all distances.
-    /// Classes without vectors are 0.
+    /// Takes the class means in white coordinates, shape (D, C); their product with the inverse of
+    /// the metric; the factor L; the centre of the means; and a factor for all distances. Classes
+    /// without vectors are 0.
     fn of_white(
         (white, inverse): (&Array2<f64>, &Array2<f64>),
         factor: &Array2<f64>,
@@ -96,8 +96,7 @@ impl Discriminant {
         present: Vec<bool>,
         scale: f64,
     ) -> Option<Self> {
-        // Cholesky factor of the means' inner products; a mean that depends on others adds no
-        // column.
+        // Cholesky factor of the means' inner products; a dependent mean adds no column.
         let inner = white.t().dot(inverse);
         let largest = inner.diag().iter().copied().fold(0.0, f64::max);
         let classes = present.len();
@@ -150,12 +149,12 @@ impl Discriminant {
         self.present[class]
     }
 
-    /// The same with another projection onto the space of the class means.
+    /// The discriminant with its projection onto the space of the class means changed.
     pub fn map_projection(self, change: impl FnOnce(Array2<f32>) -> Array2<f32>) -> Self {
         Self { projection: change(self.projection), ..self }
     }
 
-    /// The same discriminant for vectors of `dims` features, of which only `columns` count.
+    /// The discriminant for vectors of `dims` features, of which only `columns` count.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
         self.map_projection(|projection| {
             if columns.len() == dims {
@@ -186,7 +185,7 @@ impl Discriminant {
         self.distances_in_space(&self.project(vector))
     }
 
-    /// The same for several vectors of D features, with one product of matrices.
+    /// The distances d_c of several vectors of D features, with one product of matrices.
     pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
         let mut rows = Array2::zeros((vectors.len(), self.projection.ncols()));
         for (mut row, vector) in rows.rows_mut().into_iter().zip(vectors) {
@@ -334,7 +333,7 @@ mod tests {
         (vectors, labels)
     }
 
-    /// The same, but every third vector of a class is a copy's, with a mean of its own.
+    /// As `data`, but every third vector of a class is a copy's, with a mean of its own.
     fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
         let (rows, labels) = data();
         let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };

@@ -271,7 +271,7 @@ impl Follower {
         }
         self.take_rest(trial)?;
         let drag_s = trial.longest_s(|id| self.model.scene.is_dragged(id));
-        // In the steps of looks, so that a missed look does not change rounding.
+        // In the same steps as looks, so that a missed look does not change rounding.
         let steps = drag_s.map_or(0, |drag_s| (drag_s / LOOK_S) as u64);
         for step in self.scan.looks + 1..=steps {
             self.scan.pass_on(&self.model, step as f64 * LOOK_S).ok()?;

@@ -238,9 +238,9 @@ pub(super) fn evenly(trials: usize) -> Vec<usize> {
 pub(super) struct FollowedTrial {
     /// The group that it was left out with.
     pub group: usize,
-    /// Its class.
+    /// Index of its true surface.
     pub truth: usize,
-    /// The class that it is named by its whole length.
+    /// Index of the surface that it is named by its whole length.
     pub whole: usize,
     /// Length of its drag in seconds.
     pub drag_s: f64,
@@ -269,7 +269,7 @@ impl FollowedTrial {
         Stops::new(self.looks.iter().enumerate().map(look), self.truth, self.whole, self.drag_s)
     }
 
-    /// Whether it is named right after each time of [`looked_after`].
+    /// Whether it is named correctly after each time of [`looked_after`].
     pub fn scan(&self) -> LeftOutScan {
         let right = |step: usize| self.looks[step - 1].class == self.truth;
         LeftOutScan {

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 /// Size of the blocks that are factored column by column.
 const BLOCK: usize = 48;
 
-/// Vectors that are summed in f32 before the sum goes to f64.
+/// Number of vectors that are summed in f32 before the sum is added in f64.
 const ROWS_A_SUM: usize = 512;
 
 /// Columns of a matrix of sums that one thread computes at a time.

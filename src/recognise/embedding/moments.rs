@@ -212,7 +212,7 @@ pub struct GrowingMoments {
     block: usize,
     /// The mean of the first block, once that is complete.
     reference: Option<Vec<f32>>,
-    /// The last frames of earlier blocks, as many as the longest lag if there are as many.
+    /// The last frames before the current block, up to the longest lag.
     before: Vec<f32>,
     /// Samples of the block that is not complete yet.
     pending: Vec<f32>,
@@ -259,7 +259,7 @@ impl GrowingMoments {
     pub fn whole(&self, samples: &[f32]) -> Moments {
         let channels = self.sums.channels;
         let mut moments = self.so_far();
-        // The other sums leave out gaps, so these are scaled down.
+        // The other sums leave out gaps; these do not, and are scaled to the same length.
         let scale = f64::from(moments.sums[0]) / (samples.len() / channels).max(1) as f64;
         for channel in 0..channels {
             let x = less(samples, (channels, channel), moments.reference[channel]);

@@ -274,7 +274,7 @@ fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
 
 /// The band of each bin of a transformed tile.
 struct Rings {
-    /// Bins of the upper half plane with a band: row, column, band.
+    /// Row, column and band of each bin in the upper half plane that has a band.
     bins: Vec<(usize, usize, usize)>,
     /// Number of bins of each band.
     sizes: Vec<f32>,

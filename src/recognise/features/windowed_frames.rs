@@ -22,7 +22,7 @@ pub(super) const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
 /// Power below which a band counts as silent; keeps the logarithm finite.
 const POWER_FLOOR: f32 = 1e-14;
 
-/// Frames that one thread transforms in one go.
+/// Frames that one thread transforms at a time.
 const FRAMES_A_TASK: usize = 64;
 
 /// How a source is cut into frames and bands.
@@ -50,7 +50,7 @@ impl FrameView {
         Self::of_points(1 << exponent as u32, rate_hz, channels, band_hz, bands)
     }
 
-    /// The same with frames of `points` samples, a power of two.
+    /// A view with frames of `points` samples, a power of two.
     pub fn of_points(
         points: usize,
         rate_hz: f64,

@@ -77,7 +77,7 @@ impl Model for ReferenceModel {
         let surfaces: Vec<String> = surfaces.into_iter().map(String::from).collect();
         let mut terms = vec![vec![f64::INFINITY; surfaces.len()]; query.sources.len()];
         for scored in &all {
-            // The label is there: the list was made of these trials' labels.
+            // Found: the list was made of these trials' labels.
             let at = surfaces.partition_point(|surface| *surface < scored.trial.key().surface);
             let scores = comparison.log_scores(scored);
             for ((terms, score), spec) in terms.iter_mut().zip(scores).zip(&query.sources) {

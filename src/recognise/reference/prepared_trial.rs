@@ -77,7 +77,7 @@ impl PreparedTrial {
     }
 
     /// The trial as bytes, for a cache; `None` where positions are drawn for each pair, since then
-    /// the bytes are as many as the recording's.
+    /// the bytes are as large as the recording.
     pub(in crate::recognise) fn encode(&self) -> Option<Vec<u8>> {
         let cuts = self.lock();
         let mut sources = Vec::new();

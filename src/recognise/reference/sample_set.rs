@@ -161,7 +161,7 @@ impl SampleSet {
         }
     }
 
-    /// Whether sums at this length scale may be in f32: at most four channels, fine coordinates.
+    /// Whether f32 is exact enough for sums at this length scale, of at most four channels.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }

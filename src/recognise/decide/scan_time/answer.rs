@@ -68,7 +68,7 @@ pub struct ScanTime {
     pub target: f64,
     /// How long to drag, and the share that is named right by then.
     pub enough: Option<AccuracyAt>,
-    /// The same for the whole length of the trials.
+    /// The share that is named right by the whole length of the trials.
     pub whole: Option<AccuracyAt>,
     /// Number of left-out trials that the answer rests on.
     pub trials: usize,

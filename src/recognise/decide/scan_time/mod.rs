@@ -38,7 +38,7 @@ pub struct LeftOutScan {
     pub group: usize,
     /// How long its drag lasts, in seconds.
     pub scan_s: f64,
-    /// Whether it was named right after each time of [`looked_after`].
+    /// Whether it was named correctly after each time of [`looked_after`].
     pub right: Vec<bool>,
     /// Whether it could be tested for an unknown surface after each time of [`looked_after`].
     pub judged: Vec<bool>,
