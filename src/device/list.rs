@@ -1,6 +1,6 @@
 //! Lists the devices of this machine, with permanent names and the problems of each.
 //!
-//! Serial lines are not opened for it: that resets some boards.
+//! Serial ports are listed without opening them, since that resets some boards.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -107,7 +107,7 @@ fn holder(proc: &Path, node: &Path) -> Option<String> {
     let has = |process: &Path| {
         let Ok(open) = fs::read_dir(process.join("fd")) else { return false };
         open.flatten().any(|entry| {
-            // The name first: looking at what lies behind a link may take long (a dead network).
+            // Checks the link's name first: following the link may take long (a dead network).
             let link = fs::read_link(entry.path()).unwrap_or_default();
             link.starts_with("/dev")
                 && fs::metadata(entry.path())
@@ -122,7 +122,7 @@ fn holder(proc: &Path, node: &Path) -> Option<String> {
     })
 }
 
-/// Folders in which udev keeps links to cameras that stay: by model, or by the socket.
+/// Folders of udev's permanent links to cameras: by model, and by USB socket.
 #[cfg(any(feature = "camera", test))]
 const CAMERA_FOLDERS: [&str; 2] = ["v4l/by-id", "v4l/by-path"];
 

@@ -151,7 +151,7 @@ impl Device for Stylus {
     }
 }
 
-/// The time that the stylus has to confirm.
+/// The time that the stylus has to confirm a switch of the light.
 const CONFIRM: Duration = Duration::from_millis(500);
 
 /// Switches the camera's light on the stylus; clones switch the same one.
@@ -173,7 +173,7 @@ impl Light {
         self.0[0].load(Ordering::Acquire)
     }
 
-    /// Notes what the stylus says of it.
+    /// Notes the state of the light that the stylus reports.
     fn confirm(&self, on: bool) {
         self.0[1].store(on, Ordering::Release);
     }

@@ -113,7 +113,7 @@ impl Cycle {
         }
     }
 
-    /// The light could not be switched on: no frame shows it.
+    /// Notes that the light is off, or could not be switched on: no frame will show it.
     pub fn cancel(&mut self) {
         self.phase = FlashPhase::Off;
     }

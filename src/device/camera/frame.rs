@@ -8,7 +8,7 @@ use image::{ImageFormat, ImageReader, Limits};
 
 use crate::jpeg;
 
-/// A camera's frame has no longer side than this.
+/// Longest side of a frame that is accepted, in pixels.
 const MAX_SIDE: u32 = 1 << 13;
 const MAX_BYTES: u64 = 1 << 28;
 
@@ -214,7 +214,8 @@ mod tests {
         bytes
     }
 
-    /// Without any of its Huffman tables, as a camera sends it. The encoder uses the standard ones.
+    /// A JPEG without its Huffman tables, as many cameras send it. The encoder uses the standard
+    /// ones.
     fn without_tables(jpeg: &[u8]) -> Vec<u8> {
         let (mut out, mut at) = (jpeg[..2].to_vec(), 2);
         loop {

@@ -18,7 +18,7 @@ enum CameraAct {
 
 type CameraScript = dyn Fn(usize, usize) -> CameraAct + Send + Sync;
 
-/// A camera that follows a script: for the opening and the frame, both counted from 0.
+/// A camera whose script gives the act for each opening and frame, both counted from 0.
 struct ScriptedCamera {
     script: Arc<CameraScript>,
     openings: AtomicUsize,

@@ -10,7 +10,7 @@ use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
 use crate::device::OpenError;
 use crate::device::list::permission_hint;
 
-/// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
+/// Rate of the stylus's line, in baud; a pseudo-terminal ignores it.
 pub const BAUD: u32 = 3_000_000;
 /// The longest that a read or a write waits.
 const WAIT: Duration = Duration::from_millis(50);
@@ -23,7 +23,7 @@ pub trait Port: Read + Write + Send {}
 
 impl<T: Read + Write + Send> Port for T {}
 
-/// Opens the stylus's line; again after it was lost.
+/// Opens the stylus's line, at first and again after it was lost.
 pub trait OpenPort: Send {
     /// The name of the stylus, for messages.
     fn name(&self) -> String;
