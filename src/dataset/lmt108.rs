@@ -140,7 +140,7 @@ impl FoundFiles {
                 if above.len() < DEEPEST {
                     self.walk(&item, above)?;
                 } else {
-                    self.pass_over(&item, "not used, the database has no folders as deep as this");
+                    self.pass_over(&item, "not used, the database has no folders at this depth");
                 }
             } else {
                 self.file(item, above);
@@ -176,7 +176,7 @@ impl FoundFiles {
         if let Entry::Vacant(free) = channels.entry(channel) {
             free.insert(item.path);
         } else {
-            self.pass_over(&item, "not used, another file is this very recording; remove one");
+            self.pass_over(&item, "not used, another file holds the same recording; remove one");
         }
     }
 

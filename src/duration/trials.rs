@@ -7,7 +7,7 @@ use crate::trial::Series;
 const SATURATED: f64 = 0.5;
 /// Share of equal samples at one end of a channel's range above which a remark tells of saturation.
 const WORTH_SAYING: f64 = 0.02;
-/// About this number of times are compared between trials, to see whether the trials differ.
+/// Trials are compared at about this number of frames, to see whether they differ.
 const MOMENTS: usize = 2000;
 
 /// The reason why T* cannot be computed.

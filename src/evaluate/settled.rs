@@ -37,7 +37,7 @@ pub struct SettledOutcome {
     /// Processor time of following scans to their ends, with ten guesses a second, divided by the
     /// scan time: 1 is one core.
     pub core_share: f64,
-    /// The stop rule of each fold, with its stated and its estimated loss of accuracy.
+    /// The stop rule of each fold, with the loss of accuracy to expect.
     pub rules: Vec<Settling>,
 }
 

@@ -278,7 +278,7 @@ impl Length {
 /// values do not count.
 ///
 /// # Panics
-/// If a slice is shorter than that.
+/// If a slice ends before the last register does.
 #[inline(always)]
 pub(super) fn dots<const A: usize, const B: usize>(
     a: [&[f32]; A],

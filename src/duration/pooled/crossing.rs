@@ -4,10 +4,10 @@ use super::size::Size;
 
 /// The 95 % quantile of the standard normal distribution.
 const UPPER: f64 = 1.645;
-/// Standard errors by which a later bin must exceed the threshold to move T* there: so many that
-/// chance hardly ever does it in one of the sixty or so bins.
+/// A later bin moves T* behind it if it exceeds the threshold by this number of standard errors.
+/// Chance hardly ever does so, although there are about sixty bins.
 const SURE: f64 = 4.0;
-/// Standard errors by which dependence at long lags must exceed the threshold to count as lasting.
+/// Dependence at a long lag is lasting if above the threshold by this number of standard errors.
 const THERE: f64 = 2.0;
 
 /// Dependence of one channel on another, against the lag.

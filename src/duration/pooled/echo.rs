@@ -1,11 +1,11 @@
-//! Tests every single lag for an echo, which at one lag can fall between the bins.
+//! Tests every lag for an echo, a dependence at a single lag, which can fall between the bins.
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 use super::features::Features;
 
-/// Robust deviations by which a covariance must exceed the threshold.
+/// A covariance must exceed the threshold by this number of robust standard deviations.
 const SURE: f64 = 6.0;
 
 /// The last lag above `from`, up to `longest`, at which a covariance c of two features surely

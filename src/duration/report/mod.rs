@@ -54,7 +54,7 @@ pub struct DurationReport {
     pub synthetic: bool,
     /// n, the number of samples that a scan must yield.
     pub samples: usize,
-    /// Start t₀ of the sampling.
+    /// Start t₀ of the sampling in a scan, in seconds.
     pub start_s: Second,
     /// How T* was computed.
     pub settings: Estimator,

@@ -187,7 +187,7 @@ pub(super) fn of_signals(
             } else if above(of_surface, LOUD) || below(of_surface, LOUD) {
                 let db = 20.0 / std::f64::consts::LN_10 * (of.level - of_surface.unwrap_or(0.0));
                 let detail = format!("{db:+.0} dB");
-                add(FaultKind::Level, id, "has not the level of its surface", detail);
+                add(FaultKind::Level, id, "is too loud or too quiet for its surface", detail);
             }
         }
         for (id, flaw) in &one.flaws {

@@ -286,8 +286,8 @@ fn measure(
     Ok((measured.predictions, measured.outcome, better))
 }
 
-/// The trials that look mislabelled: they are named another surface, and more clearly than most
-/// trials of that surface are. Each with that surface.
+/// The trials that look mislabelled, each with the surface that it was named: another surface than
+/// its label, and more clearly than most trials of that surface are.
 fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
     let right = predictions.iter().filter(|p| p.is_correct());
     let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();

@@ -98,7 +98,7 @@ pub enum MergeError {
     Nothing,
     #[error("shard {0} is of another run than shard {1}: other data or settings")]
     Different(Shard, Shard),
-    #[error("shard {0} is there twice")]
+    #[error("shard {0} was given twice")]
     Twice(Shard),
     #[error("of {of} shards these are not there yet: {missing}")]
     Missing { of: usize, missing: String },

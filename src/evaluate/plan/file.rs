@@ -28,7 +28,7 @@ pub enum PlanError {
         problem: String,
     },
     /// sources that the data do not have
-    #[error("the plan asks for what the data do not have: {0}")]
+    #[error("the plan needs sources that the data do not have: {0}")]
     Sources(#[from] SceneError),
 }
 

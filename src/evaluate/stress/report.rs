@@ -46,7 +46,7 @@ impl DisturbanceSeries {
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
 
-    /// Index of the first level that costs 5 points.
+    /// Index of the first level that costs 5 points of accuracy.
     fn breaks_at(&self) -> Option<usize> {
         self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
     }
