@@ -92,7 +92,7 @@ impl Default for Algorithm1Settings {
 pub struct CurvePoint {
     /// Lag t in samples.
     pub lag: usize,
-    /// Mean of HSIC_b.
+    /// Mean of HSIC_b over the draws.
     pub hsic_mean: f64,
     /// Lower end of the two-sided (1 − α) interval of the mean.
     pub hsic_low: f64,
@@ -100,7 +100,7 @@ pub struct CurvePoint {
     pub hsic_high: f64,
     /// (1 − α) quantile of HSIC_b: CB+ of [`Rule::Quantile`].
     pub hsic_quantile: f64,
-    /// Mean threshold κ.
+    /// Mean of the threshold κ over the draws.
     pub kappa: f64,
 }
 

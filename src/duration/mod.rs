@@ -25,7 +25,7 @@
 //! loudness, hand) are no dependence in time; `lasting_share` is their share of the variance.
 //!
 //! # Accuracy of the two estimators
-//! On processes with a known T*, the median error of `pooled` is below a tenth once there are 500
+//! On processes with a known T*, the median of `pooled` is within a tenth of T* once there are 500
 //! correlation times of data, and its upper bound is hardly ever below 0.85 of the truth. The
 //! paper's Algorithm 1 gives a sixth of the truth at Q = 10, in every run; its rules are kept for
 //! replication. On sounds, T* from five trials of a surface and from the five others agree within a

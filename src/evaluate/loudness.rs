@@ -13,7 +13,7 @@ use crate::scene::{Domain, Scene, SourceId};
 use crate::seed;
 use crate::trial::{Signal, Trial};
 
-/// Least level, for silence: far below a 16-bit step, and with a finite logarithm.
+/// Root mean square that stands for silence: far below a 16-bit step, with a finite logarithm.
 const SILENCE: f64 = 1e-12;
 
 /// Finds the nearest trial by the level of each source with a spectrum: ln of the root mean square

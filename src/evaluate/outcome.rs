@@ -91,7 +91,7 @@ pub struct Outcome {
     pub sources: Vec<SourceId>,
     /// Accuracy fold by fold.
     pub folds: Vec<FoldAccuracy>,
-    /// Truth against answer.
+    /// Confusion matrix: truth against answer.
     pub confusion: Confusion,
 }
 

@@ -51,7 +51,7 @@ struct StoppedQuery {
 
 impl SettledOutcome {
     /// Follows every query of every fold, for a permitted loss of accuracy. Frames arrive in blocks
-    /// of [`LOOK_S`] seconds, each followed by a guess, as in a live scan.
+    /// of `LOOK_S` = 0.1 s, each followed by a guess, as in a live scan.
     ///
     /// # Errors
     /// If a trial cannot be read or compared, or if the method cannot follow scans.

@@ -3,7 +3,7 @@
 //!
 //! Coordinates are centred and scaled in f64 before they are rounded, so that the kernel is
 //! 2^(−q/16), q a squared distance. In f32 on AVX-512, intrinsics (module `simd`) sum it in half
-//! the time; elsewhere the compiler vectorises a polynomial, for AVX2 with FMA, NEON or less.
+//! the time; elsewhere the compiler vectorises a polynomial, with AVX2 and FMA or NEON if possible.
 //! The kernel values of a row are added in 16 lanes, the rows in f64. A sum is never NaN.
 //!
 //! Relative error in f32, besides that of rounding coordinates: below 3e-7 + 4e-9·q for one kernel

@@ -39,7 +39,7 @@ pub struct CheckReport {
     pub share: Option<Share>,
     /// The audit of each surface, sorted by name.
     pub surfaces: Vec<SurfaceCheck>,
-    /// Truth against answer.
+    /// Confusion matrix of the left-out trials: truth against answer.
     pub confusion: Option<Confusion>,
     /// The audit of each trial.
     pub each: Vec<TrialCheck>,

@@ -97,7 +97,7 @@ fn material(surface: &str) -> usize {
 pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
-    // All of LMT108 takes 864 pixels; the cells of few surfaces are larger, up to 22 pixels.
+    // LMT108's 108 surfaces take 864 pixels; with fewer surfaces, cells grow up to 22 pixels.
     let cell = (864 / order.len().max(1) as i32).clamp(8, 22);
     let (left, top) = (340, 190);
     let side = cell * order.len() as i32;

@@ -40,7 +40,7 @@ pub struct PaperReport {
     pub synthetic: bool,
     pub settings: String,
     pub rows: Vec<ReportRow>,
-    /// Truth against answer with all sources, expert against users.
+    /// Confusion matrix (truth against answer) with all sources, by `expert-vs-users`.
     pub confusion: Option<Confusion>,
 }
 
