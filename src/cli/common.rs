@@ -54,7 +54,7 @@ impl SourceArgs {
     }
 }
 
-/// Keeps edits off a library, or off that of a trial, until the command has ended.
+/// Locks out edits of a library (at `path`, or that of the trial at `path`) until the command ends.
 pub(super) fn hold(path: &Path) {
     let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     // A trial lies two folders down.
@@ -63,13 +63,13 @@ pub(super) fn hold(path: &Path) {
     }
 }
 
-/// Opens recordings of any form, and says on stderr which are found. Nobody edits them from then on.
+/// Opens recordings of any form, locks out edits of them, and says on stderr which are found.
 pub(super) fn open(path: &Path) -> Result<Library, Failure> {
     hold(path);
     open_held(path)
 }
 
-/// The same, where the caller keeps edits off.
+/// The same, where the caller locks out edits.
 pub(super) fn open_held(path: &Path) -> Result<Library, Failure> {
     let library = bad_files::open(path, &Scene::lmt108())?;
     show::library(&library);

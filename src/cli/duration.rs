@@ -22,8 +22,8 @@ use crate::scene::SourceId;
 /// Find how long to drag, and T*, the minimum time between independent samples
 ///
 /// How long to drag: the earliest time by which the library's own trials, each left out in turn, are named
-/// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to say
-/// what the first did not.
+/// as well as is wanted. T*: how far apart in time two samples of a drag must lie to be
+/// independent.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced duration lib\n  \
                         surfaced duration lib --accuracy 0.99\n  \
@@ -68,7 +68,7 @@ pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-    // The last, since its heading would be that of all that follow.
+    // Last, since all options after it would stand under its heading.
     #[command(flatten)]
     algorithm1: Algorithm1Args,
 }
@@ -248,8 +248,8 @@ pub fn run(args: &Args) -> Done {
 }
 
 impl Args {
-    /// The number of left-out trials named right by each time, by the sources and of the user that were
-    /// named.
+    /// The number of left-out trials named right by each time, with the sources and the user of the
+    /// arguments.
     fn by_time(
         &self,
         library: &Library,
@@ -257,7 +257,7 @@ impl Args {
     ) -> Result<LeftOutAccuracy, RecogniseError> {
         let scene = match self.source.is_empty() {
             true => library.scene.clone(),
-            // `report` has found them.
+            // `report` has checked that the library has them.
             false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
         };
         let is_wanted = |entry: &Entry| {

@@ -13,15 +13,14 @@ use signal_hook::iterator::Signals;
 use super::{DAMAGED, Failure};
 use crate::station::Command;
 
-/// The time after the first signal at which the process ends in any case: later than a station does
-/// by
-/// itself, and within the five seconds that it has.
+/// Time from the first signal until the process ends in any case: later than a station ends by
+/// itself, and within the five seconds allowed for it.
 const LIMIT: Duration = Duration::from_millis(4700);
 
 /// The settings of the terminal before keys were read one by one.
 static BEFORE: OnceLock<Termios> = OnceLock::new();
 
-/// Keys that are read one by one, until it is dropped.
+/// Reads keys one by one, without waiting for Enter, until it is dropped.
 pub struct Keys;
 
 impl Keys {
@@ -59,7 +58,7 @@ impl Keys {
                 }
             }
         };
-        // It waits for keys until the process ends.
+        // The thread waits for keys until the process ends.
         std::thread::Builder::new().name("keys".into()).spawn(read).ok()?;
         Some(keys)
     }
@@ -88,13 +87,12 @@ impl Signalled {
     }
 }
 
-/// Makes the first signal a command to quit. The second one ends the process at once, as does the
-/// first when there is neither a station nor anybody who waits for it. However the station takes
-/// it, the process ends within [`LIMIT`]. A hang-up that was ignored when the process began, as under
-/// `nohup`, stays ignored.
+/// Turns the first signal into [`Command::Quit`]. The second one ends the process at once, as does
+/// the first if no station and no [`Signalled`] receives it. In any case the process ends within
+/// [`LIMIT`]. A hang-up that was ignored when the process began, as under `nohup`, stays ignored.
 pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
     let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
-    // SIGTERM is the last: where it is caught, so are the others.
+    // SIGTERM is caught last: once it is, so are the others.
     let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {

@@ -10,10 +10,9 @@ use crate::station::Station;
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
 /// The interval at which new samples are sent to the page, in seconds: 25 times a second, so that
-/// 20 are drawn
-/// even where some come late.
+/// 20 are drawn even if some come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// The interval at which the progress of a scan is sent to it, in seconds of drag.
+/// The interval at which the progress of a scan is sent to the page, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
@@ -53,7 +52,7 @@ impl ServeArgs {
         self.serve.is_some()
     }
 
-    /// Options of a session that is shown, if it is.
+    /// The options of a session, with updates for the page if it is served.
     pub fn options(&self, options: Options) -> Options {
         if !self.is_wanted() {
             return options;
@@ -65,8 +64,8 @@ impl ServeArgs {
         }
     }
 
-    /// Serves `station`, if `--serve` is given, and says where on stderr. Of `settings`, the address
-    /// is that of `--serve` without one.
+    /// Serves `station` if `--serve` is given, and prints the address on stderr; it is that of
+    /// `settings` if `--serve` names none.
     pub fn start<'a>(
         &self,
         station: Station<'a>,

@@ -27,13 +27,13 @@ pub struct Terminal {
     hint: String,
     scanning: Arc<AtomicBool>,
     devices: BTreeMap<String, DeviceState>,
-    /// The scan in progress: its part, and what it looks like so far.
+    /// The scan in progress: its part, and the last guess of its surface.
     scan: Option<(Phase, Option<Guess>)>,
     last: Option<String>,
 }
 
 impl Terminal {
-    /// Nothing shown yet. `hint` says what to do, and stands where there is nothing else to show.
+    /// A terminal that shows `hint`, which says what to do, until there is something else to show.
     pub fn new(json: bool, hint: String) -> Self {
         let draws = std::io::stderr().is_terminal();
         say::never_wait();

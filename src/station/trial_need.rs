@@ -42,9 +42,8 @@ struct SourceNeed {
 }
 
 impl TrialNeed {
-    /// Sets in `news` how long the drag must last for its purpose (before, the time to be named),
-    /// and whether it may end. A settled answer counts if the library's trials have `supported` its
-    /// rule.
+    /// Replaces in `news` the time needed to be named by that for the purpose, and sets whether the
+    /// drag may end. A settled answer may end it if enough trials have `supported` its rule.
     pub fn judge(
         &mut self,
         news: &mut Guess,
