@@ -261,7 +261,6 @@ pub struct NamePattern(pub String);
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NameParts {
     pub surface: Option<String>,
-    /// The person.
     pub user: Option<String>,
     /// A text that ends with the trial's number.
     pub trial: Option<String>,

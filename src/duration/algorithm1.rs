@@ -96,7 +96,7 @@ pub struct CurvePoint {
     pub hsic_mean: f64,
     /// Lower end of the two-sided (1 − α) interval of the mean.
     pub hsic_low: f64,
-    /// Upper end: CB+ of [`Rule::MeanCi`].
+    /// Upper end of the same interval: CB+ of [`Rule::MeanCi`].
     pub hsic_high: f64,
     /// (1 − α) quantile of HSIC_b: CB+ of [`Rule::Quantile`].
     pub hsic_quantile: f64,
@@ -125,7 +125,7 @@ impl CurvePoint {
 pub enum SearchOutcome {
     /// T* in samples.
     Found {
-        /// the lag
+        /// T*, the smallest independent lag
         lag: usize,
     },
     /// Samples depend on each other at every lag tested.

@@ -83,7 +83,7 @@ pub struct Outcome {
     pub library_trials: usize,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
-    /// 99th percentile of that time.
+    /// 99th percentile of the time from raw samples to the answer, in milliseconds.
     pub query_ms_p99: f64,
     /// The method.
     pub method: String,

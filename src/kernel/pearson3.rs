@@ -26,7 +26,7 @@ pub fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64)
 }
 
 fn normal() -> Normal {
-    // 0 and 1 are a mean and a standard deviation.
+    // A mean of 0 and a standard deviation of 1 are valid.
     Normal::new(0.0, 1.0).expect("the standard normal distribution exists")
 }
 

@@ -56,7 +56,7 @@ pub struct CheckReport {
 /// The audit of a surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SurfaceCheck {
-    /// The label.
+    /// The surface's label.
     pub surface: String,
     pub trials: usize,
     /// Number of people who made the trials.

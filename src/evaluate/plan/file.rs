@@ -60,7 +60,7 @@ pub struct Expected {
     pub scan_s: f64,
 }
 
-/// The setting of a scene.
+/// A plan: the setting to use for a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
     /// Name of the library for which the plan was made.
@@ -78,7 +78,7 @@ pub struct Plan {
     pub expected: Expected,
 }
 
-/// The keys of the file.
+/// The keys of a plan file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
