@@ -77,8 +77,8 @@ pub(super) fn choose(
 }
 
 impl Choice {
-    /// Keeps up to `most` of the surfaces that the folds use, evenly spread over their names, and drops
-    /// the trials of all others.
+    /// Keeps up to `most` of the surfaces that the folds use, evenly spread over their names, and
+    /// drops the trials of all others.
     pub fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())

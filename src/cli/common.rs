@@ -1,4 +1,4 @@
-//! Parts shared by commands: their ends, the opening of data, and the parsing of values.
+//! Parts shared by commands: their results, the opening of data, and the parsing of values.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 
-/// The end of a command that did not do all of its work.
+/// Why a command did not do all of its work.
 #[derive(Debug)]
 pub(super) enum Failure {
     /// Exit code 1.

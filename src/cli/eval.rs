@@ -1,4 +1,4 @@
-//! `surfaced eval`: accuracy by protocol.
+//! `surfaced eval`: measures accuracy by a protocol, such as leave-one-trial-out.
 
 mod report;
 

@@ -135,7 +135,7 @@ fn by_protocol(
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    // All of it is played.
+    // All recordings are played, so all must be readable.
     let (data, _) = bad_files::readable(folder, super::open_held(folder)?)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();

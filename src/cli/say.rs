@@ -32,7 +32,7 @@ static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
 /// The status line, if one is kept: the last line of the terminal, below all others.
 static STATUS: Mutex<Option<String>> = Mutex::new(None);
 
-/// Goes to the begin of the terminal's line, and clears it.
+/// Goes to the start of the terminal's line, and clears it.
 const CLEAR: &str = "\r\x1b[2K";
 
 /// Writes a line for people on stderr; takes what `format!` takes. It never panics.
@@ -67,7 +67,7 @@ pub fn never_wait() {
 
 /// Locks the status line while a line is written, so that no other line comes in between.
 fn status_line() -> MutexGuard<'static, Option<String>> {
-    // Each change is one assignment.
+    // Each change is one assignment, so a panic leaves a usable line.
     STATUS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -139,12 +139,12 @@ fn write(out: &mut (impl Write + AsFd), stalled: &AtomicBool, text: &str) {
     }
 }
 
-/// Whether a part can be written without blocking; waits a moment, but only once in a row.
+/// Whether a part can be written without blocking; waits a moment unless the last one could not.
 fn ready(out: &impl AsFd, stalled: &AtomicBool) -> bool {
     let wait = if stalled.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
     let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
     let mut fds = [PollFd::new(out, PollFlags::OUT)];
-    // A descriptor that cannot be polled is left to the write.
+    // If a descriptor cannot be polled, the write shows whether it works.
     let ready = !matches!(poll(&mut fds, Some(&wait)), Ok(0));
     stalled.store(!ready, Ordering::Release);
     ready

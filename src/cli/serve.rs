@@ -33,7 +33,7 @@ pub struct ServeArgs {
     proxies: Vec<IpAddr>,
 }
 
-/// An address with its port, or one of the two.
+/// Parses an address with its port, or either alone.
 fn address(text: &str) -> Result<SocketAddr, String> {
     let local = Ipv4Addr::LOCALHOST.to_string();
     let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);

@@ -125,7 +125,7 @@ impl Terminal {
                 self.info(&format!("kept: trial {trial} of {surface} in {}", shown(folder)));
             }
             (EnrolledOutcome::Refused, ..) => self.warn(&format!("scan {scan} refused; repeat it")),
-            // A warning says the rest.
+            // A warning tells of other outcomes.
             _ => return,
         }
         remarks.iter().for_each(|remark| self.info(&format!("  {remark}")));
@@ -143,7 +143,7 @@ impl Terminal {
     fn library(&self, library: &LibraryState) {
         let LibraryState { name, surfaces, synthetic, problem, remarks, .. } = library;
         if problem.is_some() {
-            // A warning says it.
+            // A warning tells of the problem.
             return;
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();

@@ -43,7 +43,7 @@ const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
 
-/// A camera, as one stream of pictures, and a second one of pictures with flash if it has a flash.
+/// A camera, as one stream of pictures, and a second one with flash if it has a flash.
 pub struct Camera {
     plain: SourceId,
     flash: Option<(SourceId, Flash)>,

@@ -15,8 +15,8 @@ use super::OpenError;
 /// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ListedDevice {
-    /// Names it in a configuration. It stays the same when something else is plugged in, unless
-    /// `problem` says otherwise.
+    /// The device's name in a configuration. It stays the same when something else is plugged in,
+    /// unless `problem` says otherwise.
     pub id: String,
     /// A description of the device.
     pub name: String,
@@ -31,7 +31,7 @@ pub struct ListedDevice {
 /// # Errors
 /// If the system refuses the list.
 pub fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
-    // The crate relies on this folder.
+    // The crate `serialport` relies on this folder.
     if !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
     }
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn a_camera_is_found_by_any_of_its_names() {
         let dir = tempfile::tempdir().unwrap();
-        // As the system would report it.
+        // Without links, as the system reports paths.
         let dev = dir.path().canonicalize().unwrap();
         for folder in CAMERA_FOLDERS {
             fs::create_dir_all(dev.join(folder)).unwrap();

@@ -62,7 +62,7 @@ pub struct StreamSpec {
 pub enum StreamKind {
     /// Samples in time.
     Series {
-        /// samples a frame
+        /// samples per frame
         channels: usize,
         /// nominal rate in Hz, which sizes the ring; the marks of each scan give the actual one
         rate_hz: f64,

@@ -27,7 +27,7 @@ pub struct Replay {
     specs: Vec<SourceSpec>,
     entries: Vec<Entry>,
     speed: Speed,
-    /// Length of sound or signal pushed at a time, in seconds of the recording.
+    /// Length of signal pushed at a time, in seconds of the recording.
     chunk_s: f64,
     /// Silence after each trial, in seconds of the recording.
     pause_s: f64,
@@ -208,7 +208,7 @@ struct Player<'a> {
     replay: &'a Replay,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    /// When the part played so far was to have ended, at the set speed.
+    /// When the part played so far is due to end, at the set speed.
     due: Instant,
 }
 

@@ -110,7 +110,7 @@ impl HistoryState {
         self.let_go(lacking)
     }
 
-    /// The same, with at least `lacking` bytes of signals to remove.
+    /// Makes room likewise, and removes at least `lacking` bytes of signals.
     pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.for_answers();

@@ -11,13 +11,13 @@ use super::log::Log;
 use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
 
-/// Answers may take one part in this many of the space; signals take the rest.
+/// Answers may take 1/8 of the space; signals take the rest.
 const FOR_ANSWERS: u64 = 8;
 pub(super) const SCANS: &str = "scans";
 /// The folder for scans that are missing from the log.
 const ASIDE: &str = "aside";
 const LOG: &str = "answers.jsonl";
-/// Past scans leave one part in this many of the disk free, for trials, which matter more.
+/// Past scans leave 1/10 of the disk free, for trials, which matter more.
 const FREE: u64 = 10;
 /// Upper limit of that free space, in bytes.
 const MOST_FREE: u64 = 1_000_000_000;
@@ -139,7 +139,7 @@ impl Disk {
     }
 }
 
-/// The same for a disk of `size` bytes, of which `free` are free.
+/// Bytes to remove from a disk of `size` bytes, of which `free` are free.
 fn lacks(size: u64, free: u64) -> u64 {
     (size / FREE).min(MOST_FREE).saturating_sub(free)
 }

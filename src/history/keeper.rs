@@ -17,8 +17,7 @@ use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Most scans that wait to be written, and most that wait for their notes: some 50 MB for scans of
-/// ten seconds.
+/// Most scans that wait to be written, and for their notes: some 50 MB for scans of ten seconds.
 const QUEUE: usize = 16;
 
 /// Keeps the scans of a station.
@@ -119,8 +118,8 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans and notes are written, or the time that a station's end may take is
-    /// over; scans that then lack their notes are reported as kept.
+    /// Waits until all scans and notes are written, or the time for a station's end is over; then
+    /// reports scans without notes as kept.
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
@@ -132,7 +131,7 @@ impl Drop for Keeper {
 }
 
 fn lock(without_notes: &WithoutNotes) -> MutexGuard<'_, BTreeSet<String>> {
-    // Each change is one insertion or removal.
+    // Each change is one insertion or removal, so a panic leaves a usable set.
     without_notes.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

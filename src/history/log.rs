@@ -90,8 +90,7 @@ impl Log {
         if !read_only {
             options.append(true).create(true);
         }
-        // Anything but a regular file is refused here: opening a named pipe would wait for a
-        // writer.
+        // Only a regular file is opened: opening a named pipe would wait for a writer.
         let is_regular = match files::open(path) {
             Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -105,8 +104,7 @@ impl Log {
         self.bytes
     }
 
-    /// The lines in the last `most` bytes. Lines that a crash cut short, or that have another
-    /// format, are skipped.
+    /// The lines in the last `most` bytes, without those cut short or of another format.
     pub fn read(&mut self, most: u64) -> Result<Vec<(LogLine, Span)>, HistoryError> {
         self.lines(most).map_err(HistoryError::io(&self.path))
     }

@@ -128,7 +128,7 @@ impl History {
     }
 
     fn lock(&self) -> MutexGuard<'_, HistoryState> {
-        // Each change leaves the state consistent, even if a thread panics afterwards.
+        // Each change is complete in itself, so a panic leaves a usable state.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -229,8 +229,7 @@ impl History {
         lines.into_iter().try_for_each(|line| inner.change(line))
     }
 
-    /// At most `most` answers, the newest first; only those before the scan with the name or number
-    /// `before`, if one is given.
+    /// At most `most` answers, the newest first; with `before`, a name or number, only older ones.
     ///
     /// # Errors
     /// If they cannot be read.
@@ -283,8 +282,7 @@ impl History {
         folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
     }
 
-    /// The history's folder, into which scans are written like trials into a library; `None` in
-    /// memory.
+    /// The history's folder, a library into which scans are written as trials; `None` in memory.
     pub(crate) fn root(&self) -> Option<PathBuf> {
         self.lock().disk.as_ref().map(|disk| disk.root().to_path_buf())
     }

@@ -40,11 +40,11 @@ pub struct Precision {
     pub corrected: usize,
     /// Number of those that the answer named right.
     pub right: usize,
-    /// The share of right ones.
+    /// Share of `corrected` that were right.
     pub precision: f64,
     /// Lower end of the 95 % Wilson interval of `precision`.
     pub precision_low: f64,
-    /// Upper end.
+    /// Upper end of that interval.
     pub precision_high: f64,
 }
 

@@ -33,9 +33,9 @@ pub struct SeriesView {
     pub rate_hz: f64,
     pub duration_s: f64,
     pub audible: bool,
-    /// Least sample of each stretch, a list a channel.
+    /// Least sample of each stretch of time, one list per channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample of each stretch, a list a channel.
+    /// Greatest sample of each stretch of time, one list per channel.
     pub max: Vec<Vec<f32>>,
     /// The spectrum; `None` for a series that is too short.
     pub spectrum: Option<Bands>,
@@ -115,8 +115,8 @@ pub struct Bands {
     pub db: Vec<f64>,
 }
 
-/// The spectrum of interleaved samples, averaged over windows of `window` frames side by side, or of
-/// all of them where there are fewer. `None` for fewer than eight frames.
+/// The spectrum of interleaved samples, averaged over adjacent windows of `window` frames, or over
+/// one window of all frames if there are fewer. `None` for fewer than eight frames.
 pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> Option<Bands> {
     let frames = window.min(samples.len() / channels.max(1));
     if frames < 8 {

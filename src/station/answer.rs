@@ -74,13 +74,13 @@ pub struct Answer {
 pub enum AnswerState {
     /// The name stands.
     Named,
-    /// It is the nearest surface of the library; unknown surfaces are not detected.
+    /// The name is the nearest surface of the library; unknown surfaces are not detected.
     Nearest,
-    /// It is the nearest surface, and there are reasons for doubt.
+    /// The name is the nearest surface, and there are reasons for doubt.
     Unsure,
     /// The scan fits no surface of the library.
     Unknown,
-    /// It could not be compared: it holds too little, there is no library, or the method failed.
+    /// The scan could not be compared: too little data, no library, or the method failed.
     Unnamed,
 }
 
@@ -148,7 +148,7 @@ pub struct AnsweredScan {
     pub scan: Box<Scan>,
     /// Its answer.
     pub answer: Arc<Answer>,
-    /// The library that it was compared with; `None` for [`AnswerState::Unnamed`].
+    /// The recogniser that named it; `None` for [`AnswerState::Unnamed`].
     pub by: Option<Arc<Recogniser>>,
 }
 

@@ -12,7 +12,7 @@ const EVEN: f64 = 0.5;
 /// needed the test is weaker, not wrong.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// A scan that was named, as far as its judgement needs it.
+/// A scan that was named, with what is needed to judge its answer.
 pub(super) struct NamedScan<'a> {
     pub verdict: &'a Verdict,
     pub scan: &'a Scan,
@@ -91,7 +91,7 @@ fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     doubts
 }
 
-/// A probability with as many digits as mean something.
+/// A probability with its meaningful digits.
 fn digits(p: f64) -> String {
     if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
 }

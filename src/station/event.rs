@@ -123,8 +123,7 @@ pub enum EnrolledOutcome {
 /// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
-    /// The session has begun; the meters of its streams can be read at any time. The first
-    /// event.
+    /// The first event: the session has begun. The meters of its streams can be read at any time.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
@@ -137,7 +136,7 @@ pub enum StationEvent {
     },
     /// New data of the streams.
     Trace(Arc<Trace>),
-    /// A scan has begun, or has come to another part.
+    /// A scan has begun, or has entered another part (such as the drag), or is over.
     Phase {
         /// number of the scan
         scan: u32,

@@ -47,7 +47,7 @@ impl Verdict {
 /// The flaws of series, by their sources.
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
-/// The ranking of a scan, and the flaws that were found on the way.
+/// The ranking of a scan, and the flaws that were found while it was followed.
 pub struct Ranked {
     /// The library's surfaces.
     pub ranking: Ranking,
@@ -139,8 +139,7 @@ impl Recogniser {
         self.library.remarks.extend_from_slice(remarks);
     }
 
-    /// The index of a scan's model. The truth serves only to choose the model made without this
-    /// trial.
+    /// The index of a scan's model. The truth only serves to choose the model made without it.
     fn model(&self, truth: Option<&TrialKey>) -> usize {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
@@ -150,7 +149,7 @@ impl Recogniser {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The flaws of all series of a scan, except of switches; `known` as in [`Ranked`].
+    /// The flaws of all series of a scan, except of switches; `known` holds those already found.
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> FlawsBySource {
         known.retain(|id, _| !self.is_switch(id));
         for (id, signal) in scan.trial.signals.iter().filter(|(id, _)| !self.is_switch(id)) {
@@ -169,7 +168,7 @@ impl Recogniser {
         flaws.iter().filter_map(of).collect()
     }
 
-    /// Whether a channel of a source, counted from 0, ever changes in the library; `truth` as in
+    /// Whether a channel (counted from 0) ever changes in the library; `truth` as in
     /// [`Scan::truth`].
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
         let embedding = self.models[self.model(truth)].clone().embedding();

@@ -175,8 +175,7 @@ impl StoreWriter {
         Self { store, waiting, refused, next, current: false, send, ending }
     }
 
-    /// Stores scans until the channel closes, then writes those still waiting, or reports them
-    /// lost.
+    /// Stores scans until the channel closes, then tries a last time to write those that wait.
     fn run(&mut self, scans: &Receiver<Task>) {
         loop {
             let next = match self.waiting.is_empty() {

@@ -45,7 +45,7 @@ pub struct SourceSays {
 }
 
 impl Why {
-    /// From a ranking and its evidence.
+    /// Explains a ranking by its evidence.
     pub(crate) fn new(
         ranking: &Ranking,
         evidence: Option<&Evidence>,

@@ -15,7 +15,7 @@ use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
 
-/// Data that differs by the kind of job.
+/// The kinds of job of the worker, each with its own type of data.
 pub(super) enum JobOf<S, P, K> {
     /// A scan to be named.
     Scan(S),
@@ -40,7 +40,7 @@ pub(super) type Work = JobOf<
 pub(super) type WorkerEvent = JobOf<ScanAnswer, Guess, Option<String>>;
 
 impl Work {
-    /// The job alone.
+    /// The job, without its recogniser and purpose.
     pub fn into_job(self) -> Job {
         match self {
             Self::Scan((scan, _)) => Job::Scan(scan),

@@ -30,7 +30,7 @@ pub struct EvalReport {
     pub warnings: Vec<String>,
 }
 
-// The signature is serde's.
+// serde demands this signature.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn name<S: serde::Serializer>(protocol: &Protocol, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(protocol.name())

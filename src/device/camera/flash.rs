@@ -57,7 +57,7 @@ impl Shutter {
 pub(super) enum FrameLight {
     Plain,
     Flash,
-    /// While the light changed; useless.
+    /// Taken while the light changed: useless.
     Between,
 }
 

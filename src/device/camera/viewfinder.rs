@@ -48,15 +48,14 @@ struct Sight {
 }
 
 impl Viewfinder {
-    /// The viewfinder of a camera whose pictures without flash are the stream `source`; no picture
-    /// yet.
+    /// The viewfinder of a camera whose pictures without flash are the stream `source`.
     pub fn new(source: SourceId) -> Self {
         let sight = Sight { picture: None, flash: FlashState::None };
         Self { source, sight: Arc::new(Mutex::new(sight)) }
     }
 
     fn lock(&self) -> MutexGuard<'_, Sight> {
-        // Each change is one assignment.
+        // Each change is one assignment, so a panic leaves a usable state.
         self.sight.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -227,9 +227,9 @@ fn problem(id: &str, device: &Device) -> Option<String> {
     }
 }
 
-/// Whether to list this name, of the many that ALSA has for a device: of a card's names only the
-/// one that converts rates (`plughw`) and holds the card's name, not its number; and names without
-/// a card.
+/// Whether to list this one of ALSA's many names for a device: for a card, only the one that
+/// converts rates (`plughw`) and holds the card's name, not its number; else any name without a
+/// card.
 fn worth_listing(id: &str) -> bool {
     const OTHERS: [&str; 8] =
         ["null", "lavrate", "samplerate", "speexrate", "speex", "upmix", "vdownmix", "oss"];

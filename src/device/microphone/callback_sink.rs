@@ -8,8 +8,8 @@ use crate::ring::{SeriesSink, Waker};
 /// Frames mixed at a time: enough for a usual callback; a larger one is mixed part by part.
 const PART: usize = 4096;
 
-/// Takes samples from a callback: never waits, never allocates. What does not fit is counted as
-/// lost, in its place.
+/// Takes samples from a callback: never waits, never allocates. Samples that do not fit are counted
+/// as lost, in their place.
 pub struct CallbackSink {
     ring: SeriesSink,
     waker: Waker,

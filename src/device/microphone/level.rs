@@ -10,8 +10,7 @@ pub enum SoundLevel {
     Clipped,
 }
 
-/// Length of a window, in seconds. A level that fills a whole window is reported at its end, so at
-/// most two windows after it began.
+/// Length of a window, in seconds. A level is reported after the first window that it fills.
 const WINDOW_S: f64 = 0.4;
 /// The last bit of a 16-bit converter, with full scale ±1. Anything smaller is silence.
 const LAST_BIT: f32 = 1.0 / 32_768.0;

@@ -1,4 +1,4 @@
-//! Carries sound on from the callback's ring, and counts what never came or came twice, by the clock.
+//! Carries sound from the callback's ring to the session, and counts by the clock what was lost.
 
 use super::pace::Pace;
 use super::{LevelWatch, RATE_HZ, SoundLevel};

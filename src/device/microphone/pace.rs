@@ -74,9 +74,8 @@ impl Pace {
         self.skipped += frames;
     }
 
-    /// How many of these frames have come after all, judged from frames up to number `position`
-    /// that arrive at `now_s`: before they can have been recorded, if all of these were truly
-    /// missing.
+    /// How many of the frames counted as missing were only late: as many as explain why frames up
+    /// to number `position` arrive at `now_s`, before they can have been recorded.
     pub fn late(&self, now_s: f64, position: u64) -> u64 {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let early_s = begin - (now_s - position as f64 / self.rate_hz) - DRIFT * (now_s - at_s);

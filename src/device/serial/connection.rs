@@ -18,7 +18,7 @@ const REPEAT: Duration = Duration::from_millis(100);
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of errors.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
-/// Bytes taken at a time: 0.4 s of the line.
+/// Most bytes read at a time: some 0.4 s of samples.
 const BUFFER: usize = 64 * 1024;
 
 /// The end of a connection.
@@ -45,7 +45,7 @@ pub(super) struct Connection<'a> {
     pub status: Option<Status>,
     pub refused: Option<String>,
     pub errors: LinkErrors,
-    /// When they were last reported.
+    /// When `errors` were last reported.
     pub reported_at: Instant,
 }
 
@@ -205,7 +205,7 @@ pub(super) struct LinkErrors {
     overflowed: u64,
     overruns: u64,
     dropped: u64,
-    /// Warnings about what the stylus introduced itself with, and the last of them.
+    /// Number of warnings about the stylus's hello messages, and the last of them.
     hellos: u64,
     last_hello: Option<String>,
 }

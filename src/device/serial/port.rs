@@ -135,7 +135,7 @@ impl OpenPort for Selector {
     fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
         let path = match self {
             Self::Path(path) => path.display().to_string(),
-            // The crate relies on this folder, which a container may lack.
+            // The crate `serialport` relies on this folder, which a container may lack.
             _ if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() => {
                 return Err(OpenError::Absent(self.to_string()));
             }
@@ -152,7 +152,7 @@ impl OpenPort for Selector {
     }
 }
 
-/// The crate reports a locked port as `NoDevice`, and a missing one as several other errors.
+/// `serialport` reports a locked port as `NoDevice`, and a missing one as several other errors.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();

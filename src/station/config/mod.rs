@@ -157,10 +157,10 @@ pub struct CameraConfig {
 /// Pictures with flash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlashConfig {
-    /// Their source.
+    /// The source of these pictures.
     pub source: SourceId,
     /// The camera's control that switches the light; without it, the stylus does.
     pub control: Option<FlashControl>,
-    /// Time until pictures show a change.
+    /// Time until pictures show a change of the light.
     pub settle: Duration,
 }

@@ -248,7 +248,7 @@ impl StreamCuts<'_> {
         self
     }
 
-    /// The cuts, if each source occurs once; `file` is any value, whose line an error names.
+    /// The cuts, if each source occurs once; an error points at the line of `file`.
     fn checked<S>(self, file: &Spanned<S>) -> Result<Vec<CutFrom>, Mistake> {
         let mut seen = BTreeSet::new();
         match self.cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {

@@ -114,7 +114,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let mut writer = StoreWriter::new(store, send, ending);
     drop(working);
     writer.accept((scan(1), enrolment(), None));
-    // By the library, which holds no trial, it would be number 1; but that is not read at the end.
+    // The library holds no trial and would give number 1, but it is not read at the end.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
 }
