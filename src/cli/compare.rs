@@ -1,5 +1,5 @@
-//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`: whether
-//! paired samples depend on each other, by HSIC.
+//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`:
+//! whether paired samples depend on each other, by HSIC.
 
 use std::path::{Path, PathBuf};
 

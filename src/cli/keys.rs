@@ -24,7 +24,8 @@ static BEFORE: OnceLock<Termios> = OnceLock::new();
 pub struct Keys;
 
 impl Keys {
-    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan, `q` quits.
+    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan,
+    /// `q` quits.
     pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
         let stdin = std::io::stdin();
         let in_front =

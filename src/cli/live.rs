@@ -145,7 +145,7 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
 /// Makes a listener that may send commands.
 pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
-/// The work of a station, as a command wants it.
+/// What a command wants a station to do.
 pub struct StationWork<'a> {
     /// Reads the library, if scans are to be named.
     pub load: Option<Load>,

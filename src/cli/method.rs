@@ -232,7 +232,7 @@ impl Comparing {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long scans must last, in seconds, and the reason in a line: by the plan, if that says so,
+    /// How long scans must last, in seconds, and the reason in a line: by the plan if it says so,
     /// else by the model of the library.
     ///
     /// # Errors

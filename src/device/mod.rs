@@ -1,4 +1,4 @@
-//! Devices, which produce streams: the stylus, a microphone, a camera, or a recording that is played.
+//! Devices, which produce streams: the stylus, a microphone, a camera, or a recording being played.
 //!
 //! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into one ring
 //! per stream, and reports its state, and the marks where scans begin and end, through its

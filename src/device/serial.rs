@@ -5,8 +5,8 @@
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
 //! until the stylus answers, since it does not answer a damaged command.
 //!
-//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which is
-//! 0 or 1.
+//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which
+//! is 0 or 1.
 
 mod connection;
 mod intake;

@@ -40,7 +40,7 @@ pub(super) struct Parts {
     pub recording: Option<RecordingThread>,
     /// Sources of which a good trial must hold enough independent samples, by T*.
     pub by_t_star: Vec<SourceId>,
-    /// Whether all devices can wait.
+    /// Whether all devices can wait for the station, so that it may pause them.
     pub waits: bool,
     pub load: Option<Load>,
     /// The station's own order.
@@ -184,8 +184,8 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Takes the outcome of a scan that was to be kept; it is reported once the nearest surface of the
-    /// scan is known.
+    /// Takes the outcome of a scan that was to be kept; if it was kept, the outcome is reported
+    /// once the nearest surface is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);

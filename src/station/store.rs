@@ -1,7 +1,7 @@
 //! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
 //!
-//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and is
-//! tried again until it is written or the station ends.
+//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and
+//! is tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::convert::Infallible;

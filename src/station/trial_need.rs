@@ -42,8 +42,9 @@ struct SourceNeed {
 }
 
 impl TrialNeed {
-    /// Replaces in `news` the time needed to be named by that for the purpose, and sets whether the
-    /// drag may end. A settled answer may end it if enough trials have `supported` its rule.
+    /// Sets in `news` the time needed for the purpose (it held the time needed to be named) and
+    /// whether the drag may end. A settled answer may end it if its rule is `supported` by enough
+    /// trials.
     pub fn judge(
         &mut self,
         news: &mut Guess,
@@ -78,7 +79,8 @@ impl TrialNeed {
         let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
         let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
         source.moves |= frames.into_iter().any(|frame| frame != source.first);
-        // Frames with samples that are not numbers are not part of T*; such a scan is refused as a trial.
+        // Frames with samples that are not numbers do not count for T*; such a scan is refused as a
+        // trial.
         if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
             let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
             source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());

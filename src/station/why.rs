@@ -37,8 +37,8 @@ pub struct Why {
 pub struct SourceSays {
     /// The source.
     pub source: SourceId,
-    /// ln of the ratio by which it favours the winner over the runner-up; below 0, it favours the
-    /// runner-up. `None` where one of them lacks the source.
+    /// ln of the ratio by which the source favours the winner over the runner-up, whom it favours
+    /// if this is below 0. `None` where one of them lacks the source.
     pub for_winner: Option<f64>,
     /// The surface that it would name alone.
     pub alone: Option<String>,

@@ -149,12 +149,12 @@ impl Intake {
         self.reopened = true;
     }
 
-    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes `on`
-    /// what they hold, in order. Returns whether there were samples that are understood.
+    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes
+    /// what they hold to `on`, in order. Returns whether there were samples that are understood.
     pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(IntakeEvent<'_>)) -> bool {
         let mut any = false;
         let mut input = bytes;
-        // Taken out, so that a message that borrows from it leaves the rest usable.
+        // The decoder is taken out, so that a message that borrows from it leaves `self` usable.
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(result) = decoder.next(&mut input) {
             match result {

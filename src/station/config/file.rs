@@ -119,9 +119,9 @@ pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");
 /// The span given to default values, which stand nowhere in the file.
 const NOWHERE: Range<usize> = 0..0;
 
-/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such as
-/// `[stylus]`) are overlaid key by key; any other value replaces the default as a whole. `format`
-/// has no default. Spans are those of `text`.
+/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such
+/// as `[stylus]`) are overlaid key by key; any other value replaces the default as a whole.
+/// `format` has no default. Spans are those of `text`.
 ///
 /// # Errors
 /// If `text` is not TOML, or not of the form of `T`.
