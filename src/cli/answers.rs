@@ -87,7 +87,7 @@ impl AnswerArgs {
 
 /// The abilities of a recogniser that was set up.
 pub struct Applied {
-    /// Whether it follows scans in progress.
+    /// Whether the recogniser follows scans in progress.
     pub follows: bool,
     /// The basis of its answers, a line each.
     pub remarks: Vec<String>,

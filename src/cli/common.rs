@@ -57,7 +57,7 @@ impl SourceArgs {
 /// Locks out edits of a library (at `path`, or that of the trial at `path`) until the command ends.
 pub(super) fn hold(path: &Path) {
     let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-    // A trial lies two folders down.
+    // A trial lies two folders below its library.
     for folder in path.ancestors().take(3).filter(|folder| folder.is_dir()) {
         std::mem::forget(LibraryLock::for_reading(folder));
     }

@@ -33,8 +33,8 @@ use crate::scene::SourceId;
 pub struct Args {
     /// A library, or any recordings that `eval` reads
     lib: PathBuf,
-    /// Sources, with commas between them (default: of scans all, of T* all that are recorded while
-    /// dragging; with a published rule, those of domain `time`)
+    /// Sources, with commas between them (default: all for the scan time; for T*, all that are
+    /// recorded while dragging, or with a published rule those of domain `time`)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
     source: Vec<SourceId>,
     /// The share of scans that is to be named right (default: that of whole scans, less 0.01)
@@ -43,7 +43,8 @@ pub struct Args {
     /// Surfaces that T* is found for, with commas between them (default: all)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     surface: Vec<String>,
-    /// Whose trials (default: all; of T*, for each surface those of the user with the most)
+    /// User whose trials are used (default: all; for T*, the user with the most trials of a
+    /// surface)
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
     /// Let a published rule take the named sources as series in time, whatever their domain is

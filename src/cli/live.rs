@@ -147,7 +147,7 @@ pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> 
 
 /// What a command wants a station to do.
 pub struct StationWork<'a> {
-    /// Reads the library, if scans are to be named.
+    /// The function that reads the library, if scans are to be named.
     pub load: Option<Load>,
     /// The library for enrolled scans.
     pub store: PathBuf,
@@ -157,11 +157,11 @@ pub struct StationWork<'a> {
     pub listeners: Vec<Listen<'a>>,
     /// Instructions for the operator, shown while there is nothing else to show.
     pub hint: String,
-    /// Audits the library, if that can be asked for.
+    /// The function that audits the library, if the page may ask for it.
     pub check: Option<Audit>,
     /// Whether to print lines of JSON.
     pub json: bool,
-    /// Whether it is shown on a page.
+    /// Whether and where the station's page is served.
     pub serve: ServeArgs,
 }
 

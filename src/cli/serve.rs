@@ -20,7 +20,7 @@ const PROGRESS_EVERY_S: f64 = 0.1;
 pub struct ServeArgs {
     /// Serve the page and the interface for programs, until SIGTERM
     ///
-    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. To serve other
+    /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
     /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
     /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR", value_parser = address)]

@@ -1,4 +1,4 @@
-//! The terminal of a station: a status line, and above it the lines that stay.
+//! The terminal of a station: a status line at the bottom, and above it lines that scroll.
 //!
 //! Without a terminal there is no status line, and the rest goes to the log. Answers go to stdout.
 
@@ -20,7 +20,7 @@ use crate::station::{
 
 /// Shows a station to people: answers on stdout, all else on stderr.
 pub struct Terminal {
-    /// Answers are on stdout, as JSON.
+    /// Whether answers go to stdout as JSON instead of text.
     json: bool,
     /// Whether stderr is a terminal.
     draws: bool,
@@ -57,7 +57,7 @@ impl Terminal {
         self.scanning.clone()
     }
 
-    /// Shows a line that stays, or logs it.
+    /// Shows a line above the status line, or logs it.
     fn say(&self, level: Level, text: &str) {
         match level {
             _ if self.draws => say!("{}{text}", say::word(level)),

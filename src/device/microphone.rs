@@ -51,7 +51,7 @@ const GIVE_UP_S: f64 = 4.0;
 pub enum StreamError {
     /// Samples were lost before they could be read; the stream continues.
     Overrun,
-    /// The stream has ended, or delivers nothing that can be used any more: why.
+    /// The stream has ended, or its data can no longer be used: the reason.
     Gone(String),
 }
 
@@ -83,7 +83,7 @@ pub struct Microphone {
 enum StreamEnd {
     Stop,
     Lost(String),
-    /// It ended for good.
+    /// It ended, and reopening it is useless: the reason.
     Unfit(String),
 }
 

@@ -28,7 +28,7 @@ pub(super) struct Disk {
     root: PathBuf,
     pub log: Log,
     pub most_bytes: u64,
-    /// Held for as long as the folder is in use.
+    /// The lock on the folder, held for as long as it is in use.
     _lock: Option<File>,
 }
 

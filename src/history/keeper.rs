@@ -41,7 +41,7 @@ struct Notes<'a> {
     nearest: Option<NearestView>,
 }
 
-/// The nearest trial of the library that named the scan.
+/// The library's trial that is most similar to the scan.
 #[derive(Serialize)]
 struct NearestView {
     trial: TrialKey,

@@ -143,7 +143,7 @@ pub enum StationEvent {
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// News of the scan in progress.
+    /// An early answer for the scan in progress.
     Guess(Guess),
     /// A scan was named.
     Answer(Arc<Answer>),

@@ -290,7 +290,7 @@ impl StoreWriter {
         let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
     }
 
-    /// Learns the numbers that are taken, if the library can be read now and there is time for it.
+    /// Reads the next free trial numbers, if the library can be read now and there is time for it.
     fn read_numbers(&mut self) {
         self.current = false;
         if self.ending.try_recv() == Err(TryRecvError::Disconnected) {

@@ -65,7 +65,7 @@ pub(super) enum FrameLight {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlashVerdict {
     pub light: FrameLight,
-    /// Switch the light now.
+    /// Whether to switch the light on or off now; `None` to leave it.
     pub switch: Option<bool>,
 }
 

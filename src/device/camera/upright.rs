@@ -42,7 +42,7 @@ impl Turn {
         })
     }
 
-    /// Whether width and height change places.
+    /// Whether the turn swaps width and height.
     pub fn swaps(self) -> bool {
         matches!(self, Self::Right | Self::Left)
     }

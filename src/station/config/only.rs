@@ -35,7 +35,7 @@ impl StationConfig {
         let contact: BTreeSet<DevicePart> =
             groups.filter_map(|(stream, _)| self.part_of(stream)).collect();
         if parts.is_disjoint(&contact) {
-            // The stylus comes before the microphone.
+            // In the order of the set, the stylus comes before the microphone.
             parts.extend(contact.first());
         }
         let mut groups = std::mem::take(&mut self.detection.groups);

@@ -264,7 +264,7 @@ fn detection(
     cuts: Vec<CutFrom>,
     scene: &Scene,
 ) -> Result<Detection, Mistake> {
-    // The stylus leads where there is one, so its group comes first.
+    // The stylus decides about contact where there is one, so its group comes first.
     let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
     for (name, kind) in &block.listen {
         let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
