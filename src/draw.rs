@@ -1,14 +1,14 @@
-//! Pictures as SVG: what every figure needs.
+//! SVG pictures: the parts that all figures share.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-/// Why a figure cannot be drawn.
+/// The reason why a figure cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("the figure cannot be drawn: {0}")]
 pub struct FigureError(pub(crate) String);
 
-/// Distinct also for the colour-blind (Okabe & Ito 2008).
+/// Colours of curves, which colour-blind people can also tell apart (Okabe & Ito 2008).
 pub(crate) const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -32,7 +32,7 @@ impl From<DrawingAreaErrorKind<std::io::Error>> for FigureError {
     }
 }
 
-/// A white picture of `size` in points, and what `draw` puts on it.
+/// Makes a white picture of `size` in pixels, lets `draw` draw on it and returns its SVG text.
 pub(crate) fn svg(
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> Drawn,
@@ -47,7 +47,7 @@ pub(crate) fn svg(
     Ok(svg)
 }
 
-/// Text with its upper left corner at a point.
+/// Writes text whose upper left corner is at a point.
 pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size: i32) -> Drawn {
     Ok(area.draw(&Text::new(text.into(), at, ("sans-serif", size)))?)
 }

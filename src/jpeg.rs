@@ -1,4 +1,4 @@
-//! JPEG files: writing one, and where one ends.
+//! JPEG files: encodes pictures, and finds files that lack their end.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageResult};
@@ -21,15 +21,15 @@ pub(crate) fn encode_rgb(rgb: &[u8], (width, height): (u32, u32)) -> ImageResult
     Ok(bytes)
 }
 
-/// Whether these are the bytes of a JPEG file that lacks its end, whose missing part a decoder
-/// would fill with grey; false for what is no JPEG file.
+/// Whether these are the bytes of a JPEG file that lacks its end: a decoder would fill the missing
+/// part with grey. False for bytes that are no JPEG file.
 pub(crate) fn is_cut_short(bytes: &[u8]) -> bool {
     const START: [u8; 2] = [0xFF, 0xD8];
     let Some(mut rest) = bytes.strip_prefix(&START) else { return false };
-    // Walk from marker to marker: a thumbnail's end inside a segment is not the picture's.
+    // Goes from marker to marker: the end of a thumbnail inside a segment is not the picture's end.
     loop {
         let next = rest.windows(2).position(|two| {
-            // 0xFF before 0 is a pixel, before D0 to D7 a restart, before itself a filler.
+            // 0xFF followed by 0 is pixel data, by D0 to D7 a restart, by 0xFF padding.
             two[0] == 0xFF && !matches!(two[1], 0 | 0xFF | 0xD0..=0xD7)
         });
         let Some(at) = next else { return true };

@@ -58,7 +58,7 @@
 
 #![warn(missing_docs)]
 
-// For the processes that unit tests, other tests and tools share (tests/common/simulate.rs).
+// Lets tests/common/simulate.rs, which unit tests include too, name this crate `surfaced`.
 #[cfg(test)]
 extern crate self as surfaced;
 

@@ -1,11 +1,11 @@
-//! Text as it is shown to people: labels, serial numbers and messages are other people's, and may
-//! hold what a terminal would obey or what makes text read as something else.
+//! Makes text safe to show: labels, serial numbers and messages come from outside, and may hold
+//! characters that a terminal would obey or that change how the text reads.
 
 use std::fmt::{self, Write};
 
-/// Text in which characters that act instead of being seen are written as `\u{…}`: control
-/// characters except new lines and tabs, marks of direction (Unicode Standard Annex 9), and
-/// characters without width that join nothing.
+/// Shows text with its invisible, active characters written as `\u{…}`: control characters except
+/// new lines and tabs, direction marks (Unicode Standard Annex 9), and characters of no width
+/// except joiners. A carriage return is written as `\r`.
 pub(crate) struct Printable<'a>(pub &'a str);
 
 impl fmt::Display for Printable<'_> {
@@ -19,7 +19,7 @@ impl fmt::Display for Printable<'_> {
     }
 }
 
-/// Whether a character has no shape of its own but changes how others read. Joiners are left: some
+/// Whether a character is invisible but changes how others read. Joiners do not count: some
 /// scripts need them.
 fn acts_unseen(c: char) -> bool {
     matches!(c,
@@ -28,7 +28,7 @@ fn acts_unseen(c: char) -> bool {
         | '\u{e0000}'..='\u{e007f}')
 }
 
-/// A word as a shell takes it.
+/// Quotes a word for a shell, where it needs quotes.
 pub(crate) fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -37,8 +37,8 @@ pub(crate) fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// A table, a line for each row below the head. Columns are as wide as their widest cell; one whose
-/// head begins with `>` stands at the right.
+/// Lays out a table: the head, then a line for each row. Columns are as wide as their widest cell;
+/// one whose head begins with `>` is aligned right.
 pub(crate) fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let names: Vec<String> = head.iter().map(|name| name.trim_start_matches('>').into()).collect();
     let lines = || std::iter::once(&names).chain(rows);

@@ -1,13 +1,13 @@
-//! Repeatable randomness: every draw comes from a generator keyed by a seed and by what it is for.
+//! Repeatable randomness: each generator is made from a seed and a key that names its purpose.
 //!
-//! Keys, not call order, decide what is drawn. So results depend neither on the number of threads
-//! nor on the order in which a library happens to be read.
+//! The key, not the order of calls, decides what is drawn. So results depend neither on the number
+//! of threads nor on the order in which a library happens to be read.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// 64-bit FNV-1a hash of some parts; a separator keeps ("ab", "c") and ("a", "bc") apart.
+/// 64-bit FNV-1a hash of some parts, each with its length: ("ab", "c") and ("a", "bc") differ.
 ///
 /// Stable across machines and versions, unlike the standard library's hasher.
 pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
@@ -27,21 +27,20 @@ pub fn rng(seed: u64, key: &[&[u8]]) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed ^ stable_hash(key))
 }
 
-/// A number from the uniform distribution on [0, 1), with 53 bits.
+/// A uniformly distributed number in [0, 1), of 53 random bits.
 pub(crate) fn uniform(rng: &mut impl Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A number from the standard normal distribution, from two independent uniform ones (Box and
-/// Muller 1958).
+/// A standard normal number, computed from two independent uniform ones (Box and Muller 1958).
 pub fn normal(rng: &mut impl Rng) -> f64 {
     // 1 − u lies in (0, 1], so the logarithm is finite.
     let u = 1.0 - uniform(rng);
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
 }
 
-/// A nearly normal number, quickly: the sum of four uniform ones, brought to mean 0 and variance 1
-/// (Irwin and Hall). It never exceeds 3.47; kurtosis is 2.7.
+/// A nearly normal number, computed fast: the sum of four uniform ones, scaled to mean 0 and
+/// variance 1 (Irwin and Hall). Its magnitude is at most 3.47, its kurtosis 2.7.
 pub(crate) fn nearly_normal(rng: &mut impl Rng) -> f32 {
     const SCALE: f32 = 1.732_050_8 / 65_536.0;
     let x = rng.next_u64();

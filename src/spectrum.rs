@@ -6,17 +6,17 @@ use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 thread_local! {
-    /// Plans are costly to make and cheap to keep; each thread keeps its own.
+    /// Transform plans are costly to make and cheap to keep, so each thread keeps its own.
     static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
-    /// So are the buffers of the transform, megabytes for a whole drag: input, output, scratch.
+    /// Input, output and scratch buffers of the transform, kept too: megabytes for a whole drag.
     static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
 type Buffers = (Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// The bins of the spectrum of `frames` samples at `rate_hz` that lie in a band, both ends included.
+/// Numbers of the spectral bins of `frames` samples at `rate_hz` that lie in a band, ends included.
 ///
-/// The transform has the next power of two of points, so bin k stands for k·rate/points Hz.
+/// The transform's length is the next power of two, so bin k is at k·rate/length Hz.
 pub fn band_bins(frames: usize, rate_hz: f64, band_hz: (f64, f64)) -> std::ops::Range<usize> {
     let points = frames.next_power_of_two();
     let per_hz = points as f64 / rate_hz;
@@ -39,7 +39,7 @@ pub fn amplitude_spectrum(
     band_hz: (f64, f64),
 ) -> Vec<f64> {
     let frames = samples.len();
-    // A transform of two points is the smallest; one sample is padded to it.
+    // The smallest transform has two points, so a single sample is padded.
     let points = frames.next_power_of_two().max(2);
     let plan = PLANNER.with_borrow_mut(|planner| planner.plan_fft_forward(points));
     let bins = band_bins(frames, rate_hz, band_hz);
@@ -50,7 +50,7 @@ pub fn amplitude_spectrum(
         input.resize(points, 0.0);
         output.resize(points / 2 + 1, Complex::default());
         scratch.resize(plan.get_scratch_len().max(scratch.len()), Complex::default());
-        // The one error it knows is a wrong length, and these are the plan's own.
+        // The transform's only error is a wrong length, and these lengths come from the plan.
         plan.process_with_scratch(input, output, scratch).expect("buffers of the plan's lengths");
         output[bins.start.min(output.len())..bins.end.min(output.len())]
             .iter()

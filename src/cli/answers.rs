@@ -13,7 +13,7 @@ pub struct AnswerArgs {
     /// Accuracy that answers may lose by settling before their scans end
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
-    /// Share of scans of known surfaces that may be called unknown; 0 calls none so (default: 0.01,
+    /// Share of scans of known surfaces that may be called unknown; with 0, none is (default: 0.01,
     /// or as low as the library's trials can show)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
     false_rejections: Option<f64>,
@@ -87,7 +87,7 @@ impl AnswerArgs {
 
 /// The abilities of a recogniser that was set up.
 pub struct Applied {
-    /// Whether it follows scans in progress.
+    /// Whether the recogniser follows scans in progress.
     pub follows: bool,
     /// The basis of its answers, a line each.
     pub remarks: Vec<String>,

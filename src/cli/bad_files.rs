@@ -11,12 +11,12 @@ use crate::library::audit::{self, Unreadable};
 use crate::library::{Library, LibraryError};
 use crate::scene::Scene;
 
-/// Whether the first of them ends the command.
+/// Whether the first recording that cannot be used ends the command.
 static STRICT: AtomicBool = AtomicBool::new(false);
-/// The reasons of those that were skipped, a line each.
+/// Why recordings were skipped, a line each.
 static SKIPPED: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Lets a recording that cannot be used end the command.
+/// Sets whether a recording that cannot be used ends the command.
 pub(super) fn be_strict(strict: bool) {
     STRICT.store(strict, Ordering::Release);
 }
@@ -31,8 +31,8 @@ pub(super) fn open(path: &Path, defaults: &Scene) -> Result<Library, Failure> {
     Ok(opened.library)
 }
 
-/// Does some work with the library at `path`; where that fails because recordings cannot be read, once
-/// more without these.
+/// Does some work with the library at `path`; if that fails because recordings cannot be read, does
+/// it again without these.
 ///
 /// # Errors
 /// Those of the work; with `--strict`, all recordings that cannot be read.
@@ -50,8 +50,8 @@ pub(super) fn work<T>(
     }
 }
 
-/// The library at `path` without recordings that cannot be read, found by reading all; and how many
-/// those are.
+/// The library at `path` without the recordings that cannot be read, found by reading all, and the
+/// number of those.
 ///
 /// # Errors
 /// With `--strict`, if there are any.
@@ -63,10 +63,10 @@ pub(super) fn readable(path: &Path, library: Library) -> Result<(Library, usize)
     Ok((Library { entries, ..library }, count))
 }
 
-/// Says which recordings are not used, in one line.
+/// Warns in one line of recordings that are not used.
 ///
 /// # Errors
-/// With `--strict`, all of them.
+/// With `--strict`, if there are any; the error names all.
 pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
     let lines: Vec<String> = bad.iter().map(ToString::to_string).collect();
     if STRICT.load(Ordering::Acquire)
@@ -99,7 +99,7 @@ pub(super) fn skipped() -> Vec<String> {
     skipped.iter().map(|why| format!("not used: {why}")).collect()
 }
 
-/// The end of a command that was done.
+/// The result of a command that has done its work: damaged if recordings were skipped.
 pub(super) fn verdict() -> Done {
     match skipped().len() {
         0 => Ok(()),

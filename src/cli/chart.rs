@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Writes the picture and its numbers, and gives the files.
+/// Writes the picture and its numbers, and returns the files' paths.
 fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
     let (out, beside) = (args.figure.out.clone(), args.figure.beside());
     write(&out, &figure(chart)?)?;
@@ -88,8 +88,8 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     Ok(chart)
 }
 
-/// Measures one setting after the other. What is done stays, should a later one fail or a person
-/// lose patience.
+/// Measures one setting after the other, and writes all results so far after each: they remain if a
+/// later setting fails or the run is interrupted.
 fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
     let drag_s = chart.drag_s;
     let all = if args.brief { brief(&choice.scene) } else { charted(&choice.scene, drag_s) };

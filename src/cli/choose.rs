@@ -15,16 +15,16 @@ use crate::trial::TrialKey;
 pub(super) struct Choice {
     /// The sources to compare.
     pub scene: Scene,
-    /// Trials that hold some of them.
+    /// Trials that hold some of these sources.
     pub entries: Vec<Entry>,
     pub protocol: Protocol,
     pub folds: Vec<Fold>,
 }
 
-/// The trials of some recordings that hold any source of `scene`, as far as they do.
+/// The trials that hold any source of `scene`, with these sources only.
 ///
 /// # Errors
-/// If no trial does.
+/// If no trial holds any.
 pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Failure> {
     let entries: Vec<Entry> = (library.entries.iter())
         .map(|entry| entry.clone().within(scene))
@@ -45,8 +45,7 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
     Ok(entries)
 }
 
-/// The protocol that was named, else the one that fits the trials, which people learn of; and its
-/// folds.
+/// The named protocol, or else the one that fits the trials, which is then printed; and its folds.
 ///
 /// # Errors
 /// If the protocol finds no folds.
@@ -78,8 +77,8 @@ pub(super) fn choose(
 }
 
 impl Choice {
-    /// Keeps this many surfaces of those that the folds use, evenly spread over their names, and
-    /// no trial of others.
+    /// Keeps up to `most` of the surfaces that the folds use, evenly spread over their names, and
+    /// drops the trials of all others.
     pub fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())

@@ -1,4 +1,4 @@
-//! Parts shared by commands: their ends, the opening of data, and the parsing of values.
+//! Parts shared by commands: their results, the opening of data, and the parsing of values.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 
-/// The end of a command that did not do all of its work.
+/// Why a command did not do all of its work.
 #[derive(Debug)]
 pub(super) enum Failure {
     /// Exit code 1.
@@ -54,22 +54,22 @@ impl SourceArgs {
     }
 }
 
-/// Keeps edits off a library, or off that of a trial, until the command has ended.
+/// Locks out edits of a library (at `path`, or that of the trial at `path`) until the command ends.
 pub(super) fn hold(path: &Path) {
     let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-    // A trial lies two folders down.
+    // A trial lies two folders below its library.
     for folder in path.ancestors().take(3).filter(|folder| folder.is_dir()) {
         std::mem::forget(LibraryLock::for_reading(folder));
     }
 }
 
-/// Opens recordings of any form, and says on stderr which are found. Nobody edits them from then on.
+/// Opens recordings of any form, locks out edits of them, and says on stderr which are found.
 pub(super) fn open(path: &Path) -> Result<Library, Failure> {
     hold(path);
     open_held(path)
 }
 
-/// The same, where the caller keeps edits off.
+/// The same, where the caller locks out edits.
 pub(super) fn open_held(path: &Path) -> Result<Library, Failure> {
     let library = bad_files::open(path, &Scene::lmt108())?;
     show::library(&library);

@@ -1,5 +1,5 @@
-//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`: whether
-//! paired samples depend on each other, by HSIC.
+//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`:
+//! whether paired samples depend on each other, by HSIC.
 
 use std::path::{Path, PathBuf};
 
@@ -169,7 +169,7 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     Ok((entry.load()?, library.scene.clone(), library.synthetic))
 }
 
-/// The trial of a library that holds no other.
+/// The only trial of a library.
 fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
     let entry = &one.entries[0];
     Ok((entry.load()?, one.scene.clone(), one.synthetic))

@@ -90,9 +90,9 @@ fn microphones() -> DeviceClass {
     DeviceClass::of(crate::device::microphone::microphones())
 }
 
-/// Keeps libraries from writing on stderr until it is dropped: those behind ALSA's plugins, as JACK's,
-/// do so when what they look for is not there, which the list shows as that device's problem. For this
-/// command alone, in which no other thread writes there.
+/// Keeps libraries from writing to stderr until it is dropped: those behind ALSA's plugins, such as
+/// JACK's, report a missing server there, which the list shows as that device's problem. For this
+/// command alone, in which no other thread writes to stderr.
 #[cfg(feature = "microphone")]
 struct HushedStderr(Option<std::os::fd::OwnedFd>);
 
@@ -111,7 +111,7 @@ impl HushedStderr {
 impl Drop for HushedStderr {
     fn drop(&mut self) {
         if let Some(kept) = &self.0 {
-            // It was open a moment ago; if that has changed, nothing is left to say it on.
+            // If stderr cannot be restored, there is nowhere to report it.
             let _ = rustix::stdio::dup2_stderr(kept);
         }
     }

@@ -22,8 +22,8 @@ use crate::scene::SourceId;
 /// Find how long to drag, and T*, the minimum time between independent samples
 ///
 /// How long to drag: the earliest time by which the library's own trials, each left out in turn, are named
-/// as well as is wanted. T*: how far apart two moments of a drag must lie for the second to say
-/// what the first did not.
+/// as well as is wanted. T*: how far apart in time two samples of a drag must lie to be
+/// independent.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced duration lib\n  \
                         surfaced duration lib --accuracy 0.99\n  \
@@ -33,8 +33,8 @@ use crate::scene::SourceId;
 pub struct Args {
     /// A library, or any recordings that `eval` reads
     lib: PathBuf,
-    /// Sources, with commas between them (default: of scans all, of T* all that are recorded while
-    /// dragging; with a published rule, those of domain `time`)
+    /// Sources, with commas between them (default: all for the scan time; for T*, all that are
+    /// recorded while dragging, or with a published rule those of domain `time`)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
     source: Vec<SourceId>,
     /// The share of scans that is to be named right (default: that of whole scans, less 0.01)
@@ -43,7 +43,8 @@ pub struct Args {
     /// Surfaces that T* is found for, with commas between them (default: all)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     surface: Vec<String>,
-    /// Whose trials (default: all; of T*, for each surface those of the user with the most)
+    /// User whose trials are used (default: all; for T*, the user with the most trials of a
+    /// surface)
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
     /// Let a published rule take the named sources as series in time, whatever their domain is
@@ -68,7 +69,7 @@ pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-    // The last, since its heading would be that of all that follow.
+    // Last, since all options after it would stand under its heading.
     #[command(flatten)]
     algorithm1: Algorithm1Args,
 }
@@ -248,8 +249,8 @@ pub fn run(args: &Args) -> Done {
 }
 
 impl Args {
-    /// The number of left-out trials named right by each time, by the sources and of the user that were
-    /// named.
+    /// The number of left-out trials named right by each time, with the sources and the user of the
+    /// arguments.
     fn by_time(
         &self,
         library: &Library,
@@ -257,7 +258,7 @@ impl Args {
     ) -> Result<LeftOutAccuracy, RecogniseError> {
         let scene = match self.source.is_empty() {
             true => library.scene.clone(),
-            // `report` has found them.
+            // `report` has checked that the library has them.
             false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
         };
         let is_wanted = |entry: &Entry| {

@@ -93,14 +93,14 @@ pub fn record(args: &RecordArgs) -> Done {
     }
 }
 
-/// Numbers of scans that were kept, and that could not be written.
+/// The number of scans that were kept, and of those that could not be written.
 #[derive(Clone, Copy, Default)]
 struct KeptCounts {
     kept: u32,
     lost: u32,
 }
 
-/// Stores the scans of an order, and ends with the last of them. `hint` is shown to the operator.
+/// Runs a station that keeps the scans of an order, until the last one. The operator sees `hint`.
 fn store(
     config: &StationConfig,
     args: &StationArgs,
@@ -146,8 +146,8 @@ fn store(
     verdict(&totals).map(|()| stored)
 }
 
-/// Makes a library that is not there yet, with its sources described, and makes sure that trials
-/// can be written into it.
+/// Creates a library that does not exist yet, with a description of its sources, and checks that
+/// trials can be written into it.
 fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
     if !library.exists() {
         let name = library.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
@@ -156,9 +156,9 @@ fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
     Ok(check_writable(library)?)
 }
 
-/// Counts scans, and ends the station with the last that is wanted.
+/// Counts kept scans, and quits the station after the last one that is wanted.
 ///
-/// An order without an end counts whatever is kept meanwhile, also under other labels.
+/// For an order without a limit, scans that are kept under other labels count too.
 struct KeptCounter {
     commands: Sender<Command>,
     order: Keep,

@@ -1,4 +1,4 @@
-//! `surfaced eval`: accuracy by protocol.
+//! `surfaced eval`: measures accuracy by a protocol, such as leave-one-trial-out.
 
 mod report;
 
@@ -144,7 +144,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Says what the recordings are good for.
+/// Says what to do next with the recordings.
 fn advise(data: &Path, report: &EvalReport) {
     let lib = quoted(data);
     if report.outcome.method == MethodName::Embedding.as_str() {
@@ -176,7 +176,7 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
     evaluated(args, data)
 }
 
-/// The trials, with the chosen ones of the tables; with all if none is chosen.
+/// The trials with the features of the chosen tables, or of all tables if none is chosen.
 ///
 /// # Errors
 /// Wrong usage, if there is no such table.

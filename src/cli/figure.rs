@@ -26,7 +26,7 @@ pub struct FigureArgs {
 }
 
 impl FigureArgs {
-    /// Refuses a picture whose JSON would be the picture itself.
+    /// Refuses a picture named `.json`, which is the name of the file of its numbers.
     pub fn check(&self) -> Done {
         if self.out.extension().is_some_and(|e| e == "json") {
             return Err(Failure::Usage(format!(
@@ -43,12 +43,12 @@ impl FigureArgs {
     }
 }
 
-/// Whether a file is an earlier run's JSON and no recordings.
+/// Whether a path is an earlier run's JSON, not recordings.
 pub fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
 }
 
-/// Reads what the command named `command` wrote beside its picture.
+/// Reads the JSON that the command named `command` wrote beside its picture.
 pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Failure> {
     let failed = |error: &dyn Display| {
         Failure::Failed(format!(
@@ -65,7 +65,7 @@ pub fn write(path: &Path, text: &str) -> Done {
     std::fs::write(path, text).map_err(|error| Failure::Failed(format!("{}: {error}", shown(path))))
 }
 
-/// The numbers of a picture, as a file.
+/// The numbers of a picture, as the text of a JSON file.
 pub fn json(numbers: &impl Serialize) -> Result<String, Failure> {
     Ok(serde_json::to_string_pretty(numbers)? + "\n")
 }

@@ -19,7 +19,7 @@ use crate::printable::table;
 pub struct Args {
     /// The library that named them
     library: PathBuf,
-    /// Show the newest scans alone, at most this many
+    /// Show only the newest scans, at most this many
     #[arg(long, value_name = "N")]
     last: Option<usize>,
     /// Show the share of right answers, surface by surface, among corrected scans

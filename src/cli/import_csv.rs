@@ -12,7 +12,7 @@ use crate::record::{TrialOptions, check_writable, write_library_toml, write_tria
 use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Names of a column of times, and the seconds that its unit lasts.
+/// Names that mark a column of times, each with its unit in seconds.
 const TIMES: [(&str, f64); 8] = [
     ("time", 1.0),
     ("t", 1.0),
@@ -147,7 +147,7 @@ pub fn run(args: &CsvArgs) -> Done {
     Ok(())
 }
 
-/// The tables at a path: itself, or those in the folder and its folders.
+/// Adds the tables at a path: the file itself, or those in the folder and its subfolders.
 fn find(path: &Path, tables: &mut Vec<PathBuf>) -> Done {
     if !path.is_dir() {
         tables.push(path.to_path_buf());
@@ -195,8 +195,8 @@ fn understood(args: &CsvArgs, first: &CsvTable) -> Result<CsvForm, Failure> {
     Ok(CsvForm { sources, clock, labels, names: args.names.clone() })
 }
 
-/// Sources by the names of columns: those that differ only in what follows the last `_`, `.`, `-` or
-/// space, or in a last digit, are channels of one.
+/// Groups columns into sources by their names: columns that differ only after the last `_`, `.`,
+/// `-` or space, or in a last digit, are channels of one source.
 fn grouped(
     first: &CsvTable,
     clock: &Clock,

@@ -13,20 +13,20 @@ use serde::Serialize;
 use super::show;
 use crate::station::{Command, End, Listener, StationEvent};
 
-/// Lines that wait for their reader; scans come a few a minute.
+/// Most lines that wait for their reader; a minute brings a few scans.
 const WAITING: usize = 1024;
-/// Warnings that one line takes; each is also on stderr and in the interface for programs.
+/// Most warnings in one line; each is also on stderr and in the interface for programs.
 const WARNINGS: usize = 50;
-/// The time that the end waits for a slow reader.
+/// How long the program waits at its end for a slow reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Prints a line for each scan that was named, and for each that was to be kept, with the warnings
-/// since the line before; those after the last one have a line of their own.
+/// since the line before; warnings after the last scan get a separate line.
 pub struct JsonLines {
     /// None once the last line was handed over.
     lines: Option<Sender<String>>,
     end: End,
-    /// Whether to wait for the reader: true where no device would lose by it.
+    /// Whether to wait for the reader: true where no device would lose data meanwhile.
     waits: bool,
     /// Lines that were dropped, since the reader has stalled.
     dropped: u64,
@@ -42,7 +42,7 @@ struct JsonLine<'a, T> {
 }
 
 impl JsonLines {
-    /// Prints from now on; quits the station that takes `commands` once nobody reads the lines.
+    /// Prints from now on; sends [`Command::Quit`] to `commands` once nobody reads the lines.
     ///
     /// # Errors
     /// If the system gives no thread.

@@ -11,16 +11,16 @@ use super::{DAMAGED, Failure};
 use crate::station::Command;
 use crate::system::{next_key, restore_terminal, signals, single_keys};
 
-/// The time after the first signal at which the process ends in any case: later than a station does
-/// by
-/// itself, and within the five seconds that it has.
+/// Time from the first signal until the process ends in any case: later than a station ends by
+/// itself, and within the five seconds allowed for it.
 const LIMIT: Duration = Duration::from_millis(4700);
 
 /// Keys that are read one by one, until it is dropped.
 pub struct Keys;
 
 impl Keys {
-    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan, `q` quits.
+    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan,
+    /// `q` quits.
     pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
         if !std::io::stderr().is_terminal() || !single_keys() {
             return None;
@@ -41,7 +41,7 @@ impl Keys {
                 }
             }
         };
-        // It waits for keys until the process ends.
+        // The thread waits for keys until the process ends.
         std::thread::Builder::new().name("keys".into()).spawn(read).ok()?;
         Some(keys)
     }

@@ -1,4 +1,4 @@
-//! `surfaced library`: lists the trials of a library, and edits them so that it can be undone.
+//! `surfaced library`: lists the trials of a library, and edits them reversibly.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -119,8 +119,8 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     })
 }
 
-/// Reads a library and makes it ready to name scans, each time that it is called. `given` are the
-/// sources that scans can have, where that is known.
+/// Returns a function that reads the library anew at each call, and makes it ready to name scans.
+/// `given` are the sources that scans can have, where that is known.
 pub fn load(
     path: &Path,
     scene: &Scene,
@@ -159,13 +159,13 @@ pub fn load(
     })
 }
 
-/// Audits a library, each time that it is called.
+/// Returns a function that audits the library anew at each call.
 pub fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
     Audit(Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text)))
 }
 
-/// That no scan of a station can be compared with its library.
+/// The message that no scan of a station can be compared with its library.
 fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceId>) -> String {
     let list =
         |ids: Vec<&SourceId>| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
@@ -186,9 +186,9 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
 /// Makes a listener that may send commands.
 pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
 
-/// A station at work, as a command wants it.
+/// What a command wants a station to do.
 pub struct StationWork<'a> {
-    /// Reads the library, if scans are to be named.
+    /// The function that reads the library, if scans are to be named.
     pub load: Option<Load>,
     /// The library for enrolled scans.
     pub store: PathBuf,
@@ -198,11 +198,11 @@ pub struct StationWork<'a> {
     pub listeners: Vec<Listen<'a>>,
     /// Instructions for the operator, shown while there is nothing else to show.
     pub hint: String,
-    /// Audits the library, if that can be asked for.
+    /// The function that audits the library, if the page may ask for it.
     pub check: Option<Audit>,
-    /// Prints lines of JSON.
+    /// Whether to print lines of JSON.
     pub json: bool,
-    /// Whether it is shown on a page.
+    /// Whether and where the station's page is served.
     pub serve: ServeArgs,
 }
 
@@ -264,7 +264,7 @@ pub fn work(
         station = station.listener(listen(commands.clone()));
     }
     let supervisor = Supervisor::new(commands.clone())?;
-    // In another layout nobody would read what is added.
+    // In a library of another layout, added trials would not be read.
     let enrolls = !dataset::is_foreign(&library.folder);
     let (address, library) = (config.serve, enrolls.then_some(library));
     let (check, viewfinder) = (work.check, assembled.viewfinder);
@@ -290,9 +290,9 @@ pub fn work(
     Ok(station.run()?)
 }
 
-/// Keeps the scans of a station in a folder, of at most `keep_mb` million bytes. Where that cannot
-/// be, people learn why, and answers are remembered for as long as the program runs. `sources` are
-/// what they are, and the device of each.
+/// Keeps the scans of a station in a folder of at most `keep_mb` million bytes. Where that fails, a
+/// warning says why, and answers are kept in memory until the program ends. `sources` holds the
+/// scene, and the device of each source.
 pub fn keep_scans<'a>(
     station: Station<'a>,
     folder: &Path,
@@ -317,7 +317,7 @@ pub fn keep_scans<'a>(
     }
 }
 
-/// The end of a command with live devices.
+/// The result of a command with live devices.
 pub fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));

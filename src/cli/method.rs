@@ -122,7 +122,7 @@ impl MethodArgs {
         })
     }
 
-    /// The method of a plan, with those of these settings that a plan leaves open.
+    /// The method of a plan; settings that a plan leaves open are taken from these arguments.
     pub fn planned(&self, plan: &MethodSpec) -> MethodSpec {
         match plan {
             MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
@@ -160,7 +160,7 @@ impl MethodArgs {
     }
 }
 
-/// The options that ask for a method, as far as charts and people distinguish settings by them.
+/// The options that select a method, with the settings by which charts distinguish methods.
 pub fn options_of(method: &MethodSpec) -> String {
     let mut options = format!("--method {}", method.name().as_str());
     if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {
@@ -172,7 +172,7 @@ pub fn options_of(method: &MethodSpec) -> String {
     options
 }
 
-/// The way to compare, given by options or by a plan, for commands that name scans.
+/// How trials are compared, by options or by a plan, in commands that name scans.
 #[derive(clap::Args)]
 pub struct ComparingArgs {
     #[command(flatten)]
@@ -215,7 +215,7 @@ impl ComparingArgs {
 /// The way scans are compared.
 #[derive(Clone)]
 pub struct Comparing {
-    /// The plan that says so, if one does.
+    /// The plan, if one is given.
     pub plan: Option<Plan>,
     sources: SourceArgs,
     /// The method.
@@ -232,7 +232,7 @@ impl Comparing {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long scans must last, in seconds, and the reason in a line: by the plan, if that says so,
+    /// How long scans must last, in seconds, and the reason in a line: by the plan if it says so,
     /// else by the model of the library.
     ///
     /// # Errors

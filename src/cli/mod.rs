@@ -151,7 +151,7 @@ struct CompletionArgs {
 fn completion(args: &CompletionArgs, mut program: clap::Command) -> Done {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);
-    // A reader that has gone away wants no more.
+    // Printed here, since `generate` panics if the reader has gone away.
     Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
 }
 

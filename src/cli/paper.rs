@@ -86,7 +86,7 @@ pub fn merge(args: &MergeArgs) -> Done {
     finish(&whole, args.out.as_deref(), args.json)
 }
 
-/// The reason why shards cannot be joined, with a hint where none were named.
+/// The reason why shards cannot be joined, with a hint if no shard was named.
 fn mended(error: MergeError) -> Failure {
     Failure::Failed(match error {
         MergeError::Nothing => format!(

@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> Done {
     verdict(args, &planned)
 }
 
-/// Says what the plan is good for.
+/// Says what to do next with the plan.
 fn advise(args: &Args) {
     let lib = quoted(&args.lib);
     match &args.out {

@@ -117,8 +117,8 @@ fn advise(args: &Args) {
     show::next(&next);
 }
 
-/// The embedded scene: the expert's trials are the library, those of users the queries, also of the
-/// surface that the library lacks.
+/// The embedded scene: the expert's trials are the library, and the users' trials are the queries,
+/// including those of a surface that the library lacks.
 fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     let synth::Embedded { library, remarks } = synth::embedded();
     show::library(&library);
@@ -138,7 +138,7 @@ fn by_protocol(
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    // All of it is played.
+    // All recordings are played, so all must be readable.
     let (data, _) = bad_files::readable(folder, super::open_held(folder)?)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
@@ -160,7 +160,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         )));
     }
     let cache = how.cache_in(library);
-    // All data are played; of the library, what is kept of it may do.
+    // All data are read to be played; of the library, the cache of prepared trials may be enough.
     let (data, _) = bad_files::readable(data, super::open_held(data)?)?;
     let library = super::open_held(library)?;
     let synthetic = data.synthetic || library.synthetic;
@@ -177,7 +177,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
     Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
-/// Plays the stage's queries, and names them. `reading` keeps edits off the library until it is read.
+/// Plays the stage's queries, and names them. `reading` locks out edits until the library is read.
 fn play(
     args: &Args,
     how: &Comparing,
@@ -192,7 +192,7 @@ fn play(
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        // Served, it ends on a signal, read or not.
+        // While a page is served, the program ends on a signal, even if nobody reads the lines.
         let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
         station = station.listener(lines);
     }
@@ -253,8 +253,8 @@ fn play(
     tally.verdict(totals.lost())
 }
 
-/// Makes the recogniser of the queries, each by the library of its fold, and says on what its answers
-/// rest. The flag is true if it follows scans while they go on.
+/// Makes the recogniser, which names each query by the library of its fold, and says on what its
+/// answers rest. The flag is true if it follows scans in progress.
 fn recogniser(
     args: &Args,
     how: &Comparing,
@@ -262,7 +262,7 @@ fn recogniser(
 ) -> Result<(Recogniser, bool), Failure> {
     let method = how.method.build(&stage.scene);
     let models = models(&*method, stage)?;
-    // That of the library, be each query named by a part of it.
+    // The scan time of the whole library, although each query is named by a part of it.
     let (needed_s, lasting) = match &models[..] {
         [_, _, ..] if how.method.name() == MethodName::Embedding => {
             let all = (0..stage.entries.len()).collect();
@@ -298,8 +298,8 @@ impl ReplayStage {
         all.map(|(fold, query)| (fold, &self.entries[query]))
     }
 
-    /// Leaves recordings of the library in a folder out that cannot be read, and says so; false if all
-    /// can be.
+    /// Drops the recordings of the library at `folder` that cannot be read, and warns of them;
+    /// false if all can be read.
     ///
     /// # Errors
     /// With `--strict`, if there are any.

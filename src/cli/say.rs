@@ -28,10 +28,10 @@ static LIVE: AtomicBool = AtomicBool::new(false);
 static STALLED: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 /// Whether stdout is for JSON alone.
 static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
-/// The last line of the terminal, where one is kept: others stand above it.
+/// The status line, if one is kept: the last line of the terminal, below all others.
 static STATUS: Mutex<Option<String>> = Mutex::new(None);
 
-/// Goes to the begin of the terminal's line, and clears it.
+/// Goes to the start of the terminal's line, and clears it.
 const CLEAR: &str = "\r\x1b[2K";
 
 /// Writes a line for people on stderr; takes what `format!` takes. It never panics.
@@ -46,10 +46,10 @@ macro_rules! result {
     ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
-/// Whether details are said, too.
+/// Whether to print details, too.
 static VERBOSE: AtomicBool = AtomicBool::new(false);
 
-/// Says details, too, see [`is_verbose`].
+/// Sets whether to print details, too; see [`is_verbose`].
 pub fn be_verbose(verbose: bool) {
     VERBOSE.store(verbose, Ordering::Release);
 }
@@ -64,9 +64,9 @@ pub fn never_wait() {
     LIVE.store(true, Ordering::Release);
 }
 
-/// Held while lines are written, so that none comes between another and the status line.
+/// Locks the status line while a line is written, so that no other line comes in between.
 fn status_line() -> MutexGuard<'static, Option<String>> {
-    // Each change is one assignment.
+    // Each change is one assignment, so a panic leaves a usable line.
     STATUS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -210,7 +210,7 @@ pub fn priority(level: Level) -> &'static str {
     }
 }
 
-/// Takes an event a write, and never fails.
+/// Takes one event at each write, and never fails.
 struct Stderr;
 
 impl io::Write for Stderr {

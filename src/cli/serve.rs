@@ -10,10 +10,9 @@ use crate::station::Station;
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
 /// The interval at which new samples are sent to the page, in seconds: 25 times a second, so that
-/// 20 are drawn
-/// even where some come late.
+/// 20 are drawn even if some come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// The interval at which the progress of a scan is sent to it, in seconds of drag.
+/// The interval at which the progress of a scan is sent to the page, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
@@ -21,7 +20,7 @@ const PROGRESS_EVERY_S: f64 = 0.1;
 pub struct ServeArgs {
     /// Serve the page and the interface for programs, until SIGTERM
     ///
-    /// ADDR is an address with its port, or one of the two; port 0 picks a free one. To serve other
+    /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
     /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
     /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR", value_parser = address)]
@@ -34,7 +33,7 @@ pub struct ServeArgs {
     proxies: Vec<IpAddr>,
 }
 
-/// An address with its port, or one of the two.
+/// Parses an address with its port, or either alone.
 fn address(text: &str) -> Result<SocketAddr, String> {
     let local = Ipv4Addr::LOCALHOST.to_string();
     let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);
@@ -53,7 +52,7 @@ impl ServeArgs {
         self.serve.is_some()
     }
 
-    /// Options of a session that is shown, if it is.
+    /// The options of a session, with updates for the page if it is served.
     pub fn options(&self, options: Options) -> Options {
         if !self.is_wanted() {
             return options;
@@ -65,8 +64,8 @@ impl ServeArgs {
         }
     }
 
-    /// Serves `station`, if `--serve` is given, and says where on stderr. Of `settings`, the address
-    /// is that of `--serve` without one.
+    /// Serves `station` if `--serve` is given, and prints the address on stderr; it is that of
+    /// `settings` if `--serve` names none.
     pub fn start<'a>(
         &self,
         station: Station<'a>,

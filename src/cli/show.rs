@@ -31,13 +31,13 @@ pub fn json(value: &impl serde::Serialize) {
     }
 }
 
-/// A document, or a line of a stream of them.
+/// The JSON text of one document, or of one line in a stream.
 pub fn json_text(value: &impl serde::Serialize) -> String {
     // Plain structs, numbers and text: nothing here that JSON cannot express.
     serde_json::to_string(value).expect("plain data")
 }
 
-/// Says which sources were left out of queries, and why; gives the same lines.
+/// Warns which sources were left out of queries, and why; returns the same lines.
 pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {
     let lines = left_out.iter().filter_map(|(remark, trials)| {
         let more = match trials.len() {
@@ -62,7 +62,7 @@ pub fn next(what: &str) {
     say!("next: {what}");
 }
 
-/// A path as a shell takes it.
+/// A path, quoted for a shell where necessary.
 pub fn quoted(path: &Path) -> String {
     printable::quoted(&shown(path))
 }
@@ -109,7 +109,7 @@ pub fn certainty(answer: &Answer) -> String {
 pub struct Steps(Mutex<Option<(&'static str, ProgressBar)>>);
 
 impl Steps {
-    /// No step yet.
+    /// A progress bar without a step yet.
     pub fn new() -> Self {
         Self(Mutex::new(None))
     }

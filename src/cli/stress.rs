@@ -52,7 +52,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
-    // Read first: an hour of measuring should not end at a name that was mistyped.
+    // Read first: an hour of measuring should not fail at a mistyped name.
     let beside = match &args.beside {
         Some(path) => Some((path, earlier::<StressReport>(path, "stress")?)),
         None => None,
@@ -123,7 +123,7 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
     Ok(report)
 }
 
-/// A method with its usual settings; `reference` the quick way.
+/// A method with its usual settings; `reference` with successive halving, which is faster.
 fn quick(method: MethodName) -> MethodSpec {
     match method {
         MethodName::Reference => MethodSpec::Reference(ReferenceOptions {
@@ -151,7 +151,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
     Ok(found)
 }
 
-/// Writes the pictures and their numbers, and gives the files.
+/// Writes the pictures and their numbers, and returns the files' paths.
 fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     let out = &args.figure.out;
     let mut written = vec![out.clone(), out.with_extension("md"), args.figure.beside()];

@@ -34,7 +34,7 @@ pub struct Args {
     /// Length of a drag
     #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::common::seconds)]
     seconds: f64,
-    /// About as hard as LMT108, source by source, instead of easier
+    /// Make each source about as hard as in LMT108, instead of easier
     #[arg(long)]
     hard: bool,
     /// Print one JSON document on stdout

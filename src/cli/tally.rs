@@ -18,7 +18,7 @@ pub struct Tally {
     with_truth: usize,
     right: usize,
     latencies_ms: Vec<f64>,
-    /// The surface at the time when an answer was settled, by the number of the scan.
+    /// The surface named when the answer was settled, by the number of the scan.
     settled: BTreeMap<u32, String>,
     by_then: ByThen,
     notable: Notable,
@@ -28,14 +28,14 @@ pub struct Tally {
     spoiled: usize,
 }
 
-/// Difficulties, for the summary.
+/// Confusions, unknown surfaces and dead sources, for the summary.
 #[derive(Default)]
 struct Notable {
     /// Counts of confusions: the true surface, and the one named.
     confused: BTreeMap<(String, String), usize>,
     /// Scans of known surfaces that were called unknown.
     rejected: usize,
-    /// Scans of new surfaces, and how many of them were called unknown.
+    /// Scans of surfaces that the library lacks, and how many of them were called unknown.
     lacking: usize,
     called_unknown: usize,
     /// The number of scans from which each source was left out.
@@ -118,7 +118,7 @@ impl Listener for Tally {
 }
 
 impl Tally {
-    /// Nothing yet, of `total` scans; whether `each` answer is shown.
+    /// An empty tally of `total` scans; `each` says whether each answer is shown.
     pub fn new(each: bool, total: usize) -> Self {
         Self {
             each,
@@ -191,7 +191,7 @@ impl Tally {
             show::certainty(answer),
             longer.unwrap_or_default()
         );
-        // Reasons for doubt, unless a warning has said so; other states explain themselves.
+        // Reasons for doubt that no warning has given; other states explain themselves.
         let is_known = |why: &&String| {
             answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
         };
@@ -212,7 +212,7 @@ impl Tally {
         }
     }
 
-    /// Something in use was lost or damaged.
+    /// Shows and counts a warning that something in use was lost or damaged.
     fn damage(&mut self, text: &str) {
         self.damages += 1;
         say!("warning: {text}");
@@ -268,7 +268,7 @@ impl Tally {
         self.notable.show();
     }
 
-    /// The end of the command, after `lost` samples were lost.
+    /// The result of the command, after `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
         if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
@@ -283,8 +283,8 @@ impl Tally {
     }
 }
 
-/// Whether an answer, or what it had settled on before, is right: unknown is, where the library lacks
-/// the surface.
+/// Whether an answer, or the surface that it had settled on, is right. `None` (unknown) is right if
+/// the library lacks the true surface.
 fn is_right(answer: &Answer, truth: &String, settled: Option<&String>) -> bool {
     match settled.or(answer.surface.as_ref()) {
         Some(surface) => surface == truth,

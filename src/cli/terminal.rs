@@ -1,4 +1,4 @@
-//! The terminal of a station: a status line, and above it the lines that stay.
+//! The terminal of a station: a status line at the bottom, and above it lines that scroll.
 //!
 //! Without a terminal there is no status line, and the rest goes to the log. Answers go to stdout.
 
@@ -20,20 +20,20 @@ use crate::system::has_status_line;
 
 /// Shows a station to people: answers on stdout, all else on stderr.
 pub struct Terminal {
-    /// Answers are on stdout, as JSON.
+    /// Whether answers go to stdout as JSON instead of text.
     json: bool,
     /// Whether stderr is a terminal.
     draws: bool,
     hint: String,
     scanning: Arc<AtomicBool>,
     devices: BTreeMap<String, DeviceState>,
-    /// The scan in progress: its part, and what it looks like so far.
+    /// The scan in progress: its part, and the last guess of its surface.
     scan: Option<(Phase, Option<Guess>)>,
     last: Option<String>,
 }
 
 impl Terminal {
-    /// Nothing shown yet. `hint` says what to do, and stands where there is nothing else to show.
+    /// A terminal that shows `hint`, which says what to do, until there is something else to show.
     pub fn new(json: bool, hint: String) -> Self {
         let draws = has_status_line();
         say::never_wait();
@@ -57,7 +57,7 @@ impl Terminal {
         self.scanning.clone()
     }
 
-    /// Shows a line that stays, or logs it.
+    /// Shows a line above the status line, or logs it.
     fn say(&self, level: Level, text: &str) {
         match level {
             _ if self.draws => say!("{}{text}", say::word(level)),
@@ -125,7 +125,7 @@ impl Terminal {
                 self.info(&format!("kept: trial {trial} of {surface} in {}", shown(folder)));
             }
             (EnrolledOutcome::Refused, ..) => self.warn(&format!("scan {scan} refused; repeat it")),
-            // A warning says the rest.
+            // A warning tells of other outcomes.
             _ => return,
         }
         remarks.iter().for_each(|remark| self.info(&format!("  {remark}")));
@@ -143,7 +143,7 @@ impl Terminal {
     fn library(&self, library: &LibraryState) {
         let LibraryState { name, surfaces, synthetic, problem, remarks, .. } = library;
         if problem.is_some() {
-            // A warning says it.
+            // A warning tells of the problem.
             return;
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();

@@ -1,5 +1,5 @@
-//! Tables as people have them: a CSV file for each trial, or a long one with columns that name the
-//! trials. Columns become sources; rows have a rate, or a column of times.
+//! Reads recordings from CSV tables: one file for each trial, or a long file with columns that name
+//! the trials. Columns become sources; the rows have a fixed rate, or a column of times.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,51 +10,51 @@ use crate::library::files;
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
 
-/// A row of cells, with the number of its line.
+/// The line number of a row, and its cells.
 type NumberedRow = (u64, Vec<String>);
 
-/// The moments of a table's rows.
+/// How the times of a table's rows are known.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Clock {
-    /// Rows a second.
+    /// The number of rows a second.
     Rate(f64),
     /// A column of times.
     Times {
-        /// its name
+        /// name of the column
         column: String,
-        /// seconds that its unit lasts
+        /// length of the column's time unit in seconds
         unit_s: f64,
     },
 }
 
-/// The meaning of a table's columns, and of its file's name.
+/// What the columns of a table and the name of its file mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CsvForm {
     /// Each source, and the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
-    /// The moments of the rows.
+    /// The times of the rows.
     pub clock: Clock,
-    /// The columns of surface, user and trial, where there are any.
+    /// The columns that name the surface, the user and the trial, where there are any.
     pub labels: [Option<String>; 3],
-    /// The same in the file's name.
+    /// Where the file's name tells the surface, the user and the trial.
     pub names: NamePattern,
 }
 
-/// The trials of a file.
+/// The trials read from one file.
 #[derive(Debug)]
 pub struct CsvTrials {
     /// The trials, in the order of the file.
     pub trials: Vec<Trial>,
-    /// Rate of the rows in Hz before they were resampled, where they were.
+    /// Mean rate of the rows in Hz before resampling, if rows were resampled.
     pub uneven_hz: Option<f64>,
 }
 
-/// A table of text.
+/// A table whose cells are still text.
 pub struct CsvTable {
-    /// The names of its columns; their numbers, where it has none.
+    /// The names of the columns; their numbers from 1 on, if the file has no names.
     pub header: Vec<String>,
     rows: Vec<NumberedRow>,
-    /// Whether numbers have a decimal comma.
+    /// Whether a comma may be the decimal mark.
     comma: bool,
 }
 
@@ -62,7 +62,7 @@ impl CsvTable {
     /// Reads a table whose columns are separated by commas, semicolons, tabs or spaces.
     ///
     /// # Errors
-    /// If the file cannot be read, is no text, or has a line of another length than the first.
+    /// If the file cannot be read, is not text, or has lines with different numbers of columns.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
@@ -135,8 +135,8 @@ impl CsvTable {
     /// The trials of the table; `name` is the path of its file without extension.
     ///
     /// # Errors
-    /// If it lacks a column, a cell is no finite number, the name of the file does not fit, times do
-    /// not rise, or a trial has fewer than two rows.
+    /// If a column is missing, a cell is no finite number, the name does not fit the pattern, times
+    /// do not rise, or a trial has fewer than two rows.
     pub fn trials(&self, name: &str, form: &CsvForm) -> Result<CsvTrials, String> {
         let labels = form
             .labels
@@ -228,7 +228,7 @@ impl CsvTable {
     }
 }
 
-/// Rows at even moments, by straight lines between those at `times`, which rise.
+/// Rows at evenly spaced times, by linear interpolation between the rows at `times`, which rise.
 fn resampled(times: &[f64], rows: &[Vec<f64>], rate_hz: f64) -> Vec<Vec<f64>> {
     let last = times.len() - 1;
     let count = ((times[last] - times[0]) * rate_hz + 1e-6).floor() as usize + 1;
@@ -252,24 +252,23 @@ fn number_of(text: &str) -> Option<u32> {
     text[stem.len()..].parse().ok()
 }
 
-/// A pattern of file names: text with `{surface}`, `{user}`, `{trial}`, and `*` for anything within
-/// a folder's or file's name.
+/// A pattern of file paths: text with the fields `{surface}`, `{user}` and `{trial}`, and `*` for
+/// any text. Fields and `*` match at least one character, but no `/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NamePattern(pub String);
 
-/// The labels in a name.
+/// The labels found in a file's path.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NameParts {
     pub surface: Option<String>,
-    /// The person.
     pub user: Option<String>,
-    /// The text that ends with the trial's number.
+    /// A text that ends with the trial's number.
     pub trial: Option<String>,
 }
 
 impl NamePattern {
-    /// The labels in a name that fits the end of the pattern's path, from the shortest to the longest
-    /// text for each.
+    /// The labels in a path; `None` if its last parts, as many as the pattern has, do not fit. Each
+    /// field takes the shortest text with which the rest fits.
     pub fn parts(&self, name: &str) -> Option<NameParts> {
         let depth = self.0.matches('/').count();
         let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);

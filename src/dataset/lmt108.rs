@@ -1,7 +1,7 @@
 //! The LMT108 surface materials database (Strese et al. 2017), in its own layout (method.md §7).
 //!
-//! Training trials are the expert's; Testing trial u is that of user `user{u}`. Read leniently: any
-//! subset of the database will do, and the library's remarks say what was found.
+//! Training trials are by the expert, Testing trial u is by `user{u}`. Any subset of the database
+//! can be opened; the library's remarks say what was found.
 
 mod name;
 
@@ -19,7 +19,7 @@ use crate::library::{Library, LibraryError, Opened};
 use crate::scene::{Declared, Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
-/// Folders of the database; one of them is enough to know it by.
+/// Folders of the database, any one of which identifies it.
 pub(super) const FOLDERS: [&str; 6] = [
     "AccelScansComponents",
     "SoundScans",
@@ -29,22 +29,22 @@ pub(super) const FOLDERS: [&str; 6] = [
     "ImageScans",
 ];
 
-/// Rate of everything but sound.
+/// Rate of all series except sound.
 const TEXT_RATE_HZ: f64 = 10_000.0;
 
-/// Depth of its folders: `FricScans/FSR1/Training`, and one to spare.
+/// Most levels of folders that are read: one more than `FricScans/FSR1/Training` has.
 const DEEPEST: usize = 4;
 
-/// Whether a folder with these things in it is the database's root.
+/// Whether a folder with this content is the database's root.
 pub(super) fn is_root(listed: &[Listed]) -> bool {
     listed.iter().any(|item| is_scans(item) && holds_recordings(item))
 }
 
-/// Whether a folder of such a name holds recordings of this layout, or nothing at all: a surface may
-/// be called so, too.
+/// Whether a folder named like one of [`FOLDERS`] holds recordings of the database, or no files at
+/// all. Otherwise it may be a surface of that name in another library.
 fn holds_recordings(folder: &Listed) -> bool {
     let mut found = FoundFiles::default();
-    // A folder that cannot be listed here is reported when it is read.
+    // Counts a folder that cannot be listed as the database's: reading it will report the error.
     found.walk(folder, &mut Vec::new()).is_err()
         || !found.trials.is_empty()
         || found.passed.is_empty()
@@ -57,7 +57,7 @@ fn is_scans(item: &Listed) -> bool {
 /// Opens the database at its root.
 ///
 /// # Errors
-/// If a folder or a WAV header cannot be read, or contradicts the scene, or nothing is found.
+/// If a folder cannot be read, the scene contradicts the database, or no recording can be used.
 pub(super) fn open(
     root: &Path,
     listed: &[Listed],
@@ -127,7 +127,7 @@ struct FoundFiles {
 }
 
 impl FoundFiles {
-    /// Takes in all files below `folder`; `above` names its folders from the root, in lower case.
+    /// Adds all files below `folder`; `above` names the folders above it, in lower case.
     fn walk(&mut self, folder: &Listed, above: &mut Vec<String>) -> Result<(), LibraryError> {
         above.push(folder.name.to_ascii_lowercase());
         for item in files::list(&folder.path)? {
@@ -140,7 +140,7 @@ impl FoundFiles {
                 if above.len() < DEEPEST {
                     self.walk(&item, above)?;
                 } else {
-                    self.pass_over(&item, "not used, the database has no folders as deep as this");
+                    self.pass_over(&item, "not used, the database has no folders at this depth");
                 }
             } else {
                 self.file(item, above);
@@ -176,7 +176,7 @@ impl FoundFiles {
         if let Entry::Vacant(free) = channels.entry(channel) {
             free.insert(item.path);
         } else {
-            self.pass_over(&item, "not used, another file is this very recording; remove one");
+            self.pass_over(&item, "not used, another file holds the same recording; remove one");
         }
     }
 
@@ -185,7 +185,7 @@ impl FoundFiles {
     }
 }
 
-/// The files of a source, one a channel, or what is missing.
+/// The files of a source, one for each channel, or a text that says which are missing.
 ///
 /// # Errors
 /// If the scene gives the source another number of channels than the database does.

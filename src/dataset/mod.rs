@@ -1,4 +1,4 @@
-//! Collections of recordings in the forms that others gave them.
+//! Reads collections of recordings in formats other than the project's, and makes synthetic ones.
 
 pub(crate) mod csv;
 mod lmt108;
@@ -12,25 +12,25 @@ use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
-/// Whether the files of another form lie in folders of this name.
+/// Whether the LMT108 database, in one of its two layouts, has folders of this name.
 pub(crate) fn is_layout_name(name: &str) -> bool {
     lmt108::FOLDERS.iter().chain(&PROCESSED).any(|folder| folder.eq_ignore_ascii_case(name))
 }
 
-/// Whether a folder holds the database, in one of its own forms, here or one folder further down:
-/// trials in the recording format would not be read there.
+/// Whether a folder, or a folder in it, holds the LMT108 database in one of its own layouts. Trials
+/// in the project's recording format would not be read from there.
 pub(crate) fn is_foreign(path: &Path) -> bool {
     !copies(path, files::list(path).unwrap_or_default()).is_empty()
 }
 
-/// The copies of the database in a folder, each with its content: the folder itself, or else the folders
-/// in it.
+/// The copies of the LMT108 database, with the files and folders in each: `path` itself, or else
+/// folders in it.
 fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
     let is_copy = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
     if is_copy(&listed) {
         return vec![(path.to_path_buf(), listed)];
     }
-    // A folder that describes itself is taken at its word.
+    // A folder with a `library.toml` is a library in the recording format.
     if listed.iter().any(|item| item.name == DESCRIPTION) {
         return Vec::new();
     }
@@ -40,24 +40,24 @@ fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
     inner.filter(|(inner, _)| is_copy(inner)).map(|(inner, path)| (path, inner)).collect()
 }
 
-/// Opens the recordings of a folder, in any form: finds out their form, then reads them with it.
+/// Opens the recordings at `path`, in any of these formats:
 ///
 /// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
 ///   its folders, here or one folder further down),
-/// - a single WAV or FLAC file: one trial, whose surface nobody knows,
+/// - a single WAV or FLAC file: one trial of an unknown surface,
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
 /// The sources are those of `defaults`, and those that the library itself describes. Data are read
 /// when an entry is loaded; [`Library::remarks`] says what was found and what is missing.
 ///
 /// # Errors
-/// If the folder cannot be read, holds no recordings, or holds some that contradict their
+/// If the folder cannot be read, holds no recordings, or holds recordings that contradict their
 /// description; if it holds LMT108 in its authors' processed form, which a script converts.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     open_usable(path, defaults)?.whole()
 }
 
-/// The same, but files and trials that cannot be used are listed beside the library.
+/// Like [`open`], but lists files and trials that cannot be used beside the library.
 ///
 /// # Errors
 /// If the folder cannot be read, or nothing in it can be used.
@@ -86,8 +86,8 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
 /// Folders of the authors' processed form of LMT108.
 const PROCESSED: [&str; 3] = ["DataLMT108", "Library", "TestingSet"];
 
-/// Whether a folder with these things in it is the root of the authors' processed form of LMT108, or
-/// its `DataLMT108`. A surface may have such a name, too: its folder holds folders, one a trial.
+/// Whether `listed` is the content of the root of the authors' processed form of LMT108, or of its
+/// `DataLMT108`. A surface may have such a name too, but then its folder holds trial folders.
 fn is_processed(listed: &[Listed]) -> bool {
     let called = |item: &Listed, name: &str| item.name.eq_ignore_ascii_case(name);
     let holds_only = |name: &str, folders: &[&str]| {

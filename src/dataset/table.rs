@@ -1,8 +1,8 @@
-//! Feature tables: trials of which only hand-made features are known, as CSV files.
+//! Feature tables: CSV files with hand-made features of trials instead of recordings.
 //!
-//! Each file is a source, named by the file: a header that begins with `file,surface,split,trial`,
-//! then one line a trial with the names' values and a number for each feature. Split `train` is
-//! the expert; any other is the user with the trial's number.
+//! Each file is a source of the file's name. Its header begins with `file,surface,split,trial`;
+//! each further line holds these four values of a trial and a number for each feature. The split
+//! `train` means the expert, any other the user with the trial's number.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,19 +17,19 @@ const NAMES: &str = "file,surface,split,trial,";
 /// Feature tables of some trials.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureTables {
-    /// Remarks to show.
+    /// Name of the folder.
     pub name: String,
     /// The sources: the names of the files.
     pub sources: Vec<SourceId>,
-    /// The features of each trial, source by source, in the order of the columns.
+    /// For each trial and source, the features in the order of the columns.
     pub trials: BTreeMap<TrialKey, BTreeMap<SourceId, Vec<f64>>>,
 }
 
-/// Opens the feature tables in a folder; nothing if it holds none.
+/// Opens the feature tables in a folder; `None` if it holds none.
 ///
 /// # Errors
-/// If one cannot be read, has a line of another length than its header, a value that is no finite
-/// number, or a trial twice.
+/// If a table cannot be read, has a line with more or fewer fields than its header, a value that is
+/// not a finite number, or a trial twice.
 pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
     let is_csv = |item: &Listed| !item.is_dir && item.name.ends_with(".csv");
     let mut tables = FeatureTables {
@@ -51,8 +51,8 @@ pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
     Ok((!tables.trials.is_empty()).then_some(tables))
 }
 
-/// The line that a row of a CSV text is on, counted from 1: `csv` gives that of the blank lines
-/// before it.
+/// The number of the line that holds a row of a CSV text, from 1 on. The crate `csv` gives the line
+/// of the first blank line before the row.
 pub(crate) fn line_of(text: &[u8], row: &csv::StringRecord) -> u64 {
     let Some(start) = row.position() else { return 0 };
     let after = text.get(start.byte() as usize..).unwrap_or_default();

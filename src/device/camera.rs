@@ -1,9 +1,9 @@
 //! The camera: upright pictures of 320 × 480 pixels, without and with flash.
 //!
-//! Reading a camera may block for ever, if it hangs. So a separate thread reads, and
-//! the device's thread watches over it, judges the light of each frame, and makes pictures. When
-//! the reader hangs, the state is "stalled" until it comes back; nothing waits for it to end. What
-//! needs V4L2 is behind `Video`; the crate's feature `camera` brings the real one.
+//! Reading may block for ever if the camera hangs. So a separate thread reads, and the device's
+//! thread watches over it, judges the light of each frame, and makes pictures. While the reader
+//! hangs, the state is "stalled"; nothing waits for it to end. The trait `Video` hides V4L2, whose
+//! implementation comes with the crate's feature `camera`.
 
 mod flash;
 mod frame;
@@ -34,16 +34,16 @@ pub(crate) use upright::upright;
 pub(crate) use v4l::{V4l, cameras};
 pub(crate) use viewfinder::CameraView;
 
-/// The longest time between two looks of the device's thread.
+/// The longest time that the device's thread waits for news of the reader.
 const LOOK: Duration = Duration::from_millis(50);
 /// No picture for this long is a stall; cameras take their time to start.
 const STALLED: Duration = Duration::from_secs(2);
-/// The time that the reader has at a stop to give the camera back.
+/// The time that the reader has to close the camera at a stop.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Least time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
 
-/// A camera, as one stream of pictures, and a second one with flash if it has any.
+/// A camera, as one stream of pictures, and a second one with flash if it has a flash.
 pub struct Camera {
     plain: SourceId,
     flash: Option<(SourceId, Flash)>,
@@ -69,7 +69,7 @@ struct CameraWatch<'a> {
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
     cycle: Cycle,
-    /// A picture was seen at least once.
+    /// Whether a usable frame has ever come.
     seen: bool,
     /// When the last plain picture was pushed.
     pushed: Option<Instant>,
@@ -160,7 +160,7 @@ impl Device for Camera {
             watch.light_off(&orders);
             stop.request();
             drop(orders);
-            // It gives the camera back at its next frame. One that hangs is left to itself.
+            // The reader closes the camera at its next frame. One that hangs is not waited for.
             let until = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(until).is_ok() {}
             match end {
@@ -180,7 +180,7 @@ impl Device for Camera {
 }
 
 impl CameraWatch<'_> {
-    /// Makes pictures of the reader's frames, until it ends.
+    /// Makes pictures of the reader's frames, until the reader ends or a stop is requested.
     fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
         let mut last = Instant::now();
         while !self.link.stopped() {
@@ -317,13 +317,13 @@ pub trait Frames {
     /// The next frame; waits for it without limit.
     ///
     /// # Errors
-    /// If there will be no more: why, for people.
+    /// If there will be no more frames: the reason, for people.
     fn next(&mut self) -> Result<Frame, String>;
 
     /// Sets a control of the camera.
     ///
     /// # Errors
-    /// If it has no such control, or refuses the value: why, for people.
+    /// If the camera has no such control, or refuses the value: the reason, for people.
     fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
 }
 
@@ -341,7 +341,7 @@ struct ControlRequest {
     pub value: i64,
 }
 
-/// Starts to read. Frames that cannot be taken at once are dropped: the next one is fresher.
+/// Starts the reader. Frames that cannot be taken at once are dropped: the next one is fresher.
 fn start_reader(
     video: Arc<dyn Video>,
     stop: Stop,
@@ -365,7 +365,8 @@ fn start_reader(
     Ok((orders, news))
 }
 
-/// Reads until the end, and gives the last news; none if there is no receiver any more.
+/// Reads until the camera ends, and returns the last news; `None` after a request to stop, or if
+/// nobody receives any more.
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,

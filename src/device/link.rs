@@ -118,8 +118,8 @@ impl DeviceLink {
         self.send(DeviceReportKind::Mark(mark));
     }
 
-    /// Reports something that was wrong but does not end the device. What may go wrong a thousand
-    /// times a second is to be summed up by the device, not reported each time.
+    /// Reports something that was wrong but does not end the device. A device must sum up problems
+    /// that may occur a thousand times a second.
     pub fn warn(&self, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(text.into()));
     }
@@ -143,7 +143,7 @@ impl DeviceLink {
     }
 }
 
-/// One mark.
+/// A mark in the streams: where a scan or one of its sources begins or ends.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
     /// A scan begins.

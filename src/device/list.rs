@@ -1,6 +1,6 @@
 //! Lists the devices of this machine, with permanent names and the problems of each.
 //!
-//! Serial lines are not opened for it: that resets some boards.
+//! Serial ports are listed without opening them, since that resets some boards.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -15,8 +15,8 @@ use crate::system::{device_holder, may_use};
 /// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ListedDevice {
-    /// Names it in a configuration. It stays the same when something else is plugged in, unless
-    /// `problem` says otherwise.
+    /// The device's name in a configuration. It stays the same when something else is plugged in,
+    /// unless `problem` says otherwise.
     pub id: String,
     /// A description of the device.
     pub name: String,
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn a_camera_is_found_by_any_of_its_names() {
         let dir = tempfile::tempdir().unwrap();
-        // As the system would report it.
+        // Without links, as the system reports paths.
         let dev = dir.path().canonicalize().unwrap();
         for folder in CAMERA_FOLDERS {
             fs::create_dir_all(dev.join(folder)).unwrap();

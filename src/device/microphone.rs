@@ -1,10 +1,10 @@
 //! The microphone: 44.1 kHz and one channel, from any sound device.
 //!
-//! The sound system calls back on its own thread, which must never wait: it mixes to one
-//! channel and puts that into a ring, in which losses keep their place. The device's thread
-//! carries it on to the session, watches level and pace, and reopens the stream when it is
-//! lost. What needs the sound system is behind [`Sound`]; the crate's feature `microphone` brings
-//! the real one.
+//! The sound system calls back on its own thread, which must never wait: it mixes to one channel
+//! and puts that into a ring, where lost samples keep their place. The device's thread carries the
+//! sound on to the session, watches level and pace, and reopens the stream when it is lost. The
+//! trait [`Sound`] hides the sound system, whose implementation comes with the crate's feature
+//! `microphone`.
 
 #[cfg(feature = "microphone")]
 mod alsa;
@@ -36,14 +36,14 @@ use crate::scene::SourceId;
 /// The rate of every microphone in Hz, which is that of LMT108.
 pub const RATE_HZ: u32 = 44_100;
 
-/// Between the callback and the device's thread, in seconds: the longest that this thread may be
-/// held up without a loss, and more than comes at once from a server that was held up.
+/// Length of the ring between the callback and the device's thread, in seconds: this thread may be
+/// held up for so long without a loss. A sound server that was held up sends less at once.
 const BUFFER_S: f64 = 5.0;
-/// The longest time between two looks of the device's thread.
+/// The longest time that the device's thread waits for sound.
 const LOOK: Duration = Duration::from_millis(20);
 /// No sound for this long is a stall, in seconds.
 const STALLED_S: f64 = 0.7;
-/// No sound for this long, and the stream is reopened, in seconds.
+/// After this long without sound, in seconds, the stream is reopened.
 const GIVE_UP_S: f64 = 4.0;
 
 /// Errors of a stream that is open.
@@ -51,7 +51,7 @@ const GIVE_UP_S: f64 = 4.0;
 pub enum StreamError {
     /// Samples were lost before they could be read; the stream continues.
     Overrun,
-    /// The stream has ended, or delivers nothing that can be used any more: why.
+    /// The stream has ended, or its data can no longer be used: the reason.
     Gone(String),
 }
 
@@ -59,9 +59,8 @@ pub trait Sound: Send {
     /// The name of the microphone that it opens.
     fn device(&self) -> String;
 
-    /// Opens the microphone at [`RATE_HZ`]. From then on `sink` is fed from a callback, and
-    /// `errors` sent to (by `try_send`, as nothing may wait there), until what is returned is
-    /// dropped.
+    /// Opens the microphone at [`RATE_HZ`]. Until the returned value is dropped, a callback feeds
+    /// `sink` and sends to `errors` (by `try_send`, since it must not wait).
     ///
     /// # Errors
     /// If the microphone cannot be opened.
@@ -84,7 +83,7 @@ pub struct Microphone {
 enum StreamEnd {
     Stop,
     Lost(String),
-    /// It ended for good.
+    /// It ended, and reopening it is useless: the reason.
     Unfit(String),
 }
 
@@ -161,7 +160,7 @@ impl Device for Microphone {
 }
 
 impl OpenStream {
-    /// Carries its sound to the session until it ends. Moments are in seconds since `begin`.
+    /// Carries its sound to the session until it ends. Times are in seconds since `begin`.
     fn follow(
         &mut self,
         listening: &mut Listening,
@@ -172,7 +171,8 @@ impl OpenStream {
         listening.opened(now_s());
         while !link.stopped() {
             let _ = self.woken.recv_timeout(LOOK);
-            // Before the ring is looked at: what follows an overrun is in the ring after it.
+            // Before the ring is read, since sound that follows an overrun enters it after the
+            // report.
             let mut gone = None;
             for trouble in self.errors.try_iter() {
                 match trouble {

@@ -1,9 +1,9 @@
 //! Devices, which produce streams: the stylus, lines of numbers, a microphone, a camera, or a
 //! recording that is played.
 //!
-//! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into
-//! one ring a stream, and reports its state and the marks of scans through its [`DeviceLink`].
-//! Nothing downstream can distinguish a recording from a sensor.
+//! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into one ring
+//! per stream, and reports its state, and the marks where scans begin and end, through its
+//! [`DeviceLink`]. Nothing downstream can distinguish a recording from a sensor.
 
 #[doc(hidden)]
 pub mod camera;
@@ -33,19 +33,17 @@ pub trait Device: Send {
     fn name(&self) -> &str;
 
     /// The streams that it will push, in the order of the sinks that [`Device::run`] gets. Called
-    /// once, before
-    /// it runs; names are unique in a session.
+    /// once, before it runs; names are unique in a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
     /// Whether it can wait for its reader. A device that cannot loses data that do not fit; when
-    /// all
-    /// can, nothing in the session is lost or dropped anywhere.
+    /// all can, nothing in the session is lost or dropped anywhere.
     fn waits(&self) -> bool {
         false
     }
 
-    /// Pushes until there is no more, or `link` says stop; to be looked at every 50 ms or so.
-    /// `sinks` holds one sink a stream. Losing the hardware is no reason to return: a driver
+    /// Pushes data until there are no more, or `link` says stop, which it must check every 50 ms or
+    /// so. `sinks` holds one sink per stream. Losing the hardware is no reason to return: a driver
     /// reports its state and tries again.
     ///
     /// # Errors
@@ -67,7 +65,7 @@ pub struct StreamSpec {
 pub enum StreamKind {
     /// Samples in time.
     Series {
-        /// samples a frame
+        /// samples per frame
         channels: usize,
         /// nominal rate in Hz, which sizes the ring; the marks of each scan give the actual one
         rate_hz: f64,

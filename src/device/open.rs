@@ -7,7 +7,7 @@ use super::{DeviceError, DeviceLink, DeviceState};
 /// The time until a driver tries again.
 pub(super) const RETRY: Duration = Duration::from_millis(300);
 
-/// The longest wait of drivers that look through all the hardware of their kind.
+/// The longest wait between attempts that search all the hardware of one kind.
 pub(super) const LONGEST_RETRY: Duration = Duration::from_secs(5);
 
 /// Why hardware cannot be opened.
@@ -20,7 +20,7 @@ pub enum OpenError {
     Busy(String),
     #[error("permission denied on {device}; {hint}")]
     Denied { device: String, hint: String },
-    /// It is unsuitable, so trying again is useless.
+    /// The hardware is unsuitable, so trying again is useless.
     #[error("{0}")]
     Unfit(String),
     #[error("{0}")]
@@ -87,7 +87,7 @@ mod tests {
     #[test]
     fn what_is_dear_to_open_is_tried_ever_more_rarely_until_it_could_be_opened() {
         let (send, reports) = crossbeam_channel::unbounded();
-        // Stopped, so that nothing waits.
+        // A stop was requested, so that no attempt waits.
         let stop = Stop::default();
         stop.request();
         let link = DeviceLink::new(0, stop, send);

@@ -1,7 +1,7 @@
 //! Plays recorded trials as if their sensors were there: same rings, same marks, same pace.
 //!
 //! A trial is played picture first, then its taps, then its drags; the sources of one phase
-//! progress together in time. A recording carries its marks, and these override any detection.
+//! progress together in time. A recording has its own marks of scans, which override detection.
 
 use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
@@ -18,7 +18,7 @@ use crate::ring::{Sink, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// Sizes the ring of a source whose rate the scene leaves open.
+/// The rate that sizes the ring of a source whose rate the scene leaves open.
 const ANY_RATE_HZ: f64 = 44_100.0;
 
 /// Plays trials, one after the other.
@@ -27,7 +27,7 @@ pub struct Replay {
     specs: Vec<SourceSpec>,
     entries: Vec<Entry>,
     speed: Speed,
-    /// Pushed at a time, in seconds of the recording.
+    /// Length of signal pushed at a time, in seconds of the recording.
     chunk_s: f64,
     /// Silence after each trial, in seconds of the recording.
     pause_s: f64,
@@ -67,7 +67,7 @@ impl Replay {
         self
     }
 
-    /// Says that the trials were made by a generator.
+    /// Sets whether the trials were made by a generator.
     pub fn synthetic(mut self, synthetic: bool) -> Self {
         self.synthetic = synthetic;
         self
@@ -181,7 +181,7 @@ const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
 /// The speed at which a recording is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// This many times as fast as it was recorded, from 0.001 to 10 000; what the session does not take is lost.
+    /// This many times as fast as recorded, from 0.001 to 10 000; data that do not fit are lost.
     RealTime(f64),
     /// As fast as the session takes it; nothing is lost.
     Max,
@@ -208,11 +208,11 @@ struct Player<'a> {
     replay: &'a Replay,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    /// The moment until which the recording was played, at the set speed.
+    /// When the part played so far is due to end, at the set speed.
     due: Instant,
 }
 
-/// A series on its way.
+/// A series on its way into its ring.
 struct Track {
     /// Index of its source and its sink.
     index: usize,

@@ -5,8 +5,8 @@
 //! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
 //! until the stylus answers, since it does not answer a damaged command.
 //!
-//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which is
-//! 0 or 1.
+//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which
+//! is 0 or 1.
 
 mod connection;
 mod intake;
@@ -169,7 +169,7 @@ pub(super) fn keep_open(
     Ok(())
 }
 
-/// The time that the stylus has to confirm.
+/// The time that the stylus has to confirm a switch of the light.
 const CONFIRM: Duration = Duration::from_millis(500);
 
 /// Switches the camera's light on the stylus; clones switch the same one.
@@ -191,7 +191,7 @@ impl Light {
         self.0[0].load(Ordering::Acquire)
     }
 
-    /// Notes what the stylus says of it.
+    /// Notes the state of the light that the stylus reports.
     fn confirm(&self, on: bool) {
         self.0[1].store(on, Ordering::Release);
     }

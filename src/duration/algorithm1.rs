@@ -4,18 +4,19 @@
 //! t₁ + t; T* is the first t at which the upper bound CB+ of HSIC lies below the mean threshold κ.
 //! [`Search`] computes the curve and finds T*; the R tests at one lag run in parallel.
 //!
-//! # What it is worth
-//! A test of Q pairs sees little: at Q = 10 `mean-ci` stops at 0.4 of a process's correlation time τ,
-//! a sixth of the lag at which the autocorrelation has fallen to 0.1, and `quantile`, nearer to it
-//! because of its scatter, stops too early in every run all the same. `quantile` compares two
-//! estimates of one quantile: on noise it stops at the first sample in half of the runs. With more
-//! trials both answer longer times. `tools/charts/duration-study.md` has the tables.
+//! # Accuracy
+//! A test of Q pairs has little power: at Q = 10 `mean-ci` stops at 0.4 of a process's correlation
+//! time τ, a sixth of the lag at which the autocorrelation has fallen to 0.1. `quantile` scatters
+//! more and comes closer to that lag, but also stops too early in every run. As `quantile` compares
+//! two estimates of one quantile, it stops on noise at the first sample in only half of the runs.
+//! With more trials both give longer times. `tools/charts/duration-study.md` has the tables.
 //!
 //! # Threshold
-//! By permutations, as in the paper, or from a Pearson III (shifted gamma) distribution with the
-//! exact mean, variance and skewness of the permutation distribution, see [`crate::kernel`]. Against
-//! 20,000 permutations it is off by 1 % in the median and 7 % at most at Q = 10, 1.5 % at most from
-//! Q = 20 on (`cargo test --release --test it duration -- --nocapture`).
+//! κ comes from permutations, as in the paper, or from a Pearson III (shifted gamma) distribution
+//! with the exact mean, variance and skewness of the permutation distribution, see
+//! [`crate::kernel`]. Compared with 20,000 permutations, the latter is off by 1 % in the median and
+//! 7 % at most at Q = 10, and by 1.5 % at most from Q = 20 on (`cargo test --release --test it
+//! duration -- --nocapture`).
 
 use ndarray::Array2;
 use rand::Rng;
@@ -26,14 +27,14 @@ use super::trials::{DurationError, Trials};
 use crate::kernel::{PERMUTATIONS, Threshold, quantile, test_independence};
 use crate::seed;
 
-/// The upper bound CB+ of HSIC.
+/// The rule for the upper bound CB+ of HSIC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {
     /// The (1 − α) quantile of the R values of HSIC: Algorithm 1 as printed.
     Quantile,
-    /// The upper end of the two-sided (1 − α) Student-t interval of their mean: the authors'
-    /// program, and its Fig. 7.
+    /// The upper end of the two-sided (1 − α) Student-t interval of the mean of the R values: the
+    /// authors' program, and the paper's Fig. 7.
     MeanCi,
 }
 
@@ -46,25 +47,25 @@ impl std::fmt::Display for Rule {
     }
 }
 
-/// Parameters of Algorithm 1. The defaults are the paper's, with the authors' program's rule.
+/// Settings of Algorithm 1. The defaults are the paper's, with the rule of the authors' program.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Algorithm1Settings {
-    /// The upper bound CB+.
+    /// The rule for the upper bound CB+.
     pub rule: Rule,
     /// R: how often a start t₁ is drawn for each lag.
     pub draws: usize,
-    /// t₁,max: the latest start, in samples. Made smaller where a trial is too short for it.
+    /// t₁,max: the latest start, in samples. Reduced if a trial is too short for it.
     pub latest_start: usize,
     /// Significance level α.
     pub alpha: f64,
-    /// The way to find κ.
+    /// How κ is found.
     pub threshold: Threshold,
-    /// Largest lag t that is looked at, in samples.
+    /// Largest lag t to test, in samples.
     pub largest_lag: usize,
-    /// Look at every lag from 1 upwards instead of a coarse grid that is refined.
+    /// Test every lag from 1 upwards, instead of a coarse grid that is refined.
     pub exhaustive: bool,
-    /// Look beyond the first lag found, and take it back where dependence returns: a periodic
-    /// signal never becomes independent. Algorithm 1 as printed does not look.
+    /// After the first independent lag, test longer ones too, and reject the first if dependence
+    /// returns: a periodic signal never becomes independent. Algorithm 1 as printed omits this.
     pub look_beyond: bool,
     /// Seed of every draw.
     pub seed: u64,
@@ -91,20 +92,20 @@ impl Default for Algorithm1Settings {
 pub struct CurvePoint {
     /// Lag t in samples.
     pub lag: usize,
-    /// Mean of HSIC_b.
+    /// Mean of HSIC_b over the draws.
     pub hsic_mean: f64,
     /// Lower end of the two-sided (1 − α) interval of the mean.
     pub hsic_low: f64,
-    /// Upper end: CB+ of [`Rule::MeanCi`].
+    /// Upper end of the same interval: CB+ of [`Rule::MeanCi`].
     pub hsic_high: f64,
     /// (1 − α) quantile of HSIC_b: CB+ of [`Rule::Quantile`].
     pub hsic_quantile: f64,
-    /// Mean threshold κ.
+    /// Mean of the threshold κ over the draws.
     pub kappa: f64,
 }
 
 impl CurvePoint {
-    /// CB+.
+    /// The upper bound CB+ of HSIC by a rule.
     pub(crate) fn bound(&self, rule: Rule) -> f64 {
         match rule {
             Rule::Quantile => self.hsic_quantile,
@@ -112,7 +113,7 @@ impl CurvePoint {
         }
     }
 
-    /// Whether samples this far apart can be taken for independent.
+    /// Whether samples this far apart count as independent.
     pub(crate) fn independent(&self, rule: Rule) -> bool {
         self.bound(rule) < self.kappa
     }
@@ -124,16 +125,15 @@ impl CurvePoint {
 pub enum SearchOutcome {
     /// T* in samples.
     Found {
-        /// the lag
+        /// T*, the smallest independent lag
         lag: usize,
     },
-    /// Dependence at every lag looked at.
+    /// Samples depend on each other at every lag tested.
     NotInRange {
-        /// the largest lag looked at
+        /// the largest lag tested
         largest_lag: usize,
     },
-    /// A lag was found, but dependence comes back beyond it, as in a periodic signal: within the
-    /// range there is no T*.
+    /// No T* within the range: a lag was found, but beyond it dependence returns.
     Returns {
         /// where Algorithm 1 as printed stops
         first: usize,
@@ -142,21 +142,21 @@ pub enum SearchOutcome {
     },
 }
 
-/// T* of one surface and source, with the curve that it was read from.
+/// T* of one surface and source, with the curve from which it was read.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Estimate {
     /// The result of the search.
     #[serde(flatten)]
     pub outcome: SearchOutcome,
-    /// The upper bound CB+.
+    /// The rule for the upper bound CB+.
     pub rule: Rule,
-    /// Q, the number of trials: say it wherever T* is said.
+    /// Q, the number of trials, on which T* depends: show both together.
     pub trials: usize,
     /// The t₁,max that was used, in samples.
     pub latest_start: usize,
     /// Samples a second.
     pub rate_hz: f64,
-    /// The lags that were looked at, upwards.
+    /// The results at the lags tested, the smallest lag first.
     pub curve: Vec<CurvePoint>,
 }
 
@@ -212,16 +212,16 @@ impl<'a> Search<'a> {
         let largest_lag = largest_lag.min(frames / 2);
         let starts = latest_start.min(frames - largest_lag);
         let freedom = (draws - 1) as f64;
-        // Location 0, scale 1 and at least 9 degrees of freedom are a distribution.
+        // Location 0, scale 1 and at least 9 degrees of freedom are valid parameters.
         let student = StudentsT::new(0.0, 1.0, freedom).expect("a Student-t distribution");
         let student = student.inverse_cdf(1.0 - alpha / 2.0);
         let curve = std::collections::BTreeMap::new();
         Ok(Self { trials, settings, largest_lag, starts, student, curve })
     }
 
-    /// The point of the curve at one lag: R draws of t₁, HSIC and κ of each.
+    /// The result at one lag, from HSIC and κ of R draws of t₁.
     ///
-    /// Draws are keyed by the lag, so the order in which lags are looked at changes nothing.
+    /// Draws are keyed by the lag, so the order in which lags are tested changes nothing.
     pub fn at(&mut self, lag: usize) -> CurvePoint {
         if let Some(&point) = self.curve.get(&lag) {
             return point;
@@ -248,7 +248,7 @@ impl<'a> Search<'a> {
         point
     }
 
-    /// HSIC and κ of the samples of all trials at `start`, paired with those `lag` later.
+    /// HSIC and κ of the samples of all trials at `start`, paired with the samples `lag` later.
     fn test(&self, lag: usize, draw: usize, start: usize) -> (f64, f64) {
         let Algorithm1Settings { alpha, threshold, seed, .. } = self.settings;
         let shape = (self.trials.count(), self.trials.channels());
@@ -261,16 +261,16 @@ impl<'a> Search<'a> {
         let rng = &mut seed::rng(seed, &key);
         match test_independence(at(start).view(), at(start + lag).view(), alpha, threshold, rng) {
             Ok(found) => (found.hsic, found.kappa),
-            // The settings and the trials were checked, so one side is constant: it depends on nothing.
+            // Settings and trials were checked, so one side is constant and depends on nothing.
             Err(_) => (0.0, 0.0),
         }
     }
 
-    /// Finds T* by one of the rules; lags already looked at are not computed again.
+    /// Finds T* by one of the rules; lags already tested are not computed again.
     ///
-    /// The coarse grid has lags an eighth apart. Every lag between two of its points is looked at
-    /// when the upper one is independent, or when either comes so near to it that chance could
-    /// make a lag between them independent: within 5 standard errors (5/√R) and 5 %.
+    /// The coarse grid has steps of an eighth of the lag. All lags between two grid points are
+    /// tested if CB+ at one of the two is below κ·(1.05 + 5/√R): within 5 % and 5 standard errors
+    /// of κ, chance could make a lag between them independent.
     pub fn find(&mut self, rule: Rule) -> Estimate {
         let first = match self.settings.exhaustive {
             true => self.upwards(rule, 1, self.largest_lag),
@@ -317,7 +317,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// A lag beyond `lag` at which samples are clearly dependent.
+    /// The first grid lag beyond `lag` at which samples are clearly dependent.
     fn dependent_beyond(&mut self, lag: usize) -> Option<usize> {
         let room = self.trials.frames() - self.starts;
         let end = self.largest_lag.max((4 * lag).min(room));
@@ -337,7 +337,7 @@ fn next_coarse(lag: usize) -> usize {
     lag + (lag / 8).max(1)
 }
 
-/// A whole number in 0..n, uniform to within n/2³² (Lemire's multiplication).
+/// A random integer in 0..n by Lemire's multiplication; its bias is at most n/2³².
 fn below(rng: &mut impl Rng, n: usize) -> usize {
     ((u64::from(rng.next_u32()) * n as u64) >> 32) as usize
 }

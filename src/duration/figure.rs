@@ -1,4 +1,4 @@
-//! The answer as a picture: dependence against the lag with T* marked, accuracy against scan time.
+//! Draws dependence against the lag, with T* marked, and accuracy against scan time.
 
 use plotters::prelude::*;
 
@@ -14,8 +14,8 @@ const PANEL: (u32, u32) = (640, 380);
 
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
-/// An SVG, two panels in a row: by `pooled` one for each source with all its surfaces, by Algorithm
-/// 1 one for each surface and source, and one of accuracy against scan time where that is known.
+/// An SVG with two panels in a row: for `pooled` a panel for each source with all its surfaces, for
+/// Algorithm 1 one for each surface and source, and a last one of accuracy against scan time.
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -29,7 +29,7 @@ pub fn figure(
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
                 panels.push(Box::new(move |area| algorithm1_panel(area, row, curve)));
             }
-            // One panel a source, where its first row stands.
+            // All rows of a source share a panel, which is added at the first of them.
             ByRule::Pooled(_) if durations[..i].iter().all(|d| d.source != row.source) => {
                 let rows = rows_of(durations, &row.source);
                 if !rows.is_empty() {
@@ -54,18 +54,18 @@ pub fn figure(
     })
 }
 
-/// Accuracy over the scan time, and the answer read from it.
+/// Accuracy against scan time, and the scan time read from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyCurve {
-    /// By scan time, upwards.
+    /// Accuracy at each scan time, the shortest first.
     pub points: Vec<AccuracyAt>,
-    /// The share that is aimed at.
+    /// The accuracy to reach, from 0 to 1.
     pub target: f64,
-    /// The scan time that reaches it.
+    /// The scan time that reaches the target.
     pub enough_s: Option<Second>,
 }
 
-/// A panel with the curve, its band, the target, and how long to drag.
+/// Draws accuracy with its confidence band, the target, and how long to drag.
 fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let colour = COLOURS[2];
     let end = curve.points.last().map_or(1.0, |p| p.scan_s) * 1.05;
@@ -110,11 +110,11 @@ const HSIC: RGBColor = RGBColor(0, 90, 160);
 const KAPPA: RGBColor = RGBColor(200, 70, 0);
 const MARK: RGBColor = RGBColor(30, 30, 30);
 
-/// A panel for one surface and source.
+/// Draws the panel of one surface and source by Algorithm 1.
 fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
     let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
-    // The curve far beyond T* is flat: four times T* shows what matters.
+    // The curve is flat far beyond T*, so it is drawn up to four times T*.
     let last = curve.last().map_or(1, |p| p.lag);
     let end = row.t_star_samples.map_or(last, |t| last.min((4 * t).max(20)));
     let inside: Vec<&CurvePoint> = curve.iter().filter(|p| p.lag <= end).collect();
@@ -162,7 +162,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         chart
             .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))?;
         let text = format!("T* = {at:.2} ms");
-        // Low in the panel, where no curve is.
+        // Near the bottom, below all curves.
         let beside = (at + 0.01 * ms(end), 0.1 * top);
         chart.draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))?;
     } else {
@@ -183,8 +183,8 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
 const GREY: RGBColor = RGBColor(150, 150, 150);
 const FONT: &str = "sans-serif";
 
-/// The rows of a source that have a curve, the one with the longest T* last; without T* counts as
-/// longer than any.
+/// The rows of a source that have a curve, sorted by T*, then those without T*; but the row with
+/// the longest T* is moved to the end.
 fn rows_of<'a>(
     durations: &'a [SourceDuration],
     source: &SourceId,
@@ -199,7 +199,7 @@ fn rows_of<'a>(
         let length = |d: &SourceDuration| d.t_star_s.unwrap_or(f64::INFINITY);
         length(a).total_cmp(&length(b))
     });
-    // One that has a T* can show it.
+    // The last row is the one drawn in full, which should have a T* to mark.
     if let Some(last) = rows.iter().rposition(|(d, _)| d.t_star_s.is_some()) {
         let longest = rows.remove(last);
         rows.push(longest);
@@ -207,7 +207,7 @@ fn rows_of<'a>(
     rows
 }
 
-/// A panel with a line for each surface, and a band and T* for the last.
+/// Draws a line for each surface, and the confidence band and T* of the last.
 fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> Drawn {
     let Some(((longest, row), others)) = rows.split_last() else { return Ok(()) };
     let ms = |s: f64| 1e3 * s;
@@ -256,7 +256,7 @@ type DependenceChart<'a, 'b> = ChartContext<
     >,
 >;
 
-/// The threshold, T* and its upper bound, and what the lines are.
+/// Draws the threshold, T* and its upper bound, and labels the lines.
 fn mark(
     chart: &mut DependenceChart<'_, '_>,
     longest: &SourceDuration,
@@ -269,7 +269,7 @@ fn mark(
     let across =
         LineSeries::new([(first, threshold), (last, threshold)], COLOURS[1].stroke_width(1));
     chart.draw_series(across)?;
-    // Upper right, where the curves have fallen; times on a log axis, as shares of it.
+    // Text goes to the upper right, where the curves are low; a share of the axis as a time.
     let at = |share: f64| first * (last / first).powf(share);
     let mut put = |text: String, y: f64, colour: RGBColor| -> Drawn {
         let style = (FONT, 16).into_font().color(&colour);
@@ -298,7 +298,7 @@ fn mark(
     Ok(())
 }
 
-/// Three digits.
+/// Milliseconds with three significant digits.
 fn short(ms: f64) -> String {
     let decimals = (2 - ms.log10().floor() as i32).clamp(0, 4) as usize;
     format!("{ms:.decimals$}")

@@ -1,40 +1,37 @@
-//! T*, the minimum time between independent samples. How long a scan must last to be named right is
-//! another question, which left-out trials answer: [`crate::recognise::ScanTime`].
+//! T*, the minimum time between independent samples. How long a scan must last to be named
+//! correctly is another question; cross-validation answers it: [`crate::recognise::ScanTime`].
 //!
 //! ```text
-//! library ─► report ─► trials ─► pooled      the size of the dependence, all pairs: the default
-//!              │              └► algorithm1  the paper's tests of Q pairs, two rules
+//! library ─► report ─► trials ─► pooled      the default: size of the dependence, from all pairs
+//!              │              └► algorithm1  the paper's tests of Q pairs, with two rules
 //!              ├► need      from T* to seconds of dragging
 //!              └► figure    dependence against lag
 //! stream  ─► online ─► pooled
 //! ```
 //!
 //! [`report()`] computes T* for the surfaces and sources of a library, [`OnlineDuration`] for the
-//! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into the seconds to
-//! drag, and `figure` draws it.
+//! stream of a live scan; [`Trials`] checks the recordings. `need` turns T* into seconds to drag.
 //!
 //! # What T* means
 //! Two samples T* apart depend on each other no more than those of a Gaussian process with a
-//! correlation of 0.1 do: they are fresh evidence about the surface. This holds for any source that
-//! is a series in time, whatever it is compared by. Where that is the spectrum, T* is no distance of
-//! bins: it says how far apart two pieces of one drag must lie for the second to say what the first
-//! did not, and how many such pieces a drag holds. Images, and taps, which are over before they
-//! repeat themselves, have no T*.
+//! correlation of 0.1: the second is new evidence about the surface. This holds for any source that
+//! is a series in time, whether methods compare it as a series or by its spectrum. For a spectrum,
+//! T* is no distance between bins: it says how far apart two parts of one drag must be for the
+//! second to add evidence, and so how many such parts a drag holds. Images and taps have no T*.
 //!
-//! A source may have none. "Never" is a signal that repeats itself or drifts through a whole trial,
-//! "too little data" one whose trials are too short or too few against its slowness, and "not within
-//! the range" one whose T* would be longer than a sixth of a trial. What differs between trials for
-//! good (their level, their loudness, the hand) is no dependence in time: `lasting_share` is how
-//! much of the variance that is.
+//! There may be no T*: "never" if the signal repeats itself or drifts through a whole trial, "too
+//! little data" if the trials are too few or too short for a signal this slow, and "not within the
+//! range" if T* would exceed a sixth of a trial. Lasting differences between trials (level,
+//! loudness, hand) are no dependence in time; `lasting_share` is their share of the variance.
 //!
-//! # What the two estimators are worth
-//! On processes whose answer is known, `pooled` is within a tenth of it in the median from 500
-//! correlation times of data on, and its upper bound is below 0.85 of the truth in hardly any run.
-//! The paper's Algorithm 1 answers a sixth of it at Q = 10, in every run. Its rules stay for
-//! replication. On sounds, five trials of a surface and the five others agree within a factor of 1.5
-//! in 14 of 20 cases, as far as five trials can: a dependence that falls slowly crosses the threshold
-//! at a lag that a small error moves far. `tools/charts/duration-study` measures both, on processes
-//! and on recordings, and keeps the tables beside it.
+//! # Accuracy of the two estimators
+//! On processes with a known T*, the median of `pooled` is within a tenth of T* once there are 500
+//! correlation times of data, and its upper bound is hardly ever below 0.85 of the truth. The
+//! paper's Algorithm 1 gives a sixth of the truth at Q = 10, in every run; its rules are kept for
+//! replication. On sounds, T* from five trials of a surface and from the five others agree within a
+//! factor of 1.5 in 14 of 20 cases: where dependence falls slowly, a small error moves the crossing
+//! of the threshold far. `tools/charts/duration-study` measures both, on processes and on
+//! recordings, and keeps the tables beside it.
 
 mod algorithm1;
 mod figure;

@@ -1,14 +1,14 @@
-//! From T* to what a scan must last, and what a scan of given length is worth.
+//! From T* to the required scan duration, and from samples to the number of independent ones.
 
 pub type Second = f64;
 
 /// Samples that the kernel two-sample test compares (the paper's n).
 pub const SAMPLES: usize = 400;
 
-/// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of it.
+/// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of the scan.
 pub const START_S: Second = 0.0115 * 4.8;
 
-/// The scan that one source needs: samples at least T* apart.
+/// The scan that one source needs to yield a number of samples T* apart.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ScanNeed {
     /// T*: minimum time between independent samples.
@@ -19,7 +19,7 @@ pub struct ScanNeed {
 }
 
 impl ScanNeed {
-    /// The need of `samples` samples with this T*, sampled from [`START_S`] on.
+    /// The scan that yields `samples` samples with this T*, sampled from [`START_S`] on.
     pub fn new(t_star_s: Second, samples: usize) -> Self {
         Self { t_star_s, start_s: START_S, samples }
     }
@@ -30,11 +30,11 @@ impl ScanNeed {
     }
 }
 
-/// The worth of `samples` samples, equally far apart over a scan that is worth `effective`
-/// independent ones: n·tanh(n_eff/n).
+/// Effective number of independent samples among n = `samples`, spread evenly over a scan whose
+/// samples together have the effective number n_eff = `effective`: n·tanh(n_eff/n).
 ///
-/// Exact for an Ornstein–Uhlenbeck process, whose variance inflation is 2τ for all its samples and
-/// coth(Δ/2τ) for samples Δ apart: never more than n, and never more than the scan is worth.
+/// Never more than n or n_eff. Exact for an Ornstein–Uhlenbeck process, whose variance inflation is
+/// 2τ for all its samples and coth(Δ/2τ) for samples Δ apart.
 pub fn worth(samples: usize, effective: f64) -> f64 {
     let n = samples as f64;
     n * (effective / n).tanh()
@@ -48,7 +48,7 @@ mod tests {
     fn samples_are_worth_no_more_than_they_are_and_no_more_than_the_scan() {
         assert!((worth(400, 1e6) - 400.0).abs() < 1e-6);
         assert!((worth(400, 10.0) - 10.0).abs() < 0.01);
-        // Variance of the mean of 50 samples of an AR(1), 30 apart, τ = 20.
+        // From the variance of the mean of 50 samples, 30 apart, of an AR(1) process with τ = 20.
         let rho = |lag: f64| (-lag / 20.0f64).exp();
         let sum = (1..50).map(|k| 2.0 * (1.0 - f64::from(k) / 50.0) * rho(30.0 * f64::from(k)));
         let want = 50.0 / (1.0 + sum.sum::<f64>());

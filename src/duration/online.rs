@@ -1,27 +1,27 @@
-//! T* from one stream, while dragging, by the rule `pooled`: one trial, the one that is being made.
+//! T* of one source during a scan, by the rule `pooled` on the samples of this scan alone.
 //!
-//! The statistic is that of [`super::pooled`], on the last seconds of the stream and on as many of
-//! its samples as a fraction of a core can take. A recording shows T* only where it is many times
-//! longer, so a slow source has none for the first seconds. A plan should rest on many trials.
+//! The statistic is that of [`super::pooled`], on the last seconds of the stream, thinned so that a
+//! fraction of a core suffices. T* can only be found in a recording many times longer, so a slow
+//! source has no T* in the first seconds. To plan scans, use many trials instead.
 
 use super::need::Second;
 use super::pooled::{CORRELATION, at_needed_rate};
 use crate::trial::Series;
 
-/// Fewest frames to say anything.
+/// Fewest frames for an estimate.
 const FEWEST_FRAMES: usize = 500;
 
-/// Settings of the online form.
+/// Settings of the online estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnlineSettings {
-    /// Correlation of a Gaussian process whose dependence is small enough.
+    /// Threshold: the dependence of a Gaussian process with this correlation is small enough.
     pub dependence: f64,
-    /// Values of each channel that are looked at where there are one or two; of more channels, whose
-    /// pairs are many, fewer of each.
+    /// Number of values used of each of one or two channels; with more channels, which have many
+    /// pairs, fewer values of each are used.
     pub values: usize,
-    /// A new estimate this often.
+    /// Time between estimates.
     pub every_s: Second,
-    /// The part of the past that is used.
+    /// Length of the latest part of the stream that is used.
     pub window_s: Second,
 }
 
@@ -31,9 +31,9 @@ impl Default for OnlineSettings {
     }
 }
 
-/// Why samples cannot be taken.
+/// The reason why samples are refused.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages are the documentation.
 pub enum OnlineError {
     #[error("{len} values are no whole frames of {channels} channels")]
     Ragged { len: usize, channels: usize },
@@ -44,19 +44,19 @@ pub enum OnlineError {
 /// The estimate from the stream so far.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OnlineEstimate {
-    /// T* in samples; none if it is too long for this recording to show, or if nothing moves.
+    /// T* in samples; `None` if this recording is too short to show it, or if nothing changes.
     pub t_star_samples: Option<usize>,
-    /// Its upper bound: the time to use.
+    /// Upper bound of T* in samples: the spacing to use.
     pub t_star_upper_samples: Option<usize>,
     /// T* in seconds.
     pub t_star_s: Option<Second>,
-    /// Independent samples that the window is worth.
+    /// Effective number of independent samples in the part that was used.
     pub effective_samples: Option<f64>,
-    /// The part of the stream that was used.
+    /// Length of the part of the stream that was used.
     pub window_s: Second,
 }
 
-/// T* of a single stream, updated as blocks of samples come in. Memory is bounded by the window.
+/// Estimates T* of a single stream as blocks of samples arrive. Holds at most twice the window.
 #[derive(Clone, Debug)]
 pub struct OnlineDuration {
     rate_hz: f64,
@@ -68,7 +68,7 @@ pub struct OnlineDuration {
 }
 
 impl OnlineDuration {
-    /// For a stream of `rate_hz` frames a second with `channels` channels.
+    /// An estimator for a stream of `rate_hz` frames a second with `channels` channels.
     pub fn new(rate_hz: f64, channels: usize, settings: OnlineSettings) -> Self {
         Self { rate_hz, channels, settings, history: Vec::new(), since: 0 }
     }
@@ -79,11 +79,10 @@ impl OnlineDuration {
         self.since = 0;
     }
 
-    /// Takes a block of interleaved frames; gives a new estimate when one is due.
+    /// Adds a block of interleaved frames; returns a new estimate when one is due.
     ///
     /// # Errors
-    /// If the block is not whole frames, or holds NaN or infinity (all that came before is then
-    /// forgotten).
+    /// If the block is not whole frames, or holds NaN or infinity (which drops earlier samples).
     pub fn push(&mut self, block: &[f32]) -> Result<Option<OnlineEstimate>, OnlineError> {
         if !block.len().is_multiple_of(self.channels) {
             return Err(OnlineError::Ragged { len: block.len(), channels: self.channels });
@@ -105,7 +104,7 @@ impl OnlineDuration {
         Ok(self.estimate())
     }
 
-    /// T* of what is in the window, if that is enough to say anything.
+    /// T* of the frames in the window; `None` if there are too few.
     pub fn estimate(&self) -> Option<OnlineEstimate> {
         let held = self.history.len() / self.channels;
         let frames = held.min(self.frames_in(self.settings.window_s));
@@ -113,7 +112,7 @@ impl OnlineDuration {
             return None;
         }
         let window = self.history[(held - frames) * self.channels..].to_vec();
-        // Whole finite frames at a rate that is the caller's to get right.
+        // `push` has checked the frames; a rate that is not valid gives no estimate.
         let series = [Series::new(self.rate_hz, self.channels, window).ok()?];
         let OnlineSettings { dependence, values, .. } = self.settings;
         let values = (4 * values / self.channels.max(2).pow(2)).max(1);
@@ -129,7 +128,7 @@ impl OnlineDuration {
         })
     }
 
-    /// Frames in a time; as many as there can be for one without end.
+    /// Number of frames in a time, at most 10¹², also for an infinite time.
     fn frames_in(&self, seconds: Second) -> usize {
         (seconds * self.rate_hz).min(1e12) as usize
     }
@@ -155,7 +154,7 @@ mod tests {
         assert_eq!(found.len(), 25);
         assert_eq!(found[24].window_s, 10.0);
         assert!(online.history.len() <= 200_000);
-        // 10 s are 100,000 samples, and 40 of them are worth one.
+        // 10 s are 100,000 samples, of which 40 (2τ) count as one independent sample.
         let effective = found[24].effective_samples.unwrap();
         assert!((2000.0..3200.0).contains(&effective), "{effective}");
     }

@@ -3,16 +3,16 @@
 use crate::kernel::{FEWEST_PAIRS, HsicError};
 use crate::trial::Series;
 
-/// Share of equal samples at one end of a channel's range above which it counts as saturated.
+/// Share of equal samples at one end of a channel's range above which the channel is refused.
 const SATURATED: f64 = 0.5;
-/// Share from which saturation is worth a remark.
+/// Share of equal samples at one end of a channel's range above which a remark tells of saturation.
 const WORTH_SAYING: f64 = 0.02;
-/// The number of moments that are compared to see whether trials differ.
+/// Trials are compared at about this number of frames, to see whether they differ.
 const MOMENTS: usize = 2000;
 
-/// Why T* cannot be computed.
+/// The reason why T* cannot be computed.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages are the documentation.
 pub enum DurationError {
     #[error("{0} trials; expected at least {FEWEST_PAIRS} of one surface (record more)")]
     TooFewTrials(usize),
@@ -58,15 +58,16 @@ pub enum DurationError {
 
 /// Fewest samples of a trial for Algorithm 1.
 pub const FEWEST_FRAMES: usize = 100;
-/// Fewest samples of a trial for `pooled`, which looks at lags up to a quarter of it.
+/// Fewest samples of a trial for `pooled`, whose lags reach a quarter of a trial.
 const FEWEST_POOLED: usize = 40;
 
-/// Q trials of one surface and source: one rate, one shape, cropped to the shortest.
+/// Q trials of one surface and source, with one rate and number of channels, used up to the length
+/// of the shortest.
 #[derive(Clone, Debug)]
 pub struct Trials {
     series: Vec<Series>,
     frames: usize,
-    /// Limits of the answer, a line each.
+    /// Remarks on how far T* can be trusted, a line each.
     pub remarks: Vec<String>,
 }
 
@@ -74,9 +75,8 @@ impl Trials {
     /// Trials for Algorithm 1, each an independent recording of the same surface.
     ///
     /// # Errors
-    /// If there are fewer than five, if they differ in rate or channels, if they are too short,
-    /// constant, saturated, or of one value most of the time. NaN and infinity cannot occur in a
-    /// [`Series`].
+    /// If there are fewer than five, or if they differ in rate or channels, are too short, constant
+    /// or saturated, or have one value most of the time. A [`Series`] holds no NaN or infinity.
     pub fn new(series: Vec<Series>) -> Result<Self, DurationError> {
         if series.len() < FEWEST_PAIRS {
             return Err(DurationError::TooFewTrials(series.len()));
@@ -96,7 +96,7 @@ impl Trials {
     /// Trials for `pooled`, one or more.
     ///
     /// # Errors
-    /// As [`Self::new`], without a check of the number of trials.
+    /// Like [`Self::new`], but one trial suffices, and it may have fewer samples.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
         if series.is_empty() {
             return Err(DurationError::TooFewTrials(0));
@@ -126,7 +126,7 @@ impl Trials {
         Ok(Self { series, frames, remarks: Vec::new() })
     }
 
-    /// The trials, of which only the first [`Self::frames`] frames are common to all.
+    /// The trials, not cropped: all have at least [`Self::frames`] frames.
     pub(crate) fn series(&self) -> &[Series] {
         &self.series
     }
@@ -149,14 +149,15 @@ impl Trials {
         self.series[0].rate_hz()
     }
 
-    /// The sample of one trial at one moment, both counted from 0: one value a channel.
+    /// The sample of one trial at one frame, both counted from 0: one value for each channel.
     #[inline]
     pub(crate) fn sample(&self, trial: usize, frame: usize) -> &[f32] {
         let channels = self.series[trial].channels();
         &self.series[trial].samples()[frame * channels..(frame + 1) * channels]
     }
 
-    /// Refuses what holds nothing, and remarks what holds little. Ties matter to a κ alone.
+    /// Refuses trials that hold no information, and remarks on those that hold little. With κ, that
+    /// includes channels of two values, whose ties make κ coarse.
     fn check_values(&mut self, has_kappa: bool) -> Result<(), DurationError> {
         let channels = self.channels();
         let ranges: Vec<_> = (0..channels).map(|c| self.range(c)).collect();
@@ -208,7 +209,7 @@ impl Trials {
         Range { low, high, binary: at_low + at_high == count, at_an_end }
     }
 
-    /// Share of moments at which all trials hold the same sample.
+    /// Share of frames at which all trials hold the same sample.
     fn agreement(&self) -> f64 {
         let step = self.frames.div_ceil(MOMENTS);
         let (mut same, mut looked) = (0usize, 0usize);
@@ -225,7 +226,7 @@ struct Range {
     low: f32,
     high: f32,
     binary: bool,
-    /// Share of samples at the low or the high end, whichever is more.
+    /// Share of samples at the low or at the high end of the range, whichever is larger.
     at_an_end: f64,
 }
 

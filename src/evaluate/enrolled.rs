@@ -1,4 +1,5 @@
-//! The gain of enrolling a new user: one scan or a few of every surface, added to the library.
+//! Measures the gain from enrolling a new user: adding one or a few of the user's scans of every
+//! surface to the library.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +9,8 @@ use super::evaluation::{Measured, Run};
 use super::{EvaluateError, Fold, Share};
 use crate::trial::TrialKey;
 
-/// Moves the first `count` trials of each surface, by number, from the queries of each fold to its
-/// library. Folds without queries are left out. Meant for folds that are users.
+/// Moves the first `count` trials of each surface and user from the queries of each fold to its
+/// library. Folds left without queries are dropped. Meant for folds that are users.
 ///
 /// # Errors
 /// If no query remains.
@@ -38,30 +39,29 @@ fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
     Fold { name: fold.name.clone(), library, queries }
 }
 
-/// Answers with a user's own first trials in the library, and without, to the same queries. Shares
-/// are fractions from 0 to 1.
+/// Accuracy from 0 to 1 on the same queries, with and without a user's trials in the library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct EnrolmentOutcome {
     /// Trials of each surface that the user enrolled.
     pub trials: usize,
-    /// Share of queries named right with them.
+    /// Share of queries named correctly with the user's trials in the library.
     pub accuracy: f64,
-    /// Share of the same queries named right without them.
+    /// Share of the same queries named correctly without the user's trials in the library.
     #[serde(flatten, serialize_with = "without")]
     pub without: Share,
     /// The first share minus the second.
     pub gain: f64,
 }
 
-// The signature is serde's.
+// serde prescribes the signature.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn without<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
     Share::write(Some(*share), None, "accuracy_without", to)
 }
 
 impl EnrolmentOutcome {
-    /// Measures without enrolled trials what `with` was measured with. `before` are the folds from
-    /// which those of the run came by `enrol`.
+    /// Names the queries of the run again, without enrolled trials, and compares with the result
+    /// `with` them. `before` are the folds from which `enrol` made the folds of the run.
     ///
     /// # Errors
     /// If a trial cannot be read or compared.
@@ -99,7 +99,7 @@ mod tests {
         let mut keys = Vec::new();
         for surface in ["a", "b"] {
             keys.extend((1..=2).map(|n| TrialKey::new(surface, EXPERT, n)));
-            // Not in the order of their numbers.
+            // Numbers out of order, since `enrol` must sort them.
             keys.extend([3, 1, 2].map(|n| TrialKey::new(surface, "user1", n)));
             keys.push(TrialKey::new(surface, "user2", 1));
         }
@@ -118,7 +118,7 @@ mod tests {
         assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
     }
 
-    /// A user whose `a` is nearer to the expert's `b`: only their own trials help.
+    /// The user's trials of `a` are nearer to the expert's `b`, so only the user's own trials help.
     #[test]
     fn the_gain_is_measured_on_the_same_queries() {
         let value = |key: &TrialKey| {

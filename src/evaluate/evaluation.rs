@@ -1,4 +1,4 @@
-//! The engine: every measurement of a method on folds of trials goes through it.
+//! Evaluates a method on folds of trials; every measurement of accuracy goes through here.
 //!
 //! ```text
 //! Evaluation (trials, folds, query changes) ─► prepare ─► Run: each library trial prepared once
@@ -21,7 +21,7 @@ use crate::recognise::{
 use crate::scene::Scene;
 use crate::trial::{Trial, TrialKey};
 
-/// Called after each step: what is being done, how much is done, how much there is to do.
+/// Called after each step with the name of the work, the steps done and the steps in total.
 pub type ProgressFn<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
 
 /// The trials to evaluate.
@@ -29,7 +29,7 @@ pub type ProgressFn<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
 pub enum EvaluatedTrials<'a> {
     /// Recordings.
     Recordings(&'a [Entry]),
-    /// Feature tables: no more is known than features. Query changes do not apply to them.
+    /// Feature tables, without recordings. Changes of queries do not apply to them.
     Features(&'a [FeatureVector]),
 }
 
@@ -43,7 +43,7 @@ impl<'a> EvaluatedTrials<'a> {
     }
 }
 
-/// The data of an evaluation, and changes to its queries. Libraries are taken as they are.
+/// The data of an evaluation, and changes to its queries; library trials are not changed.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
     /// The sources that are compared.
@@ -56,14 +56,14 @@ pub struct Evaluation<'a> {
     pub query_seconds: Option<f64>,
     /// Compare sources of a query whose sensor is dead or stuck, instead of leaving them out.
     pub keep_dead_sources: bool,
-    /// The folder whose trials are kept prepared, if they are.
+    /// The library's folder, whose cache of prepared trials is used; `None` for no cache.
     pub cache: Option<&'a Path>,
     /// Receives progress.
     pub progress: ProgressFn<'a>,
 }
 
 impl<'a> Evaluation<'a> {
-    /// An evaluation on whole recordings, without dead sources, cache and progress.
+    /// An evaluation on whole recordings that leaves out dead sources, without cache and progress.
     pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
         Self {
             scene,
@@ -100,7 +100,7 @@ impl<'a> Evaluation<'a> {
     }
 }
 
-/// Trials that stand in the library of some fold.
+/// Trials that are in the library of some fold.
 fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
     folds.iter().flat_map(|fold| fold.library.iter().copied()).collect()
 }
@@ -114,23 +114,23 @@ pub struct Run<'a, 'm> {
 
 /// A query, ready to be compared.
 pub struct Query {
-    /// The form that the model compares.
+    /// The query as the model compares it.
     pub prepared: Prepared,
     /// The sources that were left out, and why.
     pub left_out: Vec<String>,
-    /// When its raw samples were in memory, and its preparation began.
+    /// The moment when the query's raw samples were in memory and preparation began.
     pub started: Instant,
 }
 
-/// Why sources were left out of queries, each reason with its queries.
+/// The reasons why sources were left out of queries, each with the queries concerned.
 pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
 
 /// The result of naming all queries.
 #[derive(Clone, Debug)]
 pub struct Measured {
-    /// In sum.
+    /// The result over all queries.
     pub outcome: Outcome,
-    /// Query by query.
+    /// The answer to each query.
     pub predictions: Vec<Prediction>,
     /// The sources that were left out.
     pub left_out: LeftOutSources,
@@ -206,8 +206,8 @@ impl<'a> Run<'a, '_> {
         }
     }
 
-    /// As [`Run::query`], of a recording in memory. Sources whose sensor is dead are left out as
-    /// this model's library has it: a channel that rests there may rest.
+    /// Like [`Run::query`], for a recording in memory. Sources with a dead sensor are left out; a
+    /// channel that rests in most trials of the model's library may rest here too.
     ///
     /// # Errors
     /// If it cannot be compared.
@@ -238,21 +238,21 @@ impl<'a> Run<'a, '_> {
 
     /// Names all queries of all folds.
     ///
-    /// They are named one after the other, so that latencies are those of a single query with the
-    /// machine to itself: from its raw samples (or its features) in memory to the answer.
+    /// They are named one after the other, so that a latency is that of a single query alone on the
+    /// machine: from its raw samples (or its features) in memory to the answer.
     ///
     /// # Errors
     /// If a trial cannot be read or compared.
     pub fn measure(&self) -> Result<Measured, EvaluateError> {
-        // One length of queries, one result.
+        // There is one result, for the one length of queries.
         Ok(self.measure_by(self.on.folds, &[self.on.query_seconds])?.swap_remove(0))
     }
 
-    /// As [`Run::measure`], by folds whose libraries are parts of those that were prepared, for each of
-    /// several lengths of queries; the model of a fold serves all of them.
+    /// Like [`Run::measure`], on any folds of the prepared library trials, for each of several
+    /// lengths of queries; one model of a fold serves all lengths.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Run::measure`].
     pub(crate) fn measure_by(
         &self,
         folds: &[Fold],
@@ -292,7 +292,7 @@ impl<'a> Run<'a, '_> {
         let query = self.query(model, index, seconds)?;
         let mut remarks = query.left_out;
         let ranking = match model.rank(&query.prepared) {
-            // A scan that is not named is not named right.
+            // A query with too little data to name counts as named wrong.
             Err(error @ RecogniseError::TooLittle) => {
                 remarks.push(format!("not named: {error}"));
                 None
@@ -318,7 +318,7 @@ impl<'a> Run<'a, '_> {
         let labels = labels.into_iter().cloned().collect();
         let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
         Outcome::new(predictions, &names, labels, largest, self.method.name())
-            // `folds` gives no fold without queries, so there is a prediction to sum up.
+            // Every fold has queries, so there is a prediction.
             .expect("every fold has queries")
     }
 }

@@ -1,4 +1,4 @@
-//! Splits trials into queries and library, fold by fold (method §3).
+//! Splits trials into queries and library, fold by fold (method.md §3).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,30 +8,29 @@ use super::EvaluateError;
 use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
-/// The way queries and library are split.
+/// How trials are split into queries and library.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// The expert's trials are the library; each other user is a fold of queries (1 vs 10).
     ExpertVsUsers,
-    /// Fold k: trial k of every surface against the same person's other trials (1 vs 1).
+    /// Fold k: trial k of every surface, compared with the same person's other trials (1 vs 1).
     LeaveOneTrialOut,
     /// Each user is a fold; the library is everybody else (10 vs 1).
     AllVsOneUser,
-    /// `HALVES` folds, person by person in turn: a half of that person's trials of each surface,
-    /// drawn at random, against the other half.
+    /// `HALVES` folds, the people in turn: a random half of their trials against the other half.
     RandomHalves,
 }
 
-/// Folds of [`Protocol::RandomHalves`].
+/// Number of folds of [`Protocol::RandomHalves`].
 const HALVES: usize = 50;
 
 impl Protocol {
-    /// All of them, the one to prefer first.
+    /// All protocols, the preferred one first.
     pub const ALL: [Self; 4] =
         [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser, Self::RandomHalves];
 
-    /// The protocol that fits some trials: users against the expert where there are both, else each
-    /// trial against the same person's other trials, else each user against the others.
+    /// The first protocol that fits some trials: users against the expert if there are both, else
+    /// each trial against the same person's other trials, else each user against the others.
     pub(crate) fn natural(keys: &[TrialKey]) -> Self {
         Self::fitting(keys).unwrap_or(Self::LeaveOneTrialOut)
     }
@@ -40,12 +39,12 @@ impl Protocol {
         Self::ALL.into_iter().find(|protocol| enough(&protocol.split(keys), keys))
     }
 
-    /// Whether each of its folds is a user.
+    /// Whether each fold is a user.
     pub(crate) fn folds_are_users(self) -> bool {
         matches!(self, Self::ExpertVsUsers | Self::AllVsOneUser)
     }
 
-    /// The name, the same everywhere.
+    /// The name, as in options and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::ExpertVsUsers => "expert-vs-users",
@@ -56,14 +55,14 @@ impl Protocol {
     }
 }
 
-/// Queries and the library that they are compared with, by index into the trials.
+/// Queries and the library that they are compared with, as indices of trials.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fold {
     /// User or trial that is left out.
     pub name: String,
     /// Trials to compare with.
     pub library: Vec<usize>,
-    /// Trials to name. Each one's surface is in the library.
+    /// Trials to name. The library has other trials of their surfaces.
     pub queries: Vec<usize>,
 }
 
@@ -93,15 +92,15 @@ impl Protocol {
     }
 }
 
-/// Whether there are folds, each with something to choose between.
+/// Whether there are folds, each with two or more surfaces in its library.
 fn enough(folds: &[Fold], keys: &[TrialKey]) -> bool {
     let surfaces =
         |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
     !folds.is_empty() && folds.iter().all(|fold| surfaces(fold) >= 2)
 }
 
-/// Splits trials into folds. A query whose surface is not in its library is left out: it is no
-/// test of the method. Folds without queries are left out.
+/// Splits trials into folds. A query whose surface is not in the fold's library is left out, since
+/// it could not be named correctly. Folds without queries are left out.
 ///
 /// # Errors
 /// If no fold remains, or a library has fewer than two surfaces.
@@ -130,7 +129,7 @@ fn found(keys: &[TrialKey]) -> String {
     )
 }
 
-/// Sorts `user2` before `user10`.
+/// A key that sorts `user2` before `user10`.
 fn natural(name: &str) -> (&str, u64) {
     let digits = name.bytes().rev().take_while(u8::is_ascii_digit).count();
     let (stem, number) = name.split_at(name.len() - digits);
@@ -152,8 +151,7 @@ fn by_user(keys: &[TrialKey], in_library: impl Fn(&TrialKey, &str) -> bool) -> V
     users.into_iter().map(fold).collect()
 }
 
-/// One fold a trial number; each query meets the trials of its own person alone, so persons with
-/// one number in common make folds of their own.
+/// One fold for each person and trial number; its library is the same person's other trials.
 fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
     let mut groups: BTreeMap<(u32, (&str, u64)), Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {

@@ -1,6 +1,6 @@
-//! A negative control, not a method to name surfaces by: how loud a trial is, and nothing else.
+//! A negative control, no method for use: names surfaces by the loudness of a trial alone.
 //!
-//! A session's gain or a hand's pressure may explain its right answers as well as a surface.
+//! Its right answers may come from the gain of a session or the pressure of a hand.
 
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ use crate::scene::{Domain, Scene, SourceId};
 use crate::seed;
 use crate::trial::{Signal, Trial};
 
-/// Level of silence: far below a 16-bit step, and its logarithm is a number.
+/// Root mean square that stands for silence: far below a 16-bit step, with a finite logarithm.
 const SILENCE: f64 = 1e-12;
 
-/// One nearest trial by the level of each source with a spectrum: ln of its root mean square over
-/// time and channels, after its mean is taken out. Differences add up over sources.
+/// Finds the nearest trial by the level of each source with a spectrum: ln of the root mean square
+/// over time and channels, without the mean of each channel. Differences are summed over sources.
 #[derive(Clone, Debug)]
 pub struct Loudness {
     scene: Scene,
@@ -28,12 +28,12 @@ impl Loudness {
     pub fn new(scene: &Scene) -> Option<Self> {
         let spectra = scene.sources().filter(|spec| matches!(spec.domain, Domain::Spectrum { .. }));
         let ids: Vec<SourceId> = spectra.map(|spec| spec.id.clone()).collect();
-        // These are the scene's own sources, so this cannot fail.
+        // The scene has these sources, so this cannot fail.
         let scene = scene.clone().only(&ids).ok()?;
         (!ids.is_empty()).then_some(Self { scene })
     }
 
-    /// The level of each source, as its one feature.
+    /// The level of each source, as the source's only feature.
     fn levels(&self, entry: &Entry, trial: &Trial) -> Prepared {
         let level = |(id, signal): (&SourceId, &Signal)| {
             let Signal::Series(series) = signal else { return None };
@@ -114,7 +114,7 @@ impl Model for Levels {
     }
 }
 
-/// ln of the root mean square over time and channels, after the mean of each is taken out.
+/// ln of the root mean square over time and channels, without the mean of each channel.
 pub(super) fn level_of(samples: &[f32], channels: usize) -> f64 {
     let power: f64 = (0..channels)
         .map(|channel| {

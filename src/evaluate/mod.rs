@@ -1,9 +1,9 @@
 //! Measures how well a method names surfaces: protocols, folds, accuracies.
 //!
-//! [`Evaluation`] is the engine of all that is here: it prepares a method's libraries once and names
-//! the queries of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure
-//! what else there is to know of a run; `chart`, `plan`, `stress` and `paper` are studies of many
-//! runs, and belong to the program.
+//! Everything here uses [`Evaluation`]: it prepares a method's libraries once and names the queries
+//! of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure early
+//! answers, unknown surfaces and new users; `chart`, `plan`, `stress` and `paper` are studies of
+//! many runs for the command-line program.
 
 pub(crate) mod chart;
 mod check;
@@ -44,9 +44,9 @@ pub use unknown::UnknownOutcome;
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;
 
-/// Why an evaluation cannot be done.
+/// The reason why an evaluation cannot be done.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages are the documentation.
 pub enum EvaluateError {
     #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
     Protocol { protocol: &'static str, needs: &'static str, found: String, fits: String },

@@ -9,18 +9,18 @@ use crate::recognise::wilson_of_groups;
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
-/// One query's answer.
+/// The answer to one query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prediction {
     /// The query; its surface is the truth.
     pub key: TrialKey,
-    /// Index of its fold.
+    /// Index of the query's fold.
     pub fold: usize,
     /// The answer.
     pub surface: String,
     /// ln of the ratio of the second score to the first.
     pub margin: f64,
-    /// From raw samples to the answer, in milliseconds.
+    /// Time from raw samples to the answer, in milliseconds.
     pub query_ms: f64,
     /// The sources that were compared.
     pub sources: Vec<SourceId>,
@@ -38,7 +38,7 @@ impl Prediction {
 pub struct FoldAccuracy {
     /// User or trial that was left out.
     pub name: String,
-    /// Its queries, and those named right.
+    /// The fold's queries, and how many of them were named correctly.
     pub share: Share,
 }
 
@@ -64,26 +64,26 @@ pub struct Confusion {
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
-    /// All queries, and those named right.
+    /// All queries, and how many of them were named correctly.
     #[serde(flatten)]
     pub share: Share,
-    /// Mean over folds of the share of queries named right.
+    /// Mean over folds of the share of queries named correctly.
     pub accuracy_mean: f64,
     /// Sample standard deviation over folds (n − 1); 0 for a single fold.
     pub accuracy_std: f64,
-    /// Mean over classes of TP/(TP+FP), 0 where a class is never the answer.
+    /// Mean over classes of TP/(TP+FP), which is 0 for a class that is never the answer.
     pub precision_mean: f64,
     /// Number of surfaces that could be the answer.
     pub classes: usize,
-    /// Surfaces that could be the answer, but of which there is no query.
+    /// Surfaces that could be the answer, but have no query.
     pub never_queried: Vec<String>,
     /// Number of queries.
     pub queries: usize,
-    /// Number of trials in the library of one fold (the largest, where they differ).
+    /// Number of trials in the library of the fold with the largest one.
     pub library_trials: usize,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
-    /// 99th percentile of that time.
+    /// 99th percentile of the time from raw samples to the answer, in milliseconds.
     pub query_ms_p99: f64,
     /// The method.
     pub method: String,
@@ -91,13 +91,13 @@ pub struct Outcome {
     pub sources: Vec<SourceId>,
     /// Accuracy fold by fold.
     pub folds: Vec<FoldAccuracy>,
-    /// Truth against answer.
+    /// Confusion matrix: truth against answer.
     pub confusion: Confusion,
 }
 
 impl Outcome {
-    /// Sums predictions up. `fold_names` are indexed by [`Prediction::fold`]; `labels` are the
-    /// surfaces that could be the answer, sorted.
+    /// Computes the result from predictions. `fold_names` are indexed by [`Prediction::fold`];
+    /// `labels` are the surfaces that could be the answer, sorted.
     ///
     /// Returns `None` without predictions.
     pub(crate) fn new(
@@ -193,18 +193,18 @@ fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)>
     Some((mean, if n > 1 { (squares / (n - 1) as f64).sqrt() } else { 0.0 }))
 }
 
-/// Value at a share of a sorted list, by nearest rank.
+/// Percentile of a sorted list, `share` from 0 to 1, by nearest rank.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Users from whom on an interval is taken over users.
+/// Fewest users for an interval over users.
 const LEAST_USERS: usize = 5;
 
-/// 95 % confidence interval of the share of all queries named right: over users where there are five
-/// or more ([`wilson_of_groups`]), as queries of one person are no independent evidence of another,
-/// else over queries ([`Share::interval`]).
+/// 95 % confidence interval of the share of all queries named correctly: over users if there are at
+/// least five ([`wilson_of_groups`]), since queries by one person are not independent evidence for
+/// another person; else over queries ([`Share::interval`]).
 pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
     if is_over_users(users) {
         let counts = users.iter().map(|user| (user.share.right, user.share.of));
@@ -215,7 +215,7 @@ pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
     all.interval()
 }
 
-/// Whether [`interval_over_users`] is over users, rather than over queries.
+/// Whether [`interval_over_users`] is over users, not over queries.
 pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
     users.len() >= LEAST_USERS
 }

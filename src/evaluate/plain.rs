@@ -1,4 +1,4 @@
-//! Whether a plain comparison names more than the default method does, on the same queries.
+//! Tests whether the classifier `svm` names more queries correctly than the default method does.
 
 use std::collections::BTreeMap;
 
@@ -9,11 +9,11 @@ use super::outcome::Prediction;
 use super::share::Share;
 use crate::recognise::{MethodName, MethodSpec};
 
-/// A difference with a lower p-value is said.
+/// A difference is reported if its p-value is below this.
 const SIGNIFICANT: f64 = 0.05;
 
-/// Names the queries of an evaluation by `svm`, too, and says in a line where that is better than
-/// `predictions`, the default's answers to them. `None` where it is not, or cannot be done.
+/// Names the queries of an evaluation by `svm` too, and reports in a line if `svm` is significantly
+/// better than `predictions`, the default method's answers. `None` if not, or if `svm` fails.
 pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> Option<String> {
     let plain = MethodName::Svm;
     let method = MethodSpec::from(plain).build(evaluation.scene);
@@ -39,9 +39,9 @@ pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> O
     })
 }
 
-/// The two-sided p-value of McNemar's exact test, from the queries that one of two methods alone
-/// names right, and those that the other alone does (McNemar 1947, "Note on the sampling error of the
-/// difference between correlated proportions or percentages").
+/// The two-sided p-value of McNemar's exact test (McNemar 1947, "Note on the sampling error of the
+/// difference between correlated proportions or percentages"). `one` and `other` count the queries
+/// that only the first and only the second of two methods name correctly.
 fn mcnemar(one: usize, other: usize) -> f64 {
     match Binomial::new(0.5, (one + other) as u64) {
         Ok(even) if one + other > 0 => (2.0 * even.cdf(one.min(other) as u64)).min(1.0),

@@ -1,4 +1,4 @@
-//! Accuracy of answers given as soon as they are settled, and the scan time they take.
+//! Measures the accuracy and the scan time of answers given as soon as the stop rule settles.
 
 use super::evaluation::Run;
 use super::{EvaluateError, Share};
@@ -9,23 +9,23 @@ use crate::scene::{Scene, SourceId};
 use crate::system::processor_s;
 use crate::trial::{Series, Signal, Trial};
 
-/// Answers by the stop rule against answers by the whole scan. Shares are fractions from 0 to 1.
+/// Answers by the stop rule, compared with those by the whole scan. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SettledOutcome {
     /// Permitted loss of accuracy.
     pub stated_loss: f64,
-    /// All queries, and those that settled answers name right.
+    /// All queries, and how many of them the rule names correctly.
     #[serde(flatten)]
     pub share: Share,
-    /// Share of queries named right by the whole scan.
+    /// Share of queries that the whole scan names correctly.
     pub accuracy_whole: f64,
-    /// Queries that the whole scan names right and the rule wrong.
+    /// Number of queries that the whole scan names correctly and the rule does not.
     pub lost: usize,
-    /// Queries that the rule names right and the whole scan wrong.
+    /// Number of queries that the rule names correctly and the whole scan does not.
     pub gained: usize,
     /// Number of queries.
     pub queries: usize,
-    /// Queries that settled before their end.
+    /// Number of queries that settled before the scan's end.
     pub settled: usize,
     /// Mean scan time used, in seconds.
     pub scan_s_mean: f64,
@@ -40,7 +40,7 @@ pub struct SettledOutcome {
     pub rules: Vec<Settling>,
 }
 
-/// One query: where the rule stopped, and what it said.
+/// One query: the truth, the answers by the whole scan and by the rule, and when the rule stopped.
 struct StoppedQuery {
     truth: String,
     whole: String,
@@ -49,8 +49,8 @@ struct StoppedQuery {
 }
 
 impl SettledOutcome {
-    /// Follows every query of every fold, for a permitted loss of accuracy. Frames come in pieces of
-    /// one look, as from a live scan.
+    /// Follows every query of every fold, for a permitted loss of accuracy. Frames arrive in blocks
+    /// of `LOOK_S` = 0.1 s, each followed by a guess, as in a live scan.
     ///
     /// # Errors
     /// If a trial cannot be read or compared, or if the method cannot follow scans.
@@ -119,10 +119,10 @@ fn sum_up(
     }
 }
 
-/// Follows a recorded trial to its end, piece by piece; gives what was said last.
+/// Follows a recorded trial to its end, block by block; returns the last guess.
 ///
 /// # Errors
-/// If it cannot be compared.
+/// If the trial cannot be compared.
 pub fn follow(
     follower: &mut Follower,
     trial: &Trial,

@@ -1,23 +1,23 @@
-//! Shares of queries with their intervals, and the keys that they have in JSON.
+//! Shares of queries with their confidence intervals, and their keys in JSON.
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use crate::recognise::wilson_interval;
 
-/// Some queries, and the number of them that are right (or caught, or rejected).
+/// A number of queries, and how many of them are right (or called unknown).
 ///
-/// As JSON a fraction and its 95 % Wilson interval: `accuracy`, `accuracy_low`, `accuracy_high`,
-/// which go into the document around it (`#[serde(flatten)]`).
+/// In JSON it is a fraction and its 95 % Wilson interval: `accuracy`, `accuracy_low` and
+/// `accuracy_high`, which go into the object around it (`#[serde(flatten)]`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Share {
-    /// How many are right.
+    /// Number of right ones.
     pub right: usize,
-    /// How many there are.
+    /// Number of all.
     pub of: usize,
 }
 
 impl Share {
-    /// Counts the true ones.
+    /// Counts how many values are true.
     pub(crate) fn count(each: impl IntoIterator<Item = bool>) -> Self {
         let mut share = Self::default();
         each.into_iter().for_each(|right| share.add(right));
@@ -32,18 +32,18 @@ impl Share {
         *self = Self { right: self.right + other.right, of: self.of + other.of };
     }
 
-    /// The fraction, from 0 to 1; 0 of none.
+    /// The fraction, from 0 to 1; 0 if there are no queries.
     pub fn value(self) -> f64 {
         self.right as f64 / self.of.max(1) as f64
     }
 
-    /// Its 95 % Wilson interval.
+    /// The 95 % Wilson interval of the fraction.
     pub fn interval(self) -> (f64, f64) {
         wilson_interval(self.right, self.of)
     }
 
-    /// Writes a share as `key`, `key_low` and `key_high`, after their number under `count` where
-    /// that is named; null where there is no share.
+    /// Writes a share as `key`, `key_low` and `key_high`, and before them the number of queries as
+    /// `count`, if given; all are null if there is no share.
     pub(crate) fn write<S: Serializer>(
         share: Option<Self>,
         count: Option<&str>,

@@ -1,5 +1,4 @@
-//! How many queries of surfaces that the library lacks a method calls unknown: whole surfaces are
-//! left out.
+//! Measures how often a method calls queries unknown, by leaving whole surfaces out of the library.
 
 use std::collections::BTreeSet;
 
@@ -9,27 +8,27 @@ use super::evaluation::Run;
 use super::{EvaluateError, Share};
 use crate::recognise::{RecogniseError, Rejection, RejectionError};
 
-/// Queries of surfaces that were left out of the library, and of those that were not. Shares are
+/// Queries called unknown, of surfaces left out of the library and of surfaces in it. Shares are
 /// fractions from 0 to 1, with 95 % Wilson intervals.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct UnknownOutcome {
-    /// False rejections as stated, with the interval that the smallest library leaves.
+    /// The stated rate of false rejections, with the interval that the smallest library allows.
     pub stated: Rejection,
     /// Number of groups of surfaces that were left out in turn.
     pub groups: usize,
-    /// Queries of surfaces that had been left out, and those called unknown.
+    /// Queries of surfaces that were left out, and how many of them were called unknown.
     #[serde(flatten, serialize_with = "caught")]
     pub unknown: Share,
-    /// Queries of surfaces in the library, and those called unknown.
+    /// Queries of surfaces in the library, and how many of them were called unknown.
     #[serde(flatten, serialize_with = "rejected")]
     pub known: Share,
     /// Number of folds.
     pub folds: usize,
-    /// Folds whose own share of false rejections lies in the interval stated there.
+    /// Number of folds whose share of false rejections lies in the interval stated for the fold.
     pub folds_as_stated: usize,
 }
 
-// The signatures are serde's.
+// serde prescribes the signatures.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn caught<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
     Share::write(Some(*share), Some("unknown_queries"), "unknown_caught", to)
@@ -41,9 +40,9 @@ fn rejected<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
 }
 
 impl UnknownOutcome {
-    /// Names every query of every fold by the fold's library without each group of surfaces in
-    /// turn, at a stated `rate` of false rejections. Surface k, in alphabetical order, is in group
-    /// k mod `groups`, so that look-alikes with similar names are in different ones.
+    /// Leaves each group of surfaces out of a fold's library in turn and names all queries of the
+    /// fold, at a stated `rate` of false rejections. Surface k, in alphabetical order, is in group
+    /// k mod `groups`, so that similar surfaces with similar names are in different groups.
     ///
     /// # Errors
     /// If a trial cannot be compared, or if the method or a library cannot recognise unknown
@@ -68,7 +67,7 @@ impl UnknownOutcome {
                 let embedding = model.clone().embedding().ok_or(RejectionError::NoPValue)?;
                 let rejection = embedding.rejection(rate)?;
                 if queries.is_empty() {
-                    // The libraries have one shape, so what one model prepares serves all.
+                    // All models share one shape, so a query prepared by one model fits them all.
                     let query = |&i: &usize| {
                         Ok((i, run.query(&model, i, run.on().query_seconds)?.prepared))
                     };

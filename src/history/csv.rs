@@ -1,10 +1,10 @@
-//! Past scans as CSV: one line each, the columns named in the first.
+//! Past scans as CSV: a header line, then one line per scan.
 
 use std::io::Write;
 
 use serde_json::Value;
 
-/// The columns: fields of an answer, and what was said of it. Lists are joined by semicolons.
+/// The columns: fields of an answer, its correction and its trial. Lists are joined by semicolons.
 const COLUMNS: [&str; 19] = [
     "id",
     "unix_ms",
@@ -34,10 +34,10 @@ pub struct CsvWriter<W: Write> {
 }
 
 impl<W: Write> CsvWriter<W> {
-    /// Begins with the names of the columns.
+    /// Writes the header line.
     ///
     /// # Errors
-    /// If it cannot be written, as for what follows.
+    /// If it cannot be written.
     pub fn new(out: W) -> std::io::Result<Self> {
         Self::with(out, COLUMNS.to_vec())
     }
@@ -66,10 +66,10 @@ impl<W: Write> CsvWriter<W> {
         Ok(())
     }
 
-    /// Gives what it wrote into.
+    /// Flushes, and returns the writer that it was made with.
     ///
     /// # Errors
-    /// If the last of it cannot be written.
+    /// If the last lines cannot be written.
     pub fn finish(self) -> std::io::Result<W> {
         self.out.into_inner().map_err(::csv::IntoInnerError::into_error)
     }
@@ -85,7 +85,7 @@ fn cell(scan: &Value, column: &str) -> String {
         column => (&scan[column], None),
     };
     let text = text.unwrap_or_else(|| self::text(value));
-    // A spreadsheet would take it for a formula, and do what it says.
+    // A spreadsheet would run such a text as a formula.
     match !value.is_number() && text.starts_with(['+', '-', '=', '@', '\t', '\r']) {
         true => format!("'{text}"),
         false => text,

@@ -14,9 +14,9 @@ pub(super) struct HistoryEntry {
     pub head: Head,
     pub text: Text,
     pub correction: Option<Correction>,
-    /// The library's trial that it became, as `SURFACE/TRIAL`.
+    /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
     pub trial: Option<String>,
-    /// Bytes of its signals on disk, where they are there.
+    /// Bytes of its signals on disk; `None` if they are not kept.
     pub signals: Option<u64>,
 }
 
@@ -37,7 +37,7 @@ pub(super) struct HistoryState {
     pub problem: Option<String>,
 }
 
-/// The change of an entry by a line.
+/// How a line of the log changes an entry.
 type Change = Box<dyn FnOnce(&mut HistoryEntry)>;
 
 impl HistoryState {
@@ -45,7 +45,7 @@ impl HistoryState {
         self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
     }
 
-    /// Takes a change in, once it is written.
+    /// Writes a change to the log, then applies it.
     pub fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
         let span = self.write(&line.to_json())?;
         self.take(line, span.unwrap_or_default());
@@ -100,7 +100,7 @@ impl HistoryState {
         Ok(&self.entries[at])
     }
 
-    /// An answer, with what people said of it.
+    /// An answer with its correction, its trial, and whether its signals are kept.
     pub fn json(&self, entry: &HistoryEntry) -> Result<Value, HistoryError> {
         let mut answer: Map<String, Value> = match (&entry.text, &self.disk) {
             (Text::Here(text), _) => serde_json::from_str(text).unwrap_or_default(),
@@ -114,14 +114,14 @@ impl HistoryState {
         Ok(Value::Object(answer))
     }
 
-    /// Lets the oldest signals go, and then the oldest answers, until all fits and the disk has
-    /// room for other things.
+    /// Removes the oldest signals, and then the oldest answers, until the history fits its space
+    /// and the disk has enough free space.
     pub fn make_room(&mut self) -> Result<(), HistoryError> {
         let lacking = self.disk.as_ref().map_or(0, Disk::lacks);
         self.let_go(lacking)
     }
 
-    /// The same, where the disk lacks `lacking` bytes.
+    /// Makes room likewise, and removes at least `lacking` bytes of signals.
     pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.for_answers();
@@ -141,7 +141,7 @@ impl HistoryState {
         Ok(())
     }
 
-    /// Writes the log anew with the newest answers that fit.
+    /// Rewrites the log with as many of the newest answers as fit into `most_bytes`.
     fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let length = |entry: &HistoryEntry| match &entry.text {

@@ -10,24 +10,24 @@ use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
 use crate::system::open_lock;
 
-/// The part of the space that answers may take; the rest is for signals.
+/// Answers may take 1/8 of the space; signals take the rest.
 const FOR_ANSWERS: u64 = 8;
 pub(super) const SCANS: &str = "scans";
-/// The folder of scans that the log does not know.
+/// The folder for scans that are missing from the log.
 const ASIDE: &str = "aside";
 const LOG: &str = "answers.jsonl";
-/// The part of its disk that signals of past scans leave free: for trials, which are worth more.
+/// Past scans leave 1/10 of the disk free, for trials, which matter more.
 const FREE: u64 = 10;
-/// More than this many bytes need not be free.
+/// Upper limit of that free space, in bytes.
 const MOST_FREE: u64 = 1_000_000_000;
 
-/// The folder.
+/// The folder of a history.
 #[derive(Debug)]
 pub(super) struct Disk {
     root: PathBuf,
     pub log: Log,
     pub most_bytes: u64,
-    /// Held for as long as the folder is in use.
+    /// The lock on the folder, held for as long as it is in use.
     _lock: Option<File>,
 }
 
@@ -62,7 +62,7 @@ impl Disk {
         self.root.join(SCANS).join(id)
     }
 
-    /// The scans that have a folder; what is no folder is somebody else's.
+    /// Ids of the scans that have a folder; plain files are not the history's, and are ignored.
     pub fn scans(&self) -> Result<HashSet<String>, HistoryError> {
         let folder = self.root.join(SCANS);
         let listed = fs::read_dir(&folder).map_err(HistoryError::io(&folder))?;
@@ -70,8 +70,8 @@ impl Disk {
         Ok(folders.filter_map(|item| item.file_name().into_string().ok()).collect())
     }
 
-    /// Removes what a crash left unfinished, and sets the scans aside that the log does not know: it
-    /// may be the log that is damaged.
+    /// Removes scans that a crash left unfinished, and moves complete scans that are missing from
+    /// the log aside, since the log may be damaged.
     pub fn tidy(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
         let aside = self.root.join(ASIDE);
         let (mut moved, fail) = (0, HistoryError::io(&aside));
@@ -109,7 +109,7 @@ impl Disk {
         }
     }
 
-    /// Bytes that the disk lacks to have as much free as it should; 0 where that is not known.
+    /// Bytes to remove until the disk has enough free space; 0 where that is not known.
     pub fn lacks(&self) -> u64 {
         fs4::statvfs(&self.root).map_or(0, |disk| lacks(disk.total_space(), disk.available_space()))
     }
@@ -137,7 +137,7 @@ impl Disk {
     }
 }
 
-/// The bytes that a disk of `size` bytes with `free` ones lacks.
+/// Bytes to remove from a disk of `size` bytes, of which `free` are free.
 fn lacks(size: u64, free: u64) -> u64 {
     (size / FREE).min(MOST_FREE).saturating_sub(free)
 }

@@ -1,4 +1,4 @@
-//! Writes a station's scans into a history, on threads of its own: the station never waits.
+//! Writes a station's scans into a history, on separate threads, so that the station never waits.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
@@ -17,7 +17,7 @@ use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Scans that wait to be written, and as many whose notes do; of ten seconds each, some 50 MB.
+/// Most scans that wait to be written, and for their notes: some 50 MB for scans of ten seconds.
 const QUEUE: usize = 16;
 
 /// Keeps the scans of a station.
@@ -29,8 +29,8 @@ pub struct Keeper {
     end: End,
 }
 
-/// Scans whose signals are written, and whose notes are not yet. The thread that takes one out says
-/// that it is kept.
+/// Ids of scans whose signals are written, but whose notes are not yet. The thread that removes an
+/// id reports that scan as kept.
 type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
 
 /// Notes beside the signals of a scan.
@@ -41,7 +41,7 @@ struct Notes<'a> {
     nearest: Option<NearestView>,
 }
 
-/// The nearest trial of the library, as it was then.
+/// The library's trial that is most similar to the scan.
 #[derive(Serialize)]
 struct NearestView {
     trial: TrialKey,
@@ -56,7 +56,7 @@ struct HistoryWriter {
     history: Arc<History>,
     scene: Scene,
     devices: BTreeMap<String, String>,
-    /// To the thread that writes notes, which may take as long as naming does.
+    /// To the thread that writes notes, which may take as long as naming a scan.
     notes: Sender<Written>,
     without_notes: WithoutNotes,
 }
@@ -65,7 +65,7 @@ struct Annotator {
     history: Arc<History>,
     scene: Scene,
     without_notes: WithoutNotes,
-    /// Closed with this.
+    /// Dropped with the annotator: so [`End`] notices that its thread has ended.
     _working: Sender<Infallible>,
 }
 
@@ -98,7 +98,7 @@ impl Keeper {
         };
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         thread("history").spawn(move || writer.run(&to_keep))?;
-        // It ends after the writer, which holds the other side.
+        // Ends after the writer, which holds the sender of `to_note`.
         thread("history-notes").spawn(move || annotator.run(&to_note))?;
         Ok(Self { scans: Some(scans), history, without_notes, end: End::of(ended) })
     }
@@ -118,7 +118,8 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans are written, and for their notes as long as the end may take.
+    /// Waits until all scans and notes are written, or the time for a station's end is over; then
+    /// reports scans without notes as kept.
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
@@ -130,16 +131,16 @@ impl Drop for Keeper {
 }
 
 fn lock(without_notes: &WithoutNotes) -> MutexGuard<'_, BTreeSet<String>> {
-    // Each change is one insertion or removal.
+    // Each change is one insertion or removal, so a panic leaves a usable set.
     without_notes.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Says that the signals of a scan are on disk.
+/// Notes in the history that the signals of a scan are on disk.
 fn kept(history: &History, id: &str) {
     say_problem(history, history.kept(id));
 }
 
-/// Remembers why scans are not kept, or that they are, and logs the first such problem in a row.
+/// Notes in the history whether scans can be kept, and warns of the first problem in a row.
 fn say_problem(history: &History, done: Result<(), HistoryError>) {
     let problem = done.err().map(|error| error.to_string());
     if history.set_problem(problem.clone())
@@ -161,7 +162,7 @@ impl HistoryWriter {
         }
     }
 
-    /// Has notes written of a scan, unless too many wait for theirs.
+    /// Passes a scan on to have its notes written, unless too many scans wait for theirs.
     fn hand_on(&self, scan: Arc<AnsweredScan>, folder: PathBuf) {
         let id = scan.answer.id.clone();
         lock(&self.without_notes).insert(id.clone());
@@ -174,7 +175,7 @@ impl HistoryWriter {
     /// Writes the signals of a scan; gives their folder, unless the history is in memory.
     fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
-        // One that could not be named may be empty.
+        // A scan that could not be named may be empty.
         let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
         let Some(root) = root else { return Ok(None) };
         let began = Duration::from_millis(answer.unix_ms)
@@ -186,7 +187,7 @@ impl HistoryWriter {
             devices: self.devices.clone(),
             ..About::default()
         };
-        // A day of scans is worth no waiting for the disk at each.
+        // Without waiting for the disk: scans that a power cut may lose are not worth the time.
         let options = TrialOptions { about, durable: false };
         let user = answer.id.rsplit_once('-').map_or(answer.id.as_str(), |(moment, _)| moment);
         let key = TrialKey::new(SCANS, user, answer.scan);
@@ -207,10 +208,10 @@ impl Annotator {
         }
     }
 
-    /// Writes why the scan was named as it was, and what is drawn of it and the nearest trial.
+    /// Writes the reasons for a scan's name, and the outlines of the scan and the nearest trial.
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
-        // One scan must not take the history with it.
+        // A method that panics on one scan must not end the history.
         let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
         let why = std::panic::catch_unwind(explain).ok().flatten();
         let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());

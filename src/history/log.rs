@@ -21,7 +21,7 @@ use crate::library::files;
 use crate::station::Answer;
 use crate::system::read_exact_at;
 
-/// Longest line that is read, with its end: an answer of some ten thousand surfaces.
+/// Longest line that is read, in bytes: an answer that ranks some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
 
 /// The part of an answer that is kept in memory.
@@ -84,7 +84,7 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Opens the log, to be read, and to be written unless `read_only`.
+    /// Opens the log for reading, and for writing unless `read_only`.
     pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
         let mut options = OpenOptions::new();
@@ -92,7 +92,7 @@ impl Log {
         if !read_only {
             options.append(true).create(true);
         }
-        // Refused at once, unlike by a pipe that nobody writes into.
+        // Only a regular file is opened: opening a named pipe would wait for a writer.
         let is_regular = match files::open(path) {
             Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -141,7 +141,7 @@ impl Log {
         text.extend_from_slice(line.as_bytes());
         text.push(b'\n');
         let written = self.file.write_all(&text);
-        // A part of the line may have come to the disk, and counts.
+        // A part of the line may be on disk, and counts.
         self.bytes = match (&written, self.file.metadata()) {
             (Err(_), Ok(about)) => about.len(),
             _ => self.bytes + text.len() as u64,

@@ -6,12 +6,12 @@
 //!   answers.jsonl                every answer, and what people said of it; see `log`
 //!   scans/ID/                    one scan in the recording format, the newest ones
 //!     trial.toml  ac.wav  ca1.png  …
-//!     .why.json                  why it was named as it was, and its outline beside the nearest trial's
+//!     .why.json                  reasons for its name, and outlines of it and of the nearest trial
 //!     .nearest-ca1.jpg           pictures of the nearest trial
-//!   aside/ID/                    scans that the log does not know, for it may be damaged
+//!   aside/ID/                    scans that are missing from the log, which may be damaged
 //! ```
-//! [`Keeper`] listens to a station and writes; [`History`] is read by what shows it. Nothing here
-//! knows of the network.
+//! [`Keeper`] listens to a station and writes its scans; the page and the commands read
+//! [`History`]. Nothing here uses the network.
 
 mod csv;
 mod entries;
@@ -40,9 +40,9 @@ use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
-/// Answers that are remembered where none is written to disk.
+/// Most answers that a history in memory remembers.
 const IN_MEMORY: usize = 1000;
-/// Name of the history's folder, in that of the library that names its scans.
+/// Name of the history's folder, inside the folder of the library that names its scans.
 pub(crate) const FOLDER: &str = ".history";
 /// Name of the file that says why a scan was named as it was, in the scan's folder.
 pub(crate) const NOTES: &str = ".why.json";
@@ -56,22 +56,22 @@ pub(crate) fn nearest_picture(source: &SourceId) -> String {
 #[derive(Debug)]
 pub struct History {
     inner: Mutex<HistoryState>,
-    /// Held while a scan is made a trial, or such a trial is corrected.
+    /// Locked while a scan becomes a trial, or such a trial is corrected.
     review: Mutex<()>,
 }
 
 /// The size of a history.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Extent {
-    /// Answers.
+    /// Number of answers.
     pub scans: usize,
-    /// Those whose signals are kept.
+    /// Number of answers whose signals are kept.
     pub with_signals: usize,
     /// Bytes on disk.
     pub bytes: u64,
-    /// At most this many bytes; `None` where nothing is written to disk.
+    /// Limit of the bytes on disk; `None` for a history in memory.
     pub most_bytes: Option<u64>,
-    /// The reason why scans are not kept, if so.
+    /// Why scans cannot be kept now; `None` if they can.
     pub problem: Option<String>,
 }
 
@@ -82,13 +82,13 @@ impl Default for History {
 }
 
 impl History {
-    /// A history of the last thousand answers, without their signals, that ends with the program.
+    /// A history in memory: the last thousand answers, without signals, until the program ends.
     pub fn in_memory() -> Self {
         Self { inner: Mutex::default(), review: Mutex::default() }
     }
 
-    /// The history in a folder, which is made if need be, of at most `most_bytes`, and less where its
-    /// disk has little room: a tenth of it stays free, of a large one a gigabyte.
+    /// Opens the history in a folder, which is created if absent. It takes at most `most_bytes`,
+    /// and less on a full disk: a tenth of the disk stays free, or a gigabyte if that is less.
     ///
     /// # Errors
     /// If the folder cannot be read or written, or another program uses it.
@@ -100,7 +100,7 @@ impl History {
         disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
         for entry in &mut inner.entries {
-            // A crash may have come between the signals and their line.
+            // After a crash, signals may be on disk without their line in the log.
             entry.signals = match there.contains(&entry.head.id) {
                 true => entry.signals.or_else(|| disk.size(&entry.head.id).ok()),
                 false => None,
@@ -112,7 +112,7 @@ impl History {
         Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
     }
 
-    /// The history in a folder, to be read alone.
+    /// Opens the history in a folder for reading only.
     ///
     /// # Errors
     /// If the folder cannot be read.
@@ -125,14 +125,14 @@ impl History {
     }
 
     fn lock(&self) -> MutexGuard<'_, HistoryState> {
-        // Each change leaves it whole.
+        // Each change is complete in itself, so a panic leaves a usable state.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps others from making scans trials, and from correcting them, until it is dropped: each
-    /// scan becomes one trial, however many ask for it at a time.
+    /// Locks out others that make scans into trials, or correct these, until the guard is dropped:
+    /// so a scan becomes one trial only, even if several clients ask for it at once.
     pub(crate) fn reviewing(&self) -> MutexGuard<'_, ()> {
-        // It guards nothing that a panic could leave half done.
+        // The lock holds no data that a panic could leave half changed.
         self.review.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -144,10 +144,10 @@ impl History {
     /// Adds an answer.
     ///
     /// # Errors
-    /// If it cannot be written; it is remembered all the same.
+    /// If it cannot be written; it is kept in memory all the same.
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
-        // First, for on a full disk nothing could be written.
+        // Before writing, which a full disk would refuse.
         let room = inner.make_room();
         let head = Head::of(answer);
         // Plain structs, numbers and text: nothing here that JSON cannot express.
@@ -171,8 +171,8 @@ impl History {
         room
     }
 
-    /// Notes that the signals of a scan are on disk, in its `History::folder_for`; older ones make
-    /// room for them.
+    /// Notes that the signals of a scan are in its folder on disk, and removes the oldest signals
+    /// where room is short.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -185,7 +185,7 @@ impl History {
         inner.make_room()
     }
 
-    /// Says what a scan truly was, or takes that back.
+    /// Sets the correction of a scan (what it truly was), or removes it.
     ///
     /// # Errors
     /// If there is no such scan, or it cannot be written.
@@ -199,7 +199,7 @@ impl History {
         inner.change(LogLine::Correction { id: id.into(), correction })
     }
 
-    /// Notes which trial of the library a scan became.
+    /// Notes which trial of the library a scan became; `None` if it is no longer one.
     ///
     /// # Errors
     /// If there is no such scan, or it cannot be written.
@@ -209,7 +209,7 @@ impl History {
         inner.change(LogLine::Trial { id: id.into(), trial })
     }
 
-    /// Notes where trials went that scans had become.
+    /// Updates the scans that became trials, after such trials were moved or removed.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -226,7 +226,7 @@ impl History {
         lines.into_iter().try_for_each(|line| inner.change(line))
     }
 
-    /// The newest answers first, at most `most`, those before the scan of a name or number alone.
+    /// At most `most` answers, the newest first; with `before`, a name or number, only older ones.
     ///
     /// # Errors
     /// If they cannot be read.
@@ -240,10 +240,10 @@ impl History {
         inner.entries.range(..end).rev().take(most).map(of).collect()
     }
 
-    /// Every answer, the oldest first, handed over one by one.
+    /// Passes every answer to `each`, the oldest first.
     ///
     /// # Errors
-    /// If one cannot be read, or what `each` gives.
+    /// If one cannot be read, or `each` fails.
     pub fn each<E: From<HistoryError>>(
         &self,
         mut each: impl FnMut(Value) -> Result<(), E>,
@@ -257,7 +257,7 @@ impl History {
         })
     }
 
-    /// The answer of a name, or the newest one of a number.
+    /// The answer with this name (its id), or the newest one with this scan number.
     ///
     /// # Errors
     /// If there is no such scan, or it cannot be read.
@@ -279,12 +279,12 @@ impl History {
         folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
     }
 
-    /// The folder that scans are to be written into, as trials of a library there.
+    /// The history's folder, a library into which scans are written as trials; `None` in memory.
     pub(crate) fn root(&self) -> Option<PathBuf> {
         self.lock().disk.as_ref().map(|disk| disk.root().to_path_buf())
     }
 
-    /// How right the answers are that somebody corrected, surface by surface.
+    /// The precision of the answers that somebody corrected, for each surface that was answered.
     pub fn precision(&self) -> Vec<Precision> {
         let inner = &*self.lock();
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
@@ -315,7 +315,7 @@ impl History {
         }
     }
 
-    /// Notes why scans are not kept now; true if they were kept before.
+    /// Notes why scans cannot be kept now, or `None` if they can; true if a problem is new.
     fn set_problem(&self, problem: Option<String>) -> bool {
         let inner = &mut *self.lock();
         let news = inner.problem.is_none() && problem.is_some();

@@ -1,4 +1,4 @@
-//! Corrections of answers by people, and the precision of answers by these.
+//! Corrections of answers by people, and the precision that follows from them.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,18 @@ use serde::{Deserialize, Serialize};
 
 use crate::recognise::wilson_interval;
 
-/// The truth about a scan, by a person.
+/// The truth about a scan, as a person gave it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "was", rename_all = "lowercase")]
 pub enum Correction {
-    /// This surface.
+    /// It was of this surface.
     Surface {
         /// the label
         surface: String,
     },
-    /// None of the library's.
+    /// It was of a surface that the library lacks.
     Unknown,
-    /// No scan that could be named.
+    /// It was a bad scan, which nobody could name.
     Bad,
 }
 
@@ -31,20 +31,20 @@ impl Correction {
     }
 }
 
-/// How right the answers of one kind are, of those that somebody corrected. Bad scans do not count.
+/// The precision of one answer, over the scans that somebody corrected. Bad scans do not count.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Precision {
     /// The answer; `None` for unknown.
     pub surface: Option<String>,
-    /// Corrected answers.
+    /// Number of corrected scans with this answer.
     pub corrected: usize,
-    /// Those that were right.
+    /// Number of those that the answer named right.
     pub right: usize,
-    /// Their share.
+    /// Share of `corrected` that were right.
     pub precision: f64,
-    /// Lower end of its 95 % Wilson interval.
+    /// Lower end of the 95 % Wilson interval of `precision`.
     pub precision_low: f64,
-    /// Upper end.
+    /// Upper end of that interval.
     pub precision_high: f64,
 }
 

@@ -40,7 +40,7 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
     }
 }
 
-/// Answers a scan, and writes signals of a number of bytes for it.
+/// Adds an answer, and writes `bytes` bytes of signals for it.
 fn keep(history: &History, scan: u32, bytes: usize) -> String {
     let answer = answer(scan, Some("oak"));
     history.answered(&answer).unwrap();
@@ -184,8 +184,8 @@ fn signals_that_a_damaged_log_does_not_know_are_set_aside_and_files_of_others_le
     let log = dir.path().join("answers.jsonl");
     let text = fs::read_to_string(&log).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    // The first scan is missing; of the second, the line that its signals are there; ids that lead
-    // elsewhere, and a line without an end.
+    // Left out: the first scan, and the line about the second one's signals. Added: an id that
+    // leads out of the folder, and a line too long to be read.
     let evil = lines[0].replace(&ids[0], "../../oak/anna-01");
     let long = "x".repeat(3 << 20);
     fs::write(&log, [lines[2], &evil, &long, lines[4], lines[5]].join("\n") + "\n").unwrap();
@@ -211,7 +211,7 @@ fn a_log_that_is_no_file_is_refused_and_of_a_long_one_only_the_end_is_read() {
         assert!(opened.unwrap_err().to_string().contains("not a regular file"));
     }
     fs::remove_file(&log).unwrap();
-    // Sparse: as large as a disk, and quickly read all the same.
+    // A sparse file of 3 GiB, of which only the end is read.
     fs::File::create(&log).unwrap().set_len(3 << 30).unwrap();
     let history = History::open(dir.path(), 1 << 20).unwrap();
     keep(&history, 1, 100);

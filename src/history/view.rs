@@ -1,4 +1,4 @@
-//! Trials small enough to draw: the extremes of each stretch of time, and the spectrum.
+//! Trials reduced for drawing: the extremes in each of 400 stretches of time, and the spectrum.
 
 use serde::Serialize;
 
@@ -7,9 +7,9 @@ use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 use crate::spectrum::amplitude_spectrum;
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// Stretches that a series is drawn by.
+/// Most stretches of time that a series is divided into for drawing.
 const BINS: usize = 400;
-/// Frames of a window of the spectrum.
+/// Frames in each window of the spectrum.
 const WINDOW: usize = 4096;
 /// Samples a second from which a source can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
@@ -19,23 +19,23 @@ const AUDIBLE_HZ: f64 = 8000.0;
 pub struct TrialView {
     /// The sources that are series, by name.
     pub series: Vec<SeriesView>,
-    /// Those that are pictures.
+    /// The sources that are pictures.
     pub pictures: Vec<SourceId>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SeriesView {
     pub source: SourceId,
-    /// The part of the scan that it follows.
+    /// The part of the scan that it belongs to.
     pub phase: Phase,
     pub rate_hz: f64,
     pub duration_s: f64,
     pub audible: bool,
-    /// Least sample of each stretch, a list a channel.
+    /// Least sample of each stretch of time, one list per channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample of each stretch, a list a channel.
+    /// Greatest sample of each stretch of time, one list per channel.
     pub max: Vec<Vec<f32>>,
-    /// The spectrum, where it is long enough.
+    /// The spectrum; `None` for a series that is too short.
     pub spectrum: Option<Bands>,
 }
 
@@ -89,7 +89,7 @@ pub fn jpeg(image: &Image) -> Option<Vec<u8>> {
     jpeg::encode(image).ok()
 }
 
-/// A number that is short when printed: about four digits, which is finer than any screen.
+/// Rounds to about four digits, which print short and are finer than any screen.
 pub fn four_digits(x: f32) -> f32 {
     if x == 0.0 || !x.is_finite() {
         return 0.0;
@@ -113,8 +113,8 @@ pub struct Bands {
     pub db: Vec<f64>,
 }
 
-/// The spectrum of interleaved samples, averaged over windows of `window` frames side by side, or of
-/// all of them where there are fewer. `None` for fewer than eight frames.
+/// The spectrum of interleaved samples, averaged over adjacent windows of `window` frames, or over
+/// one window of all frames if there are fewer. `None` for fewer than eight frames.
 pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> Option<Bands> {
     let frames = window.min(samples.len() / channels.max(1));
     if frames < 8 {
@@ -143,7 +143,7 @@ pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> O
     let index = |hz: f64| ((hz / bin_hz).round() as usize).min(power.len() - 1);
     let db = (0..BANDS).map(|band| {
         let first = index(edge(band));
-        // The lowest bands are narrower than a bin, and show the one they lie in.
+        // The lowest bands are narrower than a bin, and show the bin that they lie in.
         let end = index(edge(band + 1)).max(first + 1);
         let sum: f64 = power[first..end].iter().sum();
         let db = (10.0 * sum.log10()).max(FLOOR_DB);

@@ -3,7 +3,7 @@
 //!
 //! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4;
 //! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a
-//! median length scale of its own, and H = I − 11ᵀ/n centres.
+//! median length scale of its own, and H = I − 11ᵀ/n is the centring matrix.
 
 use ndarray::{Array2, ArrayView1, ArrayView2, CowArray, Ix2};
 use rand::seq::SliceRandom;
@@ -12,13 +12,13 @@ use super::length_scale::length_scale_of;
 use super::pearson3::pearson3_test;
 use super::permutation_moments::{CentredMoments, permutation_moments};
 
-/// Fewest pairs that a test of independence is done with: of 4! = 24 permutations none is rarer
-/// than 1 in 24, so that nothing could be significant at 5 %.
+/// Fewest pairs for a test of independence. Four have 4! = 24 permutations, so that the smallest
+/// p-value is 1/24, barely significant at 5 %.
 pub const FEWEST_PAIRS: usize = 5;
 
 /// Errors of a test of independence.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages are the documentation.
 pub enum HsicError {
     #[error("{x} samples on one side and {y} on the other; expected pairs")]
     Unpaired { x: usize, y: usize },
@@ -48,11 +48,11 @@ pub enum HsicError {
     Permutations { permutations: usize, alpha: f64, least: usize },
 }
 
-/// The way to find the threshold κ.
+/// How the threshold κ is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Threshold {
-    /// From this many random permutations of one side (the paper's way).
+    /// From this number of random permutations of one side, as in the paper.
     Permutations(usize),
     /// From a Pearson III (shifted gamma) distribution with the exact mean, variance and skewness
     /// of the permutation distribution: no shuffling, no Monte Carlo error.
@@ -62,7 +62,7 @@ pub enum Threshold {
 /// The paper's number of permutations.
 pub const PERMUTATIONS: usize = 100;
 
-/// One test of independence.
+/// The result of one test of independence.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Dependence {
     /// Number of pairs.
@@ -71,12 +71,12 @@ pub struct Dependence {
     pub sigma_x: f64,
     /// Length scale of the second side.
     pub sigma_y: f64,
-    /// HSIC_b; negative rounding errors are cut off.
+    /// HSIC_b; a value that rounding made negative becomes 0.
     pub hsic: f64,
-    /// Threshold at the level asked for; a larger HSIC_b means dependence.
+    /// Threshold at the requested level; a larger HSIC_b means dependence.
     pub kappa: f64,
-    /// Chance of such an HSIC_b, or a larger one, if the sides are independent. With S
-    /// permutations, (1 + number as large)/(1 + S).
+    /// Probability of an HSIC_b at least this large if the sides are independent. From S
+    /// permutations, k of them at least as large: (1 + k)/(1 + S).
     pub p_value: f64,
 }
 
@@ -97,7 +97,7 @@ pub fn kernel_matrix(samples: ArrayView2<'_, f64>, sigma: f64) -> Array2<f64> {
     k
 }
 
-/// HKH: a symmetric matrix of shape (n, n) with the means of its rows and columns taken out.
+/// HKH: a symmetric matrix of shape (n, n) with the means of its rows and columns subtracted.
 pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
     let n = k.nrows() as f64;
     let means: Vec<f64> = k.rows().into_iter().map(|row| row.sum() / n).collect();
@@ -108,11 +108,11 @@ pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
     k
 }
 
-/// The (1 − α) quantile of some values: that of rank round((1 − α)·count), as the authors' program
-/// takes it.
+/// The (1 − α) quantile of some values: as in the authors' program, the value of rank
+/// round((1 − α)·count).
 ///
 /// # Panics
-/// If there are none.
+/// If `values` is empty.
 pub fn quantile(mut values: Vec<f64>, alpha: f64) -> f64 {
     let count = values.len();
     let rank = (((1.0 - alpha) * count as f64).round() as usize).clamp(1, count);
@@ -121,7 +121,7 @@ pub fn quantile(mut values: Vec<f64>, alpha: f64) -> f64 {
 
 /// Tests whether paired samples of shape (n, channels) depend on each other.
 ///
-/// Length scales are medians over all samples. `alpha` is the level of κ.
+/// Length scales are medians over all samples. `alpha` is the significance level of κ.
 ///
 /// # Errors
 /// If the sides differ in length, hold fewer than five samples, are constant or not
@@ -144,7 +144,7 @@ pub fn test_independence(
     let (kappa, p_value) = match threshold {
         Threshold::Permutations(count) => {
             let null = permuted(&k, &l, count, rng);
-            // A permutation that leaves everything in place must count as "as large".
+            // A permutation that changes nothing must count as equally large, despite rounding.
             let as_large = null.iter().filter(|&&v| v >= hsic * (1.0 - 1e-12)).count();
             (quantile(null, alpha), (1 + as_large) as f64 / (1 + count) as f64)
         }
@@ -158,8 +158,8 @@ pub fn test_independence(
     Ok(Dependence { n, sigma_x, sigma_y, hsic, kappa, p_value })
 }
 
-/// HSIC_b of `count` random permutations of one side, from the centred kernel matrix of one side and
-/// the plain one of the other. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
+/// HSIC_b of `count` random permutations, from the centred kernel matrix of one side and the plain
+/// one of the other, which is permuted. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
 pub fn permuted(
     k_centred: &Array2<f64>,
     l: &Array2<f64>,
@@ -184,7 +184,7 @@ pub fn permuted(
     (0..count).map(permute).collect()
 }
 
-/// The rows of a matrix of the standard layout.
+/// The rows of a matrix in standard (row-major) layout.
 fn slices<'a>(matrix: &'a CowArray<'_, f64, Ix2>) -> Vec<&'a [f64]> {
     let row = |row: ArrayView1<'a, f64>| row.to_slice().expect("a row of the standard layout");
     matrix.rows().into_iter().map(row).collect()

@@ -3,14 +3,14 @@
 use multiversion::multiversion;
 use ndarray::ArrayView2;
 
-/// Number of samples in the median: the first ones, in the order drawn.
+/// Number of samples whose distances enter the median: the first ones, in the order drawn.
 pub const MEDIAN_SUBSET: usize = 100;
 
 /// Length scale σ of the Gaussian kernel from samples of shape (n, channels), by the paper's
 /// Eq. 6: σ² = 0.5 · median of the squared distances between the first 100 samples.
 ///
-/// Distances of exactly zero are left out, as the authors' program does; where none remains (one
-/// sample, constant data) σ is 1.
+/// Distances of exactly zero are left out, as in the authors' program. If no distance remains (one
+/// sample, constant data), σ is 1.
 pub fn length_scale(samples: ArrayView2<'_, f64>) -> f64 {
     length_scale_of(samples, MEDIAN_SUBSET)
 }
@@ -25,7 +25,7 @@ pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
     median(&mut squared).map_or(1.0, |m| (0.5 * m).sqrt())
 }
 
-/// Squared distances between all pairs of the first `n` points, by channel.
+/// Squared distances between all pairs of the first `n` points; `channels` holds one row a channel.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
     "x86_64+avx2+fma",
@@ -47,7 +47,7 @@ fn squared_distances(channels: &[Vec<f64>], n: usize) -> Vec<f64> {
     squared
 }
 
-/// Median, the mean of the two middle values where their number is even.
+/// The median; of an even number of values, the mean of the two middle ones.
 fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;

@@ -1,10 +1,10 @@
-//! Gaussian sums against fixed points on a line: one channel, many queries at one length scale.
+//! Gaussian kernel sums against fixed points of one channel, for many queries at one length scale.
 //!
-//! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth, so it is expanded once, to the eleventh derivative, about
-//! the middle of every cell of width ½ that some point reaches; a kernel sum over n further points
-//! then takes n short polynomials instead of n² exponentials. Error: below 3e-11 for every kernel
-//! value that is summed (2e-11 beyond [`REACH`]; the twelfth derivative of the Gaussian is at most
-//! 10395; 10395/12!·4⁻¹² = 1.3e-12), so 3e-8 of n·MMD² at n = 400 (tested).
+//! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth. So it is expanded once, up to the eleventh derivative,
+//! about the middle of every cell of width ½ near a point. A kernel sum over n further points then
+//! takes n short polynomials instead of n² exponentials. The error of a kernel value is
+//! 10395/12!·4⁻¹² = 1.3e-12 from the expansion (10395 bounds the twelfth derivative) and about
+//! 2e-11 from points beyond [`REACH`]; tests allow 3e-11 on average, so 3e-8 of n·MMD² at n = 400.
 
 use multiversion::multiversion;
 
@@ -12,11 +12,11 @@ use super::sums::exp2_of_minus;
 
 /// Half width of a cell, in length scales.
 const HALF: f64 = 0.25;
-/// Terms of an expansion.
+/// Number of terms of an expansion.
 const TERMS: usize = 12;
-/// exp(−7²/2) is 2e-11: no point reaches farther.
+/// Points farther away than this, in length scales, are ignored: exp(−7²/2) is 2e-11.
 const REACH: f64 = 7.0;
-/// Coordinates lie no farther than this from the centre.
+/// Coordinates are clamped to this distance from the centre, in length scales.
 const FARTHEST: f64 = 1e12;
 const LANES: usize = 8;
 
@@ -36,8 +36,8 @@ struct PointGroup {
 }
 
 impl LineSum {
-    /// From points in ascending order, with a kernel of length scale `sigma`. `centre` is where
-    /// coordinates are resolved best.
+    /// Expands the sum for points in ascending order and a kernel of length scale `sigma`.
+    /// Coordinates are taken relative to `centre`; near it rounding costs least.
     pub fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
         let scale = 1.0 / sigma;
         let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);
@@ -47,7 +47,7 @@ impl LineSum {
         Self { centre, scale, groups }
     }
 
-    /// Σᵢ G(xᵢ) over points in ascending order, each moved by `shift` first.
+    /// Σᵢ G(xᵢ + shift) over points xᵢ in ascending order.
     pub fn sum(&self, points: impl Iterator<Item = f64>, shift: f64) -> f64 {
         let mut groups = self.groups.iter().peekable();
         let mut total = 0.0;
@@ -60,7 +60,7 @@ impl LineSum {
                 // Below the number of cells, since x lies before the group's end.
                 let cell = (at as usize).min(group.cells.len() - 1);
                 let t = x - group.middle(cell);
-                // Even and odd powers apart, so that one need not wait for the other.
+                // Even and odd powers are summed apart: the processor can do both at once.
                 let pairs = group.cells[cell].as_chunks::<2>().0.iter().rev();
                 let (even, odd) = pairs.fold((0.0, 0.0), |(even, odd), &[of_even, of_odd]| {
                     (even * (t * t) + of_even, odd * (t * t) + of_odd)
@@ -73,7 +73,7 @@ impl LineSum {
 }
 
 impl PointGroup {
-    /// `points` are ascending, at least one.
+    /// Expands the sum over `points`, which are ascending and not empty.
     fn new(points: &[f64]) -> Self {
         let (first, last) = (points[0], points[points.len() - 1]);
         let start = first - REACH;
@@ -102,9 +102,8 @@ impl PointGroup {
     }
 }
 
-/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is
-/// (−1)ᵏ/k! Σⱼ Heₖ(tⱼ) exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials
-/// Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
+/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is (−1)ᵏ/k! Σⱼ Heₖ(tⱼ)
+/// exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
     "x86_64+avx2+fma",
@@ -120,7 +119,7 @@ fn expansion(points: &[f64], middle: f64) -> [f64; TERMS] {
         let mut previous = [0f64; LANES];
         let mut term = [0f64; LANES];
         for lane in 0..LANES {
-            // The term of 1e6, which fills up, is exactly the least that is given: 1e-301.
+            // For the padding, t = 1e6, this is the smallest value returned: about 1e-301.
             term[lane] = exp2_of_minus::<false>(0.5 * std::f64::consts::LOG2_E * t[lane] * t[lane]);
         }
         // (−1)ᵏ/k! Heₖ, by its own recurrence: aₖ₊₁ = −(t aₖ + aₖ₋₁)/(k + 1).

@@ -1,8 +1,8 @@
-//! The two-sample test in f64: sums of Gaussian kernels, the biased estimate of the squared maximum mean
-//! discrepancy, its threshold κ and the p-value, by permuting within pairs. The oracle of the fast sums.
+//! The two-sample test in f64: Gaussian kernel sums, the biased estimate of the squared maximum
+//! mean discrepancy (MMD), its threshold κ and its p-value. Tests compare the fast sums with these.
 //!
-//! Samples of two trials drawn at the same positions are pairs, not independent draws, so a
-//! permutation may swap the two sides of a pair and nothing else. With
+//! Samples of two trials drawn at the same positions are pairs, not independent draws. So a
+//! permutation may only swap the two sides of a pair. With
 //! hᵢⱼ = k(yᵢ,yⱼ) + k(zᵢ,zⱼ) − k(yᵢ,zⱼ) − k(zᵢ,yⱼ) and sign sᵢ = −1 where pair i is swapped,
 //! n²·MMD²_b = Σᵢⱼ sᵢ sⱼ hᵢⱼ: a quadratic form in random signs.
 
@@ -29,7 +29,7 @@ pub fn kernel_sum(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>, sigma: f64) ->
         .sum()
 }
 
-/// The three kernel sums that make an MMD.
+/// The three kernel sums from which an MMD is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossSums {
     /// Σ k(yᵢ, yⱼ)
@@ -40,8 +40,8 @@ pub struct CrossSums {
     pub yz: f64,
 }
 
-/// MMD²_b (Eq. 5) from its kernel sums over n samples of y and m of z. Never negative: rounding
-/// below zero is cut off, since the biased estimate is a squared norm.
+/// MMD²_b (Eq. 5) from its kernel sums over n samples of y and m of z. A value that rounding made
+/// negative becomes 0, since the biased estimate is a squared norm.
 pub fn mmd2_from_sums(sums: CrossSums, n: usize, m: usize) -> f64 {
     let (n, m) = (n as f64, m as f64);
     (sums.yy / (n * n) + sums.zz / (m * m) - 2.0 * sums.yz / (n * m)).max(0.0)
@@ -61,16 +61,16 @@ pub fn mmd2_biased(y: ArrayView2<'_, f64>, z: ArrayView2<'_, f64>, sigma: f64) -
 /// Outcome of a permutation test.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct PairTest {
-    /// MMD²_b of the pairs as they are.
+    /// MMD²_b of the pairs as given, without swaps.
     pub mmd2: f64,
     /// Threshold: the (1 − α) quantile of MMD²_b under swaps.
     pub kappa: f64,
-    /// Share of arrangements, the given one among them, that reach the given MMD²_b.
+    /// Share of arrangements, counting the given one, whose MMD²_b is at least `mmd2`.
     pub p_value: f64,
 }
 
-/// Tests whether pairs (yᵢ, zᵢ), shape (n, channels) a side, come from one distribution, with
-/// `permutations` random arrangements at significance level `alpha`.
+/// Tests whether yᵢ and zᵢ of paired samples, each of shape (n, channels), come from one
+/// distribution: swaps pairs at random `permutations` times; `alpha` is the significance level.
 ///
 /// # Panics
 /// If the sides differ in shape, or `permutations` is 0.
@@ -125,7 +125,7 @@ mod tests {
 
     fn normal(n: usize, shift: f64, key: &str) -> Array2<f64> {
         let mut rng = rng(7, &[key.as_bytes()]);
-        // A sum of twelve uniforms is normal enough here.
+        // A sum of twelve uniform numbers is close enough to normal here.
         Array2::from_shape_fn((n, 1), |_| (0..12).map(|_| rng.random::<f64>()).sum::<f64>() + shift)
     }
 
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn level_holds_for_pairs_that_share_a_common_part() {
-        // y and z share most of what they are: an ordinary permutation would never reject.
+        // y and z are mostly their common part: a permutation across pairs would never reject.
         let rejected = (0..200)
             .filter(|i| {
                 let common = normal(60, 0.0, &format!("common {i}"));

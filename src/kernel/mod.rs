@@ -1,4 +1,4 @@
-//! The Gaussian kernel and the statistics that stand on it.
+//! The Gaussian kernel and the statistics built on it.
 //!
 //! Samples are arrays of shape (n, channels), in the order in which they were drawn. Everything
 //! here is pure, and works in f64 unless it says otherwise.

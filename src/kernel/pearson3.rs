@@ -4,17 +4,18 @@
 //! With skewness g > 0 the shape is k = 4/g², and the standardised quantile is
 //! K(g) = (G⁻¹(1 − α; k) − k)/√k, where G is the gamma distribution of scale 1 (N. L. Johnson,
 //! S. Kotz, N. Balakrishnan, Continuous Univariate Distributions 1, 1994, chapter 17). K is smooth
-//! in g, and normal at g = 0; negative skewness mirrors: K₁₋α(−g) = −K_α(g).
+//! in g, and at g = 0 the normal quantile. Negative skewness mirrors it: K₁₋α(−g) = −K_α(g).
 
 use statrs::distribution::{ContinuousCDF, Normal};
 use statrs::function::gamma::{gamma_lr, ln_gamma};
 
 use super::permutation_moments::Moments;
 
-/// Below this skewness the quantile is taken from the Cornish–Fisher expansion.
+/// Below this skewness the quantile comes from the Cornish–Fisher expansion, the tail from the
+/// normal distribution.
 const NEARLY_NORMAL: f64 = 0.02;
-/// The (1 − α) quantile of the Pearson III distribution with these moments, and the chance of a value
-/// of at least `observed`.
+/// The (1 − α) quantile of the Pearson III distribution with these moments, and the probability of
+/// a value of at least `observed`.
 pub fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64) {
     let sd = moments.variance.sqrt();
     let kappa = moments.mean + sd * quantile(moments.skewness, alpha);
@@ -25,7 +26,7 @@ pub fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64)
 }
 
 fn normal() -> Normal {
-    // 0 and 1 are a mean and a standard deviation.
+    // A mean of 0 and a standard deviation of 1 are valid.
     Normal::new(0.0, 1.0).expect("the standard normal distribution exists")
 }
 
@@ -56,7 +57,7 @@ fn quantile(skewness: f64, alpha: f64) -> f64 {
     if g < NEARLY_NORMAL {
         return expansion;
     }
-    // Newton steps on the logarithm keep the gamma variable positive.
+    // Newton's method on the logarithm keeps the gamma variable positive.
     let k = 4.0 / (g * g);
     let wilson_hilferty = (1.0 - g * g / 36.0 + g / 6.0 * z).max(0.05);
     let mut log_x = (k * wilson_hilferty.powi(3)).ln();

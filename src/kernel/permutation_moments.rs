@@ -5,11 +5,11 @@
 //! approximations to permutation tests for multivariate inference", Computational Statistics &
 //! Data Analysis 20 (1995) 643–656; J. Josse, J. Pagès, F. Husson, "Testing the significance of
 //! the RV coefficient", same journal 53 (2008) 82–91, print them in the form used here. A test
-//! compares them with sums over all permutations of 6 and 7 things.
+//! compares them with sums over all permutations of 6 and of 7 indices.
 
 use ndarray::Array2;
 
-/// The sums that the three moments need of a symmetric matrix W whose rows sum to zero.
+/// The sums over a symmetric matrix W, whose rows sum to zero, from which the moments follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CentredMoments {
     /// tr W
@@ -31,7 +31,7 @@ pub struct CentredMoments {
 }
 
 impl CentredMoments {
-    /// Sums of a symmetric matrix of shape (n, n) whose rows sum to zero. O(n³).
+    /// Computes the sums over a symmetric matrix of shape (n, n) whose rows sum to zero. O(n³).
     pub fn of(w: &Array2<f64>) -> Self {
         let square = w.dot(w);
         let diagonal = w.diag();
@@ -57,10 +57,10 @@ pub struct Moments {
     pub skewness: f64,
 }
 
-/// Moments of Σ Aᵢⱼ·B_π(i)π(j) over all permutations of n things, for centred matrices A and B.
+/// Moments of Σ Aᵢⱼ·B_π(i)π(j) over all permutations of n indices, for centred matrices A and B.
 ///
-/// The third moment divides by n − 5: for n = 5, where each of 120 permutations can be listed, the
-/// skewness is that of the gamma distribution with this mean and variance.
+/// The exact third moment divides by n − 5. So for n ≤ 5 the skewness is that of the gamma
+/// distribution with this mean and variance.
 #[inline]
 pub fn permutation_moments(n: usize, a: &CentredMoments, b: &CentredMoments) -> Moments {
     debug_assert!(n > 3);

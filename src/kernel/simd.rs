@@ -1,9 +1,8 @@
-//! The one place with intrinsics: Gaussian sums on AVX-512. Safe twin: `sum_f32` in
-//! [`super::sums`], against which this is tested.
+//! Gaussian sums with AVX-512 intrinsics, tested against `sum_f32` in [`super::sums`] in safe Rust.
 //!
-//! Per evaluation 2^(−q/16), q the squared distance: adding 1.5·2²³ rounds −q to a whole number N
-//! of sixteenths; 2^(N/16) is a table of 16 and an exponent; the rest, |f| ≤ ½ sixteenth, is a cubic,
-//! below 3e-9 before rounding.
+//! To evaluate 2^(−q/16), q the squared distance, −q is rounded to an integer N by adding 1.5·2²³.
+//! 2^(N/16) comes from a table of 16 values and an exponent. For the rest f, |f| ≤ ½, 2^(f/16) is a
+//! cubic polynomial, with an error below 3e-9 before rounding.
 
 #![cfg(target_arch = "x86_64")]
 
@@ -11,14 +10,14 @@ use std::arch::x86_64::*;
 
 use super::sums::LANES;
 
-/// Largest squared distance, in the units of this module, that needs no care: 2^(−2016/16) still is
-/// a normal number.
+/// Squared distances are cut off here, in the units of this module: 2^(−2016/16) is the smallest
+/// power that is a normal f32.
 const REACH: f32 = 2016.0;
 const ROUND: f32 = 12_582_912.0;
 /// 2^(f/16) ≈ 1 + f·(CUBIC[0] + f·(CUBIC[1] + f·CUBIC[2])) on [−½, ½].
 const CUBIC: [f32; 3] = [4.332_17e-2, 9.384_11e-4, 1.354_99e-5];
 
-/// Bits of 2^(j/16), less what the shifted N adds to them.
+/// Bits of 2^(j/16), minus the j·2¹⁹ that adding the shifted N contributes.
 static TABLE: [u32; 16] = [
     0x3f80_0000,
     0x3f7d_aac3,
@@ -46,8 +45,8 @@ pub(super) fn is_available() -> bool {
 /// Coordinates, channel by channel, each slice padded to whole blocks of [`LANES`].
 pub(super) type Points<'a, const C: usize> = [&'a [f32]; C];
 
-/// Σᵢⱼ 2^(−‖aᵢ − bⱼ‖²/16) over rows i of `a` and columns j of `b`. With `SELF`, a and b are one:
-/// blocks right of the diagonal count twice, and those left of it are left out.
+/// Σᵢⱼ 2^(−‖aᵢ − bⱼ‖²/16) over points i < `rows` of `a` and all j of `b`. With `SELF`, a and b are
+/// the same points: blocks right of the diagonal count twice, those left of it are skipped.
 ///
 /// # Safety
 /// The machine must have AVX-512F and AVX-512DQ: see [`is_available`].
@@ -70,8 +69,8 @@ pub(super) unsafe fn sum<const C: usize, const SELF: bool>(
     _mm512_reduce_add_pd(total)
 }
 
-/// `R` rows at once, which all lie in one block: their sums stay in registers, in f32, and go over
-/// to f64 at the end of the row.
+/// Sums `R` rows at once, all within one block. The sums stay in f32 registers until the end of the
+/// rows, and are then converted to f64.
 #[target_feature(enable = "avx512f,avx512dq")]
 #[inline]
 fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
@@ -86,7 +85,7 @@ fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
     if SELF {
         let diagonal = row / LANES;
         add_block::<C, R>(&mut sums, &at, b, diagonal);
-        // Halved, since all is doubled below.
+        // Halved, since the total is doubled below.
         sums = sums.map(|sum| _mm512_mul_ps(sum, _mm512_set1_ps(0.5)));
         block = diagonal + 1;
     }
@@ -103,7 +102,7 @@ fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
     if SELF { _mm512_add_pd(total, total) } else { total }
 }
 
-/// A block of some channel.
+/// Loads the block of this number from a channel.
 #[target_feature(enable = "avx512f,avx512dq")]
 #[inline]
 fn load(channel: &[f32], block: usize) -> __m512 {
@@ -138,7 +137,7 @@ fn add_kernel<const C: usize>(sum: __m512, at: &[__m512; C], other: &[__m512; C]
     }
     power = _mm512_max_ps(power, set(-REACH));
     let n = _mm512_castps_si512(_mm512_add_ps(set(ROUND), power));
-    // The part that rounding took away.
+    // The difference to the rounded value.
     let f = _mm512_reduce_ps::<0>(power);
     // SAFETY: the pointer is that of an array of 16 u32, all of which are read, unaligned.
     let table = unsafe { _mm512_loadu_si512(TABLE.as_ptr().cast()) };

@@ -1,29 +1,30 @@
-//! Gaussian kernel sums over lanes, in f32 and in f64: the fast twins of [`kernel_sum`](super::kernel_sum).
+//! Gaussian kernel sums with vector instructions, in f32 and f64: fast versions of
+//! [`kernel_sum`](super::kernel_sum).
 //!
-//! Coordinates are centred and scaled in f64 before they are rounded, so the kernel is 2^(−q/16) of
-//! small numbers q. In f32 on AVX-512 intrinsics sum it (module `simd`), in half the time; elsewhere a
-//! polynomial that the compiler vectorises, for AVX2 with FMA, for NEON, or for what the target has.
-//! Lanes add up one row at a time and rows in f64. Sums never are NaN.
+//! Coordinates are centred and scaled in f64 before they are rounded, so that the kernel is
+//! 2^(−q/16), q a squared distance. In f32 on AVX-512, intrinsics (module `simd`) sum it in half
+//! the time; elsewhere the compiler vectorises a polynomial, with AVX2 and FMA or NEON if possible.
+//! The kernel values of a row are added in 16 lanes, the rows in f64. A sum is never NaN.
 //!
-//! Relative error of a sum in f32, beside that of the coordinates: below 3e-7 for every single kernel
-//! value 2^(−q/16), with 4e-9·q more far out; of changing sign, so that sums over spread-out samples
-//! are good to 2e-7 (tested). Of a sum in f64, at a tenth of the speed: below 1e-14 (tested).
+//! Relative error in f32, besides that of rounding coordinates: below 3e-7 + 4e-9·q for one kernel
+//! value. Its sign varies, so sums over spread-out samples are good to 2e-7. In f64, at a tenth of
+//! the speed: below 1e-14. Tests pin these bounds.
 
 use std::ops::{Add, Mul, Sub};
 
 use multiversion::multiversion;
 use multiversion::target::target_cfg_f;
 
-/// Values that are worked on together.
+/// Number of values computed together.
 pub(super) const LANES: usize = 16;
 
-/// The numbers that a sum is made in.
+/// The number type in which a sum is computed.
 pub trait Number:
     Copy + Default + Into<f64> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {
-    /// A coordinate so far away that the kernel vanishes; its square still is a number.
+    /// Padding: a coordinate so far away that the kernel vanishes; its square is still finite.
     const FAR: Self;
-    /// Points lie no farther than this from the centre, so none meets the filling.
+    /// Coordinates are clamped to this distance from the centre, so none comes near the padding.
     const FARTHEST: f64;
 
     /// The number nearest to `x`.
@@ -35,7 +36,8 @@ pub trait Number:
     /// 2^(−q/16) for q ≥ 0.
     fn kernel<const FUSED: bool>(q: Self) -> Self;
 
-    /// The sum over all pairs, with the best instructions of this machine.
+    /// The kernel sum over all pairs, with the best instructions of this machine. `of_self` says
+    /// that `a` and `b` are the same points.
     fn sum(a: &Points<Self>, b: &Points<Self>, of_self: bool) -> f64;
 }
 
@@ -52,10 +54,10 @@ impl Number for f32 {
         a.mul_add(b, c)
     }
 
-    /// Relative error below 2e-7, and 0 for q > 2016 to within 2e-38.
+    /// Relative error below 2e-7 for q ≤ 2016; beyond, about 1e-38 in place of smaller values.
     #[inline(always)]
     fn kernel<const FUSED: bool>(q: Self) -> Self {
-        // Adding 1.5·2²⁷ rounds to a multiple of 16, whose sixteenth then stands in the low bits.
+        // Adding 1.5·2²⁷ rounds y to a multiple of 16; a sixteenth of it is then in the low bits.
         const ROUND: f32 = 201_326_592.0;
         // Minimax polynomial for 2^f on [−½, ½], with the constant term held at 1.
         const MINIMAX: [f32; 7] = [
@@ -112,12 +114,12 @@ impl Number for f64 {
     }
 }
 
-/// 2^(−x) for x ≥ 0; relative error below 1e-15·(1 + x), and 0 for x > 1000 to within 1e-300.
+/// 2^(−x) for x ≥ 0; relative error below 1e-15·(1 + x) for x ≤ 1000, beyond that below 1e-300.
 #[inline(always)]
 pub(super) fn exp2_of_minus<const FUSED: bool>(x: f64) -> f64 {
-    // Adding 1.5·2⁵² rounds to an integer, which then stands in the low bits of the sum.
+    // Adding 1.5·2⁵² rounds y to an integer, which is then in the low bits of the sum.
     const ROUND: f64 = 6_755_399_441_055_744.0;
-    // Terms of the exponential series in f·ln 2, |f| ≤ ½: the first left out is 4e-17.
+    // Coefficients of the series of 2^f, |f| ≤ ½: the first term left out is below 1e-17.
     const SERIES: [f64; 14] = [
         1.0,
         std::f64::consts::LN_2,
@@ -153,7 +155,7 @@ fn multiply_add<T: Number, const FUSED: bool>(a: T, b: T, c: T) -> T {
     if FUSED { T::fused(a, b, c) } else { a * b + c }
 }
 
-/// Points to sum over: channel after channel, centred, scaled, and filled up to whole lanes.
+/// Points to sum over: centred and scaled, one channel after another, each padded to whole lanes.
 #[derive(Clone, Debug, Default)]
 pub struct Points<T> {
     points: usize,
@@ -162,7 +164,7 @@ pub struct Points<T> {
 }
 
 impl<T: Number> Points<T> {
-    /// Refills with points for a kernel of length scale `sigma`: `of_channel` gives the unscaled,
+    /// Replaces the points, for a kernel of length scale `sigma`: `of_channel` gives the unscaled,
     /// centred coordinates of all points in one channel.
     ///
     /// # Panics
@@ -207,7 +209,7 @@ impl<T: Number> Points<T> {
         T::sum(self, other, false)
     }
 
-    /// The same over all pairs of these points, for little more than half the work.
+    /// The kernel sum over all pairs of these points, for little more than half the work.
     pub fn self_sum(&self) -> f64 {
         T::sum(self, self, true)
     }
@@ -221,7 +223,7 @@ macro_rules! dispatched_sum {
             "aarch64+neon"
         ))]
         fn $name(a: &Points<$number>, b: &Points<$number>, of_self: bool) -> f64 {
-            // A fused multiplication where there is one; elsewhere it would be a call.
+            // Without an instruction for it, a fused multiplication would be a slow library call.
             if target_cfg_f!(any(target_feature = "fma", target_feature = "neon")) {
                 by_channels::<$number, true>(a, b, of_self)
             } else {
@@ -238,13 +240,13 @@ fn by_intrinsics<const C: usize>(a: &Points<f32>, b: &Points<f32>, of_self: bool
     use super::simd::{is_available, sum};
     assert!(is_available(), "a machine with AVX-512");
     let (from, rows, to) = (a.slices::<C>(), a.points, b.slices::<C>());
-    // SAFETY: the machine has what `sum` asks for, as `is_available` has just found.
+    // SAFETY: `is_available` has just found the instructions that `sum` requires.
     unsafe {
         if of_self { sum::<C, true>(from, rows, to) } else { sum::<C, false>(from, rows, to) }
     }
 }
 
-/// Each number of channels is a constant where it is inlined, so that its loop is unrolled.
+/// Calls `sum` with a constant number of channels, so that the compiler unrolls its inner loop.
 #[inline(always)]
 fn by_channels<T: Number, const FUSED: bool>(a: &Points<T>, b: &Points<T>, of_self: bool) -> f64 {
     match a.channels {
@@ -256,7 +258,7 @@ fn by_channels<T: Number, const FUSED: bool>(a: &Points<T>, b: &Points<T>, of_se
     }
 }
 
-/// Row by row; of one set, blocks right of the diagonal count twice.
+/// The kernel sum, row by row. With `of_self`, blocks right of the diagonal count twice.
 #[inline(always)]
 fn sum<T: Number, const FUSED: bool>(
     a: &Points<T>,
@@ -312,12 +314,12 @@ mod tests {
     use crate::kernel::kernel_sum;
     use ndarray::Array2;
 
-    /// The length scale at which coordinates are taken as they are.
+    /// The length scale at which [`Points::fill`] leaves coordinates unscaled.
     fn unit() -> f64 {
         (8.0 * std::f64::consts::LOG2_E).sqrt()
     }
 
-    /// Points on a lattice or spread out, deterministic.
+    /// Repeatable points, spread evenly or, with `step` > 0, on a lattice.
     fn lanes(points: usize, channels: usize, spread: f64, step: f64) -> Points<f32> {
         let mut lanes = Points::default();
         lanes.fill(channels, unit(), |c| {
@@ -329,7 +331,7 @@ mod tests {
         lanes
     }
 
-    /// The definition, in f64, on the very coordinates that were filled in.
+    /// The definition, in f64, on the coordinates as stored.
     fn plain_sum(a: &Points<f32>, b: &Points<f32>) -> f64 {
         let mut total = 0.0;
         for i in 0..a.points {
@@ -346,7 +348,7 @@ mod tests {
         total
     }
 
-    /// With the best instructions of this machine, as the compiler vectorises it, and without fused
+    /// The sum with this machine's best instructions, vectorised by the compiler, and without fused
     /// multiplications.
     fn sums(a: &Points<f32>, b: &Points<f32>) -> [f64; 3] {
         [a.sum(b), sum_f32(a, b, false), by_channels::<f32, false>(a, b, false)]
@@ -410,7 +412,7 @@ mod tests {
     #[test]
     fn sums_over_spread_out_points_are_good_to_2e_7() {
         for channels in 1..=4 {
-            // At 400 but a few pairs are in reach, and errors hardly average out.
+            // At a spread of 400 only a few pairs are near, and errors hardly average out.
             for (spread, bound) in
                 [(3.0, 2e-7), (9.0, 2e-7), (14.0, 2e-7), (30.0, 2e-7), (400.0, 6e-7)]
             {

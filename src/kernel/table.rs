@@ -1,13 +1,13 @@
-//! K(y, y) as a function of the length scale: summed at a few, read off between them.
+//! A table of K(y, y), the mean kernel value within one trial's samples, against the length scale:
+//! computed at a few length scales, interpolated between them.
 //!
 //! The mean of exp(−d²/(2σ²)) over pairs is an entire function of ln σ, so its interpolation at
 //! Chebyshev nodes converges faster than any power. [`NODES`] nodes over a [`FOLD`]-fold range keep
-//! n·MMD² within 3e-5; how well they do is read off the last coefficients, and where that is not
-//! well enough there is no table.
+//! n·MMD² within 3e-5. The last coefficients estimate the error; no table is made if it is large.
 
-/// Length scales at which the sum is computed.
+/// Number of length scales at which the mean is computed.
 pub const NODES: usize = 32;
-/// The range: from the middle divided by √64 to the middle times √64.
+/// Ratio of the range's ends: it extends from the middle divided by √64 to the middle times √64.
 pub const FOLD: f64 = 64.0;
 
 /// Mean kernel value over all pairs of one set, by length scale.
@@ -15,13 +15,13 @@ pub const FOLD: f64 = 64.0;
 pub struct SelfMean {
     /// ln of the length scale in the middle.
     middle: f64,
-    /// At the Chebyshev nodes of the first kind, the largest length scale first.
+    /// Means at the Chebyshev nodes of the first kind, for the largest length scale first.
     values: [f64; NODES],
 }
 
 impl SelfMean {
-    /// Tabulates `mean`, the mean kernel value at a length scale, around `sigma`; nothing if an
-    /// error of more than `tolerance` is to be feared.
+    /// Tabulates `mean`, the mean kernel value at a length scale, around `sigma`. Returns `None` if
+    /// the estimated error exceeds `tolerance`.
     pub fn new(sigma: f64, tolerance: f64, mut mean: impl FnMut(f64) -> f64) -> Option<Self> {
         let middle = sigma.ln();
         let values = std::array::from_fn(|k| mean((middle + half_range() * angle(k).cos()).exp()));
@@ -29,7 +29,7 @@ impl SelfMean {
         (table.middle.is_finite() && table.last_coefficients() <= tolerance).then_some(table)
     }
 
-    /// The mean at a length scale; nothing outside the range.
+    /// The mean at a length scale; `None` outside the range.
     ///
     /// Barycentric interpolation (Berrut & Trefethen 2004, Eq. 5.3).
     pub fn at(&self, sigma: f64) -> Option<f64> {
@@ -49,8 +49,8 @@ impl SelfMean {
         Some(above / below)
     }
 
-    /// Sum of the sizes of the last three Chebyshev coefficients: they fall off so fast that those
-    /// left out are smaller.
+    /// Sum of the magnitudes of the last three Chebyshev coefficients. They fall off so fast that
+    /// this bounds the sum of all further ones.
     fn last_coefficients(&self) -> f64 {
         let coefficient = |j: usize| {
             let term = |(k, value): (usize, &f64)| value * (j as f64 * angle(k)).cos();

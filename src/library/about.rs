@@ -1,4 +1,4 @@
-//! `trial.toml`: what is known of one recorded trial beside its data.
+//! `trial.toml`: surface, user, start, notes and devices of one recorded trial.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,28 +15,28 @@ pub(crate) const FILE: &str = "trial.toml";
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct About {
-    /// The label, where the folder's name is not it.
+    /// The label of the surface; without it, the folder's name is the label.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub surface: Option<String>,
     /// Who moved the stylus.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub user: Option<String>,
-    /// Number of the repetition, where the folder's name does not end with it.
+    /// Number of the repetition; without it, the number at the end of the folder's name.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trial: Option<u32>,
     /// When the recording began, as a TOML date or any text.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "date_or_text")]
     pub started_at: Option<String>,
-    /// For people.
+    /// Free text, for people to read.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
-    /// Made by a generator, not recorded.
+    /// Whether a generator made the trial.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub synthetic: bool,
-    /// Cut short, for example by a loss of power: not to be compared with.
+    /// Whether the recording was cut short, for example by a power cut; such trials are skipped.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub incomplete: bool,
-    /// When the tap and the drag were, as older versions noted it: kept as it stands, and not used.
+    /// Times of tap and drag, as older versions wrote them: kept in the file, but not used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scan: Option<toml::Table>,
     /// The device of each source.
@@ -56,7 +56,7 @@ fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<Stri
 }
 
 impl About {
-    /// Reads `trial.toml` of a trial's folder; without one, all is as if it were empty.
+    /// Reads `trial.toml` in a trial's folder; a missing file counts as an empty one.
     ///
     /// # Errors
     /// With the line, if the file is not TOML, has an unknown key or an impossible value.
@@ -70,7 +70,7 @@ impl About {
         }
     }
 
-    /// The file's text, in the form that [`About::read`] takes.
+    /// The text of a `trial.toml` that [`About::read`] reads.
     pub fn to_toml(&self) -> String {
         // Strings, numbers and tables: nothing here that TOML cannot express.
         toml::to_string(self).expect("what is known of a trial is plain TOML")

@@ -11,11 +11,11 @@ pub struct Unreadable {
     /// Index of the trial among the entries.
     pub entry: usize,
     pub source: SourceId,
-    /// Why.
+    /// Why it cannot be read.
     pub error: LibraryError,
 }
 
-/// Reads every source of every trial, and gives those that cannot be read, in order.
+/// Reads every source of every trial, and returns those that cannot be read, in order of trials.
 pub fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
     let of_entry = |(at, entry): (usize, &Entry)| {
         let read = |source: &SourceId| {
@@ -27,7 +27,7 @@ pub fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
     entries.par_iter().enumerate().flat_map_iter(of_entry).collect()
 }
 
-/// The trials without those sources; a trial of which nothing is left goes.
+/// The `entries` without the `unreadable` sources; trials that lose all sources are dropped.
 pub fn without(mut entries: Vec<Entry>, unreadable: &[Unreadable]) -> Vec<Entry> {
     for Unreadable { entry, source, .. } in unreadable {
         entries[*entry].sources.retain(|id| id != source);

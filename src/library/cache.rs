@@ -8,9 +8,9 @@
 //! "surfaced cache"  version u16   key u64
 //! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
 //! ```
-//! `key` stands for the settings that the trials were prepared with, `stamp` for the files of a
-//! trial: device, inode, size and times of change; of a model, for those of all its trials. Whatever
-//! is wrong with the file, the answer is that it holds less: never an error, at most a remark.
+//! `key` identifies the settings that the trials were prepared with, `stamp` the files that a
+//! record comes from (by device, inode, size and times of change): those of one trial, or for a
+//! model those of all trials. Damaged parts count as missing: never an error, at most a remark.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -33,9 +33,9 @@ const CHECKSUM: u64 = 4;
 const LONGEST_NAME: u32 = 1 << 16;
 /// Largest record in bytes that is read: a sparse file may claim any number.
 const LARGEST_RECORD: u64 = 1 << 30;
-/// How the name of a file ends that is being written; its writer holds a lock on it.
+/// Suffix of a file that is still being written; its writer holds a lock on it.
 const UNFINISHED: &str = ".unfinished";
-/// A file that nobody has locked for so long was left by a writer that was killed.
+/// An unlocked unfinished file of this age was left by a writer that was killed.
 const ABANDONED: Duration = Duration::from_secs(60);
 
 /// The content of a cache file; its records are read when they are wanted.
@@ -43,7 +43,7 @@ const ABANDONED: Duration = Duration::from_secs(60);
 pub struct Cache {
     path: PathBuf,
     key: u64,
-    /// It is replaced, never changed.
+    /// The file is replaced as a whole, never changed, so an open one stays valid.
     file: Option<File>,
     records: BTreeMap<String, Place>,
 }
@@ -60,7 +60,7 @@ struct Place {
 /// One trial to be stored.
 pub(crate) struct Record<'a> {
     pub name: String,
-    /// Stands for the files that it was prepared from.
+    /// Identifies the files that it was prepared from.
     pub stamp: u64,
     /// Its content.
     pub bytes: Cow<'a, [u8]>,
@@ -114,7 +114,7 @@ impl Cache {
         }
     }
 
-    /// The bytes stored under a name, if they are whole and their stamp is this one.
+    /// The bytes stored under a name, if they are undamaged and were stored with this stamp.
     pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
         let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
         if place.length > LARGEST_RECORD {
@@ -142,7 +142,7 @@ impl Cache {
         let folder = self.path.parent().unwrap_or(Path::new("."));
         let name = self.path.file_name().unwrap_or_default();
         remove_abandoned(folder, &name.to_string_lossy());
-        // Two programs may do so at once: each writes a file of its own.
+        // Two programs may write at once: each writes a file of its own.
         let unfinished = tempfile::Builder::new()
             .prefix(&[name, OsStr::new(".")].join(OsStr::new("")))
             .rand_bytes(16)
@@ -166,9 +166,9 @@ impl Cache {
     }
 }
 
-/// Removes what writers of the cache `name` left behind that were killed.
+/// Removes the unfinished files that killed writers of the cache `name` left behind.
 fn remove_abandoned(folder: &Path, name: &str) {
-    // Best effort, here and below: what stays costs room, and nothing else.
+    // Best effort, here and below: a file left behind only takes room.
     let Ok(items) = fs::read_dir(folder) else { return };
     for path in items.flatten().map(|item| item.path()) {
         let of_cache = |name_of: &str| name_of.starts_with(name) && name_of.ends_with(UNFINISHED);
@@ -185,7 +185,7 @@ fn remove_abandoned(folder: &Path, name: &str) {
     }
 }
 
-/// The bytes before those of a record.
+/// The header of a record, which precedes its bytes.
 fn head(name: &str, stamp: u64, length: u64) -> Vec<u8> {
     let mut head = (name.len() as u32).to_le_bytes().to_vec();
     head.extend(name.as_bytes());
@@ -201,7 +201,7 @@ fn checksum(head: &[u8], bytes: &[u8]) -> [u8; CHECKSUM as usize] {
     sum.finalize().to_le_bytes()
 }
 
-/// The record that begins at a place of a file of `length` bytes.
+/// The name and place of the record that begins at byte `at` of a file of `length` bytes.
 fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
     let mut name_length = [0; 4];
     read_exact_at(file, &mut name_length, at).ok()?;

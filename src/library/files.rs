@@ -117,7 +117,7 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     Ok(listed)
 }
 
-/// Said of a pipe, a socket or a device, which may never end.
+/// Message for a pipe, a socket or a device, whose data may never end.
 const SPECIAL: &str = "not used, it is neither a file nor a folder";
 
 /// Opens a regular file, and gives its length; anything else is refused at once.
@@ -142,7 +142,7 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
     let fail = |error| LibraryError::io(path, error);
     let (file, length) = open(path).map_err(fail)?;
     let mut bytes = Vec::with_capacity(length.min(most) as usize);
-    // It may grow while it is read.
+    // The file may grow while it is read.
     file.take(most + 1).read_to_end(&mut bytes).map_err(fail)?;
     match bytes.len() as u64 {
         0 => Err(LibraryError::file(path, EMPTY_FILE)),
@@ -157,10 +157,10 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
     }
 }
 
-/// Said of a file of zero bytes.
+/// Message for a file of zero bytes.
 pub(super) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
-/// The text of a description, or nothing if there is no such file; empty, if the file is.
+/// The text of a description; `None` if there is no such file, empty if the file is empty.
 ///
 /// # Errors
 /// If it cannot be read, is no regular file, is larger than 1 MiB or is not UTF-8.
@@ -216,7 +216,7 @@ mod tests {
         std::fs::write(&paths[0], [1; 10]).unwrap();
         let (before, at) = (stamp(), std::fs::metadata(&paths[0]).unwrap().modified().unwrap());
         assert_eq!(stamp(), before);
-        // Longer than the clock of a file system takes to turn.
+        // Longer than one tick of a file system's clock.
         std::thread::sleep(std::time::Duration::from_millis(50));
         std::fs::write(&paths[0], [2; 10]).unwrap();
         std::fs::File::options().write(true).open(&paths[0]).unwrap().set_modified(at).unwrap();
@@ -245,7 +245,7 @@ pub(crate) fn stamp<'a>(
     Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
 }
 
-/// A number for the program that runs: another one after it is built or installed anew.
+/// A hash that identifies the running program: another one after it is built or installed anew.
 pub(crate) fn program_stamp() -> Option<u64> {
     Some(seed::stable_hash(&[&file_stamp(&std::env::current_exe().ok()?)?]))
 }

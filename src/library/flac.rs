@@ -1,4 +1,4 @@
-//! Reading FLAC files: what the header promises, checked against what is there.
+//! Reads FLAC files, and checks that they hold as many samples as their headers say.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -34,7 +34,7 @@ pub(super) fn read(path: &Path) -> Result<Series, LibraryError> {
         .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
 }
 
-/// Decoders are large and may panic on hostile input; nothing outlives `work`.
+/// Large decoders may panic on hostile input; nothing that `work` changes outlives it.
 fn guarded<T>(
     path: &Path,
     work: impl FnOnce() -> Result<T, LibraryError>,
@@ -85,7 +85,7 @@ fn decode(path: &Path) -> Result<(Header, Vec<f32>), LibraryError> {
     while let Some(packet) = reader.next_packet().map_err(failed)? {
         let decoded = decoder.decode(&packet).map_err(failed)?;
         decoded.copy_to_vec_interleaved(&mut block);
-        // The decoder puts samples of fewer bits into the upper ones.
+        // The decoder left-aligns samples in 32 bits, however few bits they have.
         samples.extend(block.iter().map(|&value| (f64::from(value) / 2f64.powi(31)) as f32));
         if samples.len() > promised {
             return Err(damaged(path, "it is longer than its header says"));

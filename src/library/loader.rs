@@ -32,7 +32,7 @@ pub(crate) enum SourceFiles {
 pub(crate) struct FileTrial {
     pub key: TrialKey,
     pub sources: BTreeMap<SourceId, SourceFiles>,
-    /// The folder of the trial, in the recording format.
+    /// The trial's own folder; `None` for files without one.
     pub folder: Option<PathBuf>,
 }
 
@@ -119,7 +119,7 @@ impl SourceFiles {
     }
 }
 
-/// Refuses samples whose squares do not fit into f32: they would spoil every mean of a library.
+/// Refuses samples whose squares may overflow f32, which would spoil every mean over a library.
 fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
     const MOST: f32 = 1e18;
     let Some(at) = series.samples().iter().position(|x| x.abs() > MOST) else { return Ok(()) };
@@ -139,11 +139,11 @@ fn mixed_down(series: &Series) -> Result<Series, SignalError> {
     Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
 }
 
-/// Checks headers while a library is opened: channels and rates as described.
+/// Checks, while a library is opened, that headers have the channels and rates described.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
     first: BTreeMap<SourceId, (f64, PathBuf)>,
-    /// The lowest rate in Hz of each source that has one too low for a band that nobody declared.
+    /// The lowest rate in Hz of each source with files whose rate is too low for its default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,
     remarks: Vec<(PathBuf, String)>,
 }

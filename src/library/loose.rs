@@ -1,29 +1,29 @@
 //! Recordings without trial folders, as people have them: `oak/scan 1.wav`, `oak/scan 2.wav`, …
 //!
-//! Each file is a trial of one source. A name that begins with a source's, such as `mi2_03.wav`, is
-//! of that source, and files of one surface and number are one trial. Other names are of the only
-//! source that `library.toml` describes, or else the sound of a drag. The number at the end of the
-//! name is that of the trial, as long as every file has one of its own; else files are counted in
-//! the order of their names.
+//! Each file holds one source of a trial. A name that begins with the name of a source, such as
+//! `mi2_03.wav`, selects that source. Any other file holds the only source that `library.toml`
+//! describes, or else the sound of a drag. The number at the end of the name is the trial's, if
+//! every name ends with one and no source has a number twice; else files are counted in order of
+//! their names. Files of one surface and number are one trial.
 
 use std::collections::BTreeSet;
 
 use crate::scene::{Scene, SourceId};
 
-/// The source of a file without any hint.
+/// The source of a file if neither its name nor `library.toml` selects another.
 const USUAL: &str = "mi2";
 
-/// The source and number of one file.
+/// The source and trial number of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FilePlace {
     pub source: SourceId,
     pub number: u32,
-    /// Whether its name says nothing of its source.
+    /// Whether the file's name does not begin with the name of a source.
     pub guessed: bool,
 }
 
-/// Places for files by their names without extension, in that order. `only` is the one source that
-/// the library describes itself; numbers in `taken` belong to other trials of the surface.
+/// Sources and numbers of the files called `names` (without extension), in this order. `only` is
+/// the only source that `library.toml` describes; numbers in `taken` belong to other trials.
 pub(super) fn places(
     names: &[&str],
     scene: &Scene,
@@ -39,13 +39,13 @@ pub(super) fn places(
     numbers.into_iter().enumerate().map(place).collect()
 }
 
-/// The remark on files that were read as `source`.
+/// The remark on files that were read as `source` because their names select none.
 pub(super) fn remark(source: &SourceId) -> String {
     let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
     format!("read as {what} (`{source}`); begin the file name with another source to change that")
 }
 
-/// The source whose name a file's begins with, before anything that is no letter or digit.
+/// The source with the longest name that starts `name` and is not followed by a letter or digit.
 fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
     let begins = |id: &str| {
         let rest = name.strip_prefix(id)?;

@@ -29,12 +29,12 @@ use crate::trial::{Signal, SignalError, Trial, TrialKey};
 /// Why a trial or a library cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// the file system said no
+    /// the file system refused
     #[error("{}: {error}", path.display())]
     Io {
         /// the file or folder
         path: PathBuf,
-        /// what the file system said
+        /// its error
         error: std::io::Error,
     },
     /// a file that does not hold what it should
@@ -85,11 +85,11 @@ pub struct Outline {
     pub frames: usize,
 }
 
-/// The outline of each source of a trial that is a series.
+/// The outline of each series among the sources of a trial.
 pub type Outlines = BTreeMap<SourceId, Outline>;
 
 impl Outline {
-    /// That of a signal; `None` for a picture.
+    /// The outline of a signal; `None` for a picture.
     fn of(signal: &Signal) -> Option<Self> {
         let Signal::Series(series) = signal else { return None };
         let (rate_hz, channels) = (series.rate_hz(), series.channels());
@@ -102,14 +102,14 @@ impl Outline {
     }
 }
 
-/// All errors, a line each.
+/// All errors as one text: their count, then one line each.
 fn list(errors: &[LibraryError]) -> String {
     let lines = errors.iter().map(|error| format!("\n  {error}"));
     format!("{} files cannot be used:{}", errors.len(), lines.collect::<String>())
 }
 
 impl LibraryError {
-    /// The file or folder that it is about, if it is about one.
+    /// The file or folder that the error is about; `None` for errors of several files.
     pub(crate) fn path(&self) -> Option<&Path> {
         match self {
             Self::Io { path, .. }
@@ -121,7 +121,7 @@ impl LibraryError {
         }
     }
 
-    /// Errors of several files as one, if there are any.
+    /// Turns errors of several files into one; `None` if there are none.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
             0 | 1 => errors.pop(),
@@ -130,12 +130,12 @@ impl LibraryError {
     }
 }
 
-/// A library as far as it can be used, and why the rest of it cannot.
+/// The usable part of a library, and the reasons why other parts cannot be used.
 #[derive(Debug)]
 pub struct Opened {
     /// The part that can be used.
     pub library: Library,
-    /// Files and trials that cannot be, one error each.
+    /// One error for each file or trial that cannot be used.
     pub bad: Vec<LibraryError>,
 }
 
@@ -143,7 +143,7 @@ impl Opened {
     /// The library, if all of it can be used.
     ///
     /// # Errors
-    /// All errors at once, if some cannot be.
+    /// All errors at once, if any file or trial cannot be used.
     pub fn whole(self) -> Result<Library, LibraryError> {
         LibraryError::of_all(self.bad).map_or(Ok(self.library), Err)
     }
@@ -151,13 +151,13 @@ impl Opened {
 
 /// Something that can produce one trial: files on disk, a generator, memory.
 pub trait LoadTrial: Send + Sync + fmt::Debug {
-    /// Reads those sources of the trial that are wanted; those it lacks are no error.
+    /// Reads the `wanted` sources of the trial; sources that the trial lacks are skipped.
     ///
     /// # Errors
     /// If one of them cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
 
-    /// The outlines of those sources that are wanted; `None` if reading the trial is no dearer.
+    /// The outlines of the `wanted` sources; `None` if they cost no less than reading the trial.
     ///
     /// # Errors
     /// If a file cannot be read.
@@ -165,8 +165,8 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         Ok(None)
     }
 
-    /// A number that changes whenever what would be loaded does, if that can be known without
-    /// reading it.
+    /// A number that changes whenever the data of the `wanted` sources change; `None` if that
+    /// cannot be known without reading them.
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }
@@ -180,7 +180,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
 #[derive(Debug)]
 struct InMemory {
     trial: Arc<Trial>,
-    /// The entry that it was read from, if it was.
+    /// The entry that the trial was read from, if any.
     from: Option<Entry>,
 }
 
@@ -200,7 +200,7 @@ impl LoadTrial for InMemory {
     }
 }
 
-/// An entry whose trial is changed after loading: cut short, say.
+/// An entry whose trial is changed after each load, for example cut short.
 struct Changed<F> {
     entry: Entry,
     change: F,
@@ -229,7 +229,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// An entry that `loader` will produce.
+    /// An entry whose trial `loader` will read.
     pub fn new(key: TrialKey, mut sources: Vec<SourceId>, loader: Arc<dyn LoadTrial>) -> Self {
         sources.sort();
         Self { key, sources, loader }
@@ -242,14 +242,14 @@ impl Entry {
         Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory { trial, from: None }) }
     }
 
-    /// This entry with its trial in memory, which has been read.
+    /// This entry with its trial held in memory; `trial` is what the entry has loaded.
     pub(crate) fn held(self, trial: Arc<Trial>) -> Self {
         let (key, sources) = (self.key.clone(), self.sources.clone());
         Self { key, sources, loader: Arc::new(InMemory { trial, from: Some(self) }) }
     }
 
-    /// The trial's place in a library, as `surfaced library` takes it: `SURFACE/TRIAL`, or its first
-    /// file `SURFACE/FILE.wav`; its label, user and number where it is not on disk.
+    /// The trial's name in `surfaced library`: `SURFACE/TRIAL`, or its first file
+    /// `SURFACE/FILE.wav` if it has no folder; label, user and number if it is not on disk.
     pub(crate) fn name_in(&self, library: &Path) -> String {
         let first = self.places().first().map(|place| files::name_within(library, place));
         first.unwrap_or_else(|| self.key.to_string())
@@ -261,7 +261,7 @@ impl Entry {
         self
     }
 
-    /// This entry with `change` done to its trial whenever it is loaded.
+    /// This entry, with `change` applied to its trial at each load.
     pub fn changed(self, change: impl Fn(Trial) -> Trial + Send + Sync + 'static) -> Self {
         let (key, sources) = (self.key.clone(), self.sources.clone());
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
@@ -273,7 +273,7 @@ impl Entry {
         Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
     }
 
-    /// This entry with one of its sources.
+    /// This entry, reduced to one of its sources.
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }
@@ -297,13 +297,13 @@ impl Entry {
         }
     }
 
-    /// A number that changes whenever the trial does, if that can be known without reading it.
+    /// A number that changes whenever the trial's data change, if known without reading them.
     pub fn stamp(&self) -> Option<u64> {
         self.loader.stamp(&self.sources)
     }
 
-    /// The paths that hold the trial and nothing else, sorted: its folder, or its files where it has
-    /// none. Empty for a trial that is not on disk.
+    /// The paths that hold the trial and nothing else, sorted: its folder, or its files if it has
+    /// no folder of its own. Empty for a trial that is not on disk.
     pub fn places(&self) -> Vec<&Path> {
         self.loader.places()
     }
@@ -315,18 +315,18 @@ impl Entry {
     }
 }
 
-/// Labelled trials and what their sources are.
+/// Labelled trials, and the description of their sources.
 #[derive(Clone, Debug)]
 pub struct Library {
-    /// Its name, to be shown.
+    /// Its name, for people.
     pub name: String,
-    /// The sources: the defaults, and those that the library itself describes.
+    /// The sources: the defaults, and those described in the library itself.
     pub scene: Scene,
     /// The trials, sorted by key.
     pub entries: Vec<Entry>,
-    /// Made by a generator, not recorded: said wherever its numbers appear.
+    /// Whether a generator made the trials; then every report of their numbers says so.
     pub synthetic: bool,
-    /// Remarks on what was missing or passed over while it was opened, a line each.
+    /// Remarks on what was missing or skipped when the library was opened, one line each.
     pub remarks: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Reading PNG and JPEG pictures.
+//! Reads PNG and JPEG pictures.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,10 +10,10 @@ use super::{LibraryError, files};
 use crate::jpeg;
 use crate::trial::{Image, SignalError};
 
-/// No picture of a surface needs more; a hostile header may promise anything.
+/// Limits of side (in pixels) and memory (in bytes): a hostile header may promise anything.
 const MAX_SIDE: u32 = 1 << 14;
 const MAX_BYTES: u64 = 1 << 28;
-/// Largest file of a picture in bytes.
+/// Largest picture file, in bytes.
 const MOST_FILE: u64 = 1 << 26;
 
 /// Reads a picture of 320 × 480 pixels, or one that lies on its side.
@@ -35,7 +35,7 @@ pub(crate) fn read(path: &Path) -> Result<Image, LibraryError> {
     if jpeg::is_cut_short(&bytes) {
         return Err(damaged("it is truncated".into()));
     }
-    // Decoders are large and may panic on hostile input; nothing outlives the closure.
+    // Large decoders may panic on hostile input; nothing that the closure changes outlives it.
     match catch_unwind(AssertUnwindSafe(|| decode(&bytes))) {
         Ok(Ok(Ok(picture))) => {
             let (width, height) = (picture.width() as usize, picture.height() as usize);
@@ -47,7 +47,7 @@ pub(crate) fn read(path: &Path) -> Result<Image, LibraryError> {
     }
 }
 
-/// The picture, or the size that makes decoding pointless.
+/// The decoded picture; the inner error is a wrong size, found before anything is decoded.
 fn decode(bytes: &[u8]) -> Result<Result<DynamicImage, SignalError>, ImageError> {
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
     let mut limits = Limits::default();

@@ -1,4 +1,4 @@
-//! Reading the recording format, version 1.
+//! Reads the recording format, version 1.
 //!
 //! ```text
 //! LIBRARY/
@@ -7,7 +7,7 @@
 //!     trial.toml                 optional: see [`About`]
 //!     mi2.wav  ac.wav  …         one WAV or FLAC a source
 //!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             without trial folders: a trial a file
+//!   SURFACE/NAME.wav             without trial folders: each file is a trial
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,22 +24,22 @@ use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 /// Name of the file that describes a library.
 pub(crate) const DESCRIPTION: &str = "library.toml";
 
-/// End of the name of a folder that a trial is being written into.
+/// Suffix of the name of a folder into which a trial is still being written.
 pub(crate) const UNFINISHED: &str = ".unfinished";
 
 /// Opens a library in the recording format; data are read when an entry is loaded.
 ///
 /// The sources are those of `defaults` and those that `library.toml` describes; the latter win.
-/// [`Library::remarks`] says what was passed over.
+/// [`Library::remarks`] says which files were skipped.
 ///
 /// # Errors
-/// All at once: folders and headers that cannot be read, a `library.toml` or `trial.toml` that is
-/// wrong, files whose channels or rate are not those expected; or that nothing is found.
+/// If nothing is found; or all at once for folders and headers that cannot be read, a wrong
+/// `library.toml` or `trial.toml`, and files without the expected channels or rate.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     open_usable(path, defaults)?.whole()
 }
 
-/// The same, but files and trials that cannot be used are listed beside the library.
+/// Opens a library like [`open`], but lists files and trials that cannot be used beside it.
 ///
 /// # Errors
 /// If the folder cannot be read, `library.toml` is wrong, or nothing can be used.
@@ -47,7 +47,7 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     something(path, open_part(path, path, defaults)?)
 }
 
-/// The same of a folder whose sources the `library.toml` of another describes; it may hold nothing.
+/// Like [`open_usable`], with the `library.toml` of `described_in`; `path` may hold no trials.
 ///
 /// # Errors
 /// If the folder cannot be read, or `library.toml` is wrong.
@@ -72,7 +72,7 @@ pub(crate) fn open_part(
     Ok(opening.library())
 }
 
-/// A library that holds something.
+/// Passes on a library that has trials, and turns one without into an error.
 fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
     if !opened.library.entries.is_empty() {
         return Ok(opened);
@@ -82,7 +82,7 @@ fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
     Err(LibraryError::of_all(bad).unwrap_or_else(nothing))
 }
 
-/// Opens a single WAV or FLAC file as a library of one unlabelled trial; errors are as of [`open`].
+/// Opens a single WAV or FLAC file as a library of one unlabelled trial; errors as in [`open`].
 pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let path = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
     let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
@@ -94,7 +94,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
     something(folder, opening.library())
 }
 
-/// Opens a single trial, `LIBRARY/SURFACE/TRIAL`, as a library of one; its `library.toml` counts.
+/// Opens the trial `LIBRARY/SURFACE/TRIAL` as a library of one; `LIBRARY/library.toml` applies.
 ///
 /// # Errors
 /// As [`open`].
@@ -110,7 +110,7 @@ pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, Lib
     something(root, opening.library())?.whole()
 }
 
-/// An entry whose data lie in files; `folder` is theirs alone, if there is one.
+/// An entry whose data lie in files; `folder` is the trial's own folder, if it has one.
 pub(crate) fn entry(
     key: TrialKey,
     files: BTreeMap<SourceId, SourceFiles>,
@@ -147,7 +147,7 @@ struct RecordingOpening<'a> {
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
     passed: BTreeMap<String, Seen>,
-    /// Files and trials that cannot be used.
+    /// One error for each file or trial that cannot be used.
     bad: Vec<LibraryError>,
 }
 
@@ -204,7 +204,7 @@ impl<'a> RecordingOpening<'a> {
             }
         });
         let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
-            // A file without a folder of its own lies among others.
+            // The path of a trial of loose files is its first file: no folder is its own.
             let folder = path.is_dir().then_some(path);
             entry(key, files, folder)
         };
@@ -247,7 +247,7 @@ impl<'a> RecordingOpening<'a> {
         self.loose(&normal(&surface.name), &loose);
     }
 
-    /// Files of a surface without trial folders: a trial each.
+    /// Adds the files of a surface that lie in no trial folder, by the rules of [`loose`].
     fn loose(&mut self, surface: &str, files: &[&Listed]) {
         let taken: Vec<u32> = (self.trials.keys())
             .filter(|key| key.surface == surface && key.user == EXPERT)
@@ -316,7 +316,7 @@ impl<'a> RecordingOpening<'a> {
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
-            // No error: another program may be adding trials just now.
+            // This is no error, since another program may be adding trials just now.
             let why = format!(
                 "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
                  `trial = N` or `user = \"…\"` in trial.toml",
@@ -396,7 +396,7 @@ impl<'a> RecordingOpening<'a> {
     }
 }
 
-/// The number of a trial by the name of its folder: what that ends with.
+/// The number of a trial: the digits at the end of its folder's name.
 pub(crate) fn number_in(name: &str) -> Option<u32> {
     let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
     name[stem.len()..].parse().ok()

@@ -1,4 +1,4 @@
-//! Files that hold one series, a channel a column: WAV or FLAC, by their extension.
+//! Files that hold one series: WAV or FLAC, by their extension.
 
 use std::path::Path;
 
@@ -6,11 +6,11 @@ use super::series_header::Header;
 use super::{LibraryError, flac, wav};
 use crate::trial::Series;
 
-/// Reads a header and checks that the file can hold what it promises.
+/// Reads a header and checks, for WAV, that the file is long enough for the samples it promises.
 ///
 /// # Errors
 /// If the file cannot be read, is empty, is of another format, holds no samples or more than
-/// [`Series::MOST_SAMPLES`], or, as far as that can be seen from outside, is cut short.
+/// [`Series::MOST_SAMPLES`], or, for WAV, is cut short.
 pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
     if is_flac(path) { flac::probe(path) } else { wav::probe(path) }
 }

@@ -1,11 +1,11 @@
-//! Reading text files with one number a line, one file a channel.
+//! Reads text files: one file for each channel, with one number in each line.
 
 use std::path::{Path, PathBuf};
 
 use super::{LibraryError, files};
 use crate::trial::Series;
 
-/// Reads one file a channel and crops all to the shortest.
+/// Reads one file for each channel, and crops all to the shortest.
 ///
 /// # Errors
 /// If a file cannot be read, is empty, or holds a line that is not one finite number.
@@ -21,7 +21,7 @@ pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryErr
         .map_err(|error| LibraryError::Signal { path, error })
 }
 
-/// How many frames [`read`] would give, by the lines that are not blank.
+/// The number of frames that [`read`] would give: the non-blank lines of the shortest file.
 ///
 /// # Errors
 /// If a file cannot be read or is empty.
@@ -47,7 +47,7 @@ fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
 
 /// The numbers of a text, one a line; blank lines may only stand at the end.
 ///
-/// Errors carry the line, counted from 1, or 0 where the whole text is meant.
+/// Errors carry the line, counted from 1, or 0 for the text as a whole.
 fn parse(bytes: &[u8]) -> Result<Vec<f32>, (usize, String)> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut numbers = Vec::with_capacity(bytes.len() / 8);

@@ -1,8 +1,8 @@
-//! Reading WAV files: what the header promises, checked against what is there.
+//! Reads WAV files, and checks that they hold as many samples as their headers say.
 //!
-//! The chunks are walked here, since `hound` neither skips the padding of odd-sized chunks nor knows
-//! where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers; and samples are decoded block
-//! by block, since one at a time they took a third of the time that a large library needs.
+//! This module reads the chunks itself, since `hound` neither skips the padding of odd-sized chunks
+//! nor knows where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers. It decodes
+//! blocks, since decoding sample by sample took a third of the time of loading a large library.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -13,10 +13,10 @@ use super::files::{self, EMPTY_FILE};
 use super::series_header::{Header, too_long};
 use crate::trial::Series;
 
-/// Bytes that are decoded together: whole samples of any size.
+/// Bytes that are decoded together: a multiple of every size of a sample.
 const BLOCK: usize = 48 * 1024;
 
-/// Reads a header and checks that the file is long enough to hold what it promises.
+/// Reads a header and checks that the file is long enough for the samples it promises.
 ///
 /// # Errors
 /// If the file cannot be read, is empty, is no WAV file, holds no samples or more than
@@ -71,19 +71,19 @@ fn integer(sample: &[u8]) -> i32 {
     }
 }
 
-/// Numbers of the formats that are read.
+/// Format codes of the `fmt ` chunk that are read.
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;
 const EXTENSIBLE: u16 = 0xFFFE;
 
-/// How the samples of a file lie in it.
+/// The format and size of a file's samples.
 #[derive(Clone, Copy, Debug)]
 struct WavData {
     /// [`PCM`] or [`FLOAT`].
     format: u16,
     channels: u16,
     rate_hz: u32,
-    /// Bytes a sample, 1 to 4. A sample of fewer bits is in the upper ones, as
+    /// Bytes a sample, 1 to 4. A sample of fewer bits fills the upper bits, as
     /// WAVE_FORMAT_EXTENSIBLE demands, so that it reads as a sample of the whole container.
     container: u16,
     /// Bytes of all samples.
@@ -102,7 +102,7 @@ impl WavData {
     }
 }
 
-/// Opens a file at its first sample.
+/// Opens a file, positioned at its first sample.
 fn open(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
     if size == 0 {
@@ -130,7 +130,7 @@ fn open(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     Ok((file, data))
 }
 
-/// Refuses what holds no samples, or more than any trial; `rest` are the bytes that follow.
+/// Refuses a file of no samples, or of too many for a trial; `rest` bytes follow its header.
 fn check(data: WavData, rest: u64) -> Result<(), String> {
     let samples = data.length / u64::from(data.container);
     if samples == 0 {
@@ -161,11 +161,11 @@ fn no(problem: &str) -> WavProblem {
     WavProblem::Format(problem.into())
 }
 
-/// From chunk to chunk, up to the first sample.
+/// Reads chunk after chunk, up to the first sample.
 fn walk(file: &mut BufReader<File>) -> Result<WavData, WavProblem> {
     let riff: [u8; 12] = take(file)?;
     if &riff[..4] != b"RIFF" || &riff[8..] != b"WAVE" {
-        return Err(no("it does not begin as one does"));
+        return Err(no("it does not begin with RIFF and WAVE"));
     }
     let mut format = None;
     loop {
@@ -224,10 +224,10 @@ fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
     if !fits {
         return Err(WavProblem::Format(format!("{bits} bits in {container} bytes")));
     }
-    // Some programs put them into the lower bits then, some into the upper.
+    // Without WAVE_FORMAT_EXTENSIBLE, some programs fill the lower bits, others the upper.
     if !extensible && bits != container * 8 {
         return Err(WavProblem::Format(format!(
-            "{bits} bits in {container} bytes, and nothing says where in them; convert it, for \
+            "{bits} bits in {container} bytes, and its header does not say which; convert it, for \
              example with `sox IN.wav -b 24 OUT.wav`"
         )));
     }

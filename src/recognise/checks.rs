@@ -6,11 +6,10 @@ use super::error::RecogniseError;
 use crate::scene::{Domain, SourceId, SourceSpec};
 use crate::trial::{Signal, TrialKey};
 
-/// Checks that a signal of the trial `key` is of the kind, and has the channels, that the scene
-/// says.
+/// Checks that a signal is an image or a series, and has as many channels, as `spec` says.
 ///
 /// # Errors
-/// If it does not.
+/// If it does not match.
 pub fn check_signal(
     spec: &SourceSpec,
     signal: &Signal,

@@ -26,7 +26,7 @@ pub struct SourceComparison {
     pub mmd2: f64,
     /// n·MMD²_b, averaged over repetitions, with the source's offset (1 for metal).
     pub score: f64,
-    /// Mean over repetitions of the threshold κ for MMD²_b, by swaps within pairs.
+    /// Mean over repetitions of the threshold κ for MMD²_b, from swaps of samples within pairs.
     pub kappa: f64,
     /// Twice the mean of the repetitions' p-values, at most 1: valid however the repetitions
     /// depend on each other (Vovk & Wang 2020, "Combining p-values via averaging").
@@ -56,8 +56,7 @@ pub struct TestOptions {
 /// positions, and tests each source.
 ///
 /// # Errors
-/// If a trial does not fit the scene, if the trials have no source in common, or if their rates
-/// differ.
+/// If a trial does not fit the scene, or the trials share no source, or their rates differ.
 pub fn compare(
     z: &Trial,
     y: &Trial,
@@ -81,7 +80,7 @@ pub fn compare(
     Ok(Comparison { sources, ds: log_ds.exp() })
 }
 
-/// The checks that the method itself makes.
+/// Makes the same checks as the method `reference`.
 fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
     let unsampled =
         |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };

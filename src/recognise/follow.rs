@@ -1,13 +1,13 @@
-//! Following a scan in progress: what it looks like so far, and whether that will change.
+//! Types for following a scan in progress: the best guess so far, and whether it is settled.
 //!
-//! Scan time comes from the samples, never from a clock, and looks are taken at whole steps of it,
-//! so that neither the size of the pieces in which samples come nor the speed at which they are
-//! played changes what is said.
+//! The guess is renewed at fixed steps of scan time, called looks. Scan time is counted in samples,
+//! never read from a clock, so neither the block size in which samples arrive nor the playback
+//! speed changes the answer.
 
 use super::decide::conformal::Rejection;
 use crate::scene::SourceId;
 
-/// Scan time between two looks, in seconds.
+/// Scan time between two looks (renewals of the guess), in seconds.
 pub const LOOK_S: f64 = 0.1;
 
 /// The next frames of one source of a scan.
@@ -17,19 +17,19 @@ pub struct FreshFrames<'a> {
     pub source: &'a SourceId,
     /// Frames a second.
     pub rate_hz: f64,
-    /// Samples a frame.
+    /// Samples in a frame, one a channel.
     pub channels: usize,
-    /// Interleaved samples, those after the ones that were given before.
+    /// Interleaved samples, following on from those given before.
     pub samples: &'a [f32],
 }
 
 /// How scans are followed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FollowOptions {
-    /// Accuracy that answers may lose, when given as soon as they are settled, against the whole
-    /// scan: a fraction of all scans.
+    /// How much accuracy may be lost by answering as soon as the guess is settled instead of at the
+    /// end of the scan: a fraction of all scans.
     pub loss: f64,
-    /// The threshold for no surface of the library; an answer beyond it is never settled.
+    /// Threshold at which a scan is called unknown; such a guess is never settled.
     pub rejection: Option<Rejection>,
 }
 
@@ -39,15 +39,15 @@ impl Default for FollowOptions {
     }
 }
 
-/// The guess at a scan in progress.
+/// The best guess at the surface of a scan in progress.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GuessSoFar {
-    /// Scan time of the look, in seconds.
+    /// Scan time at which the guess was made, in seconds.
     pub scan_s: f64,
-    /// The most probable surfaces and their probabilities, at most five, the first one first.
+    /// Up to five surfaces with their probabilities, the most probable first.
     pub named: Vec<(String, f64)>,
     /// As [`super::Ranking::p_value`].
     pub p_value: Option<f64>,
-    /// Since when the answer is settled, if it is: the surface, and the scan time of that look.
+    /// The settled answer, if any: its surface, and the scan time at which it was settled.
     pub settled: Option<(String, f64)>,
 }

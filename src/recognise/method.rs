@@ -1,4 +1,4 @@
-//! The interfaces of a way of comparing trials, and of a library made ready by it.
+//! Interfaces of a comparison method and of the model that it makes of a library.
 
 use std::sync::Arc;
 
@@ -17,11 +17,11 @@ pub trait Method: Send + Sync {
     /// The method's name.
     fn name(&self) -> &'static str;
 
-    /// A number for all settings that prepared trials of such a library depend on.
+    /// Hash of all settings that the prepared trials of a library of this shape depend on.
     fn settings_key(&self, shape: &LibraryShape) -> u64;
 
-    /// Prepares a trial of a library of this shape, once, whatever it is then compared with.
-    /// `entry` can load the trial again, so that its raw samples need not stay in memory.
+    /// Prepares a trial of a library of this shape, once, independently of what it is compared
+    /// with. `entry` can load the trial again, so that its raw samples need not stay in memory.
     ///
     /// # Errors
     /// If the trial does not fit the scene.
@@ -32,34 +32,33 @@ pub trait Method: Send + Sync {
         shape: &LibraryShape,
     ) -> Result<Prepared, RecogniseError>;
 
-    /// Makes a model of a prepared library, or of part of one; `shape` is that which its trials
-    /// were prepared for.
+    /// Makes a model of a prepared library, or of part of one; `shape` is the library shape that
+    /// the trials were prepared for.
     ///
     /// # Errors
     /// If the trials are of fewer than two surfaces, cannot be compared with each other, or were
-    /// prepared by another kind of method.
+    /// prepared for another method.
     fn fit(
         &self,
         library: Vec<Prepared>,
         shape: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError>;
 
-    /// A number for all that a model of a library depends on besides its trials; `None` by a method
-    /// whose models are made as fast as they are read.
+    /// Hash of all that a library's model depends on besides the trials; `None` for a method whose
+    /// models are made as fast as they could be read.
     fn model_key(&self, _shape: &LibraryShape) -> Option<u64> {
         None
     }
 
-    /// The model that [`EmbeddingModel`] gave these bytes for; `None` if there is none.
+    /// Restores a model from the bytes that [`EmbeddingModel`] stored; `None` if they are damaged.
     fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
         None
     }
 }
 
-/// A library, ready to be compared with.
+/// A library, ready to name queries.
 pub trait Model: Send + Sync {
-    /// Prepares a query. One that a model has prepared serves all models of the same method and
-    /// library shape.
+    /// Prepares a query, once for all models of the same method and library shape.
     ///
     /// # Errors
     /// If the trial does not fit the scene.
@@ -69,10 +68,10 @@ pub trait Model: Send + Sync {
     ///
     /// # Errors
     /// If the query has no source in common with the library, has another sample rate, or was
-    /// prepared by another kind of method.
+    /// prepared for another method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// The evidence of each source alone; `None` by a method that cannot take them apart.
+    /// The evidence of each source by itself; `None` if the method cannot separate the sources.
     ///
     /// # Errors
     /// As [`Model::rank`].
@@ -80,13 +79,14 @@ pub trait Model: Send + Sync {
         Ok(None)
     }
 
-    /// The model as one of `embedding`, which can do more; `None` by any other method.
+    /// The model as that of the method `embedding`, which can do more; `None` for other methods.
     fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
         None
     }
 
-    /// How long scans must last for an accuracy; without one, to lose at most a point against whole
-    /// scans. All commands and the page take it from here. `None` by a method that cannot follow scans.
+    /// How long scans must last to reach `accuracy`; without it, to lose at most one percentage
+    /// point against whole scans. All commands use this one number. `None` if the method cannot
+    /// follow scans.
     fn scan_time(self: Arc<Self>, accuracy: Option<f64>) -> Option<ScanTime> {
         Some(self.embedding()?.left_out_accuracy().scan_time(Goal::wanted(accuracy)))
     }
@@ -106,7 +106,7 @@ pub struct Evidence {
 pub struct SourceEvidence {
     /// The source.
     pub source: SourceId,
-    /// The term of each surface: those of all sources add up to what surfaces are ranked by, the
-    /// smallest first. Infinite for a surface that lacks the source.
+    /// A term for each surface: the smaller the sum of its terms over all sources, the more alike
+    /// the surface. Infinite for a surface that lacks the source.
     pub terms: Vec<f64>,
 }

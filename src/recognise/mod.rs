@@ -6,9 +6,9 @@
 //! ```
 //!
 //! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
-//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`Reference`] is the
-//! paper's method, exactly; [`Embedding`] the default; the rest of [`MethodName`] are the paper's
-//! comparison classifiers.
+//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`Reference`]
+//! is the paper's method, exactly; [`Embedding`] is the default; the others of [`MethodName`] are
+//! the paper's comparison classifiers.
 
 mod checks;
 pub(crate) mod classify;

@@ -1,4 +1,4 @@
-//! A trial as each method keeps it, and its form in a cache.
+//! A trial in the form that each method works with, and how it is stored in a cache.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::reference::prepared_trial::PreparedTrial;
 use crate::library::Entry;
 use crate::trial::TrialKey;
 
-/// Changes whenever the bytes of [`Prepared::encode`] mean something else.
+/// Version of the bytes of [`Prepared::encode`]: raise it whenever their meaning changes.
 pub(super) const FORMAT: u64 = 2;
 
 /// A trial, ready to be compared. A copy is cheap.
@@ -19,7 +19,7 @@ pub enum Prepared {
     Samples(Arc<PreparedTrial>),
     /// Frames, for `embedding`.
     Frames(Arc<TrialFrames>),
-    /// Fixed lists of numbers, for the comparison classifiers. Of a feature table no more is known.
+    /// Numbers for each source, for the comparison classifiers; all that feature tables hold.
     Features(Arc<FeatureVector>),
 }
 
@@ -40,7 +40,7 @@ impl Prepared {
     /// The samples.
     ///
     /// # Errors
-    /// If these are not what `method` works with, as for the two that follow.
+    /// If the trial was not prepared for `method`.
     pub(crate) fn samples(
         &self,
         method: &'static str,
@@ -54,7 +54,7 @@ impl Prepared {
     /// The frames.
     ///
     /// # Errors
-    /// If these are not what `method` works with.
+    /// If the trial was not prepared for `method`.
     pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>, RecogniseError> {
         match self {
             Self::Frames(trial) => Ok(trial),
@@ -65,7 +65,7 @@ impl Prepared {
     /// The features.
     ///
     /// # Errors
-    /// If these are not what `method` works with.
+    /// If the trial was not prepared for `method`.
     pub(crate) fn features(
         &self,
         method: &'static str,
@@ -97,7 +97,7 @@ impl Prepared {
         Some(bytes)
     }
 
-    /// The trial of an entry from bytes, if they are those of one.
+    /// The trial of an entry from the bytes of `encode`; `None` if they are not valid.
     pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let key = entry.key.clone();
         Some(match bytes.split_last()? {

@@ -1,4 +1,4 @@
-//! A library made ready to be compared with: from its cache where that holds, else from its files.
+//! Prepares the trials of a library, or takes them from the cache where that is up to date.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -19,16 +19,16 @@ use crate::seed;
 pub struct PreparedLibrary {
     /// The shape that its trials were prepared for.
     pub shape: Arc<LibraryShape>,
-    /// Those of the trials that were wanted, at the places of their entries.
+    /// The prepared trials at the indices of their entries; `None` for those that were not wanted.
     pub trials: Vec<Option<Prepared>>,
-    /// Problems of the cache, a line of text each. None is an error.
+    /// Problems with the cache, one line of text each; the trials are usable all the same.
     pub remarks: Vec<String>,
     /// How many trials came from the cache.
     pub from_cache: usize,
 }
 
 impl PreparedLibrary {
-    /// A model of some of the trials, by their places; those that were not wanted are passed over.
+    /// Makes a model of the trials at the given indices; skips those that were not prepared.
     ///
     /// # Errors
     /// As [`Method::fit`].
@@ -42,12 +42,12 @@ impl PreparedLibrary {
     }
 }
 
-/// Prepares the `wanted` ones of `entries`, by index, for a library of the shape that they have.
-/// `beside` is the folder of the library, whose cache is read and brought up to date; without it,
-/// all is prepared anew. `progress` gets how much is done of how much.
+/// Prepares those `entries` whose indices are in `wanted`, for a library of the shape that these
+/// have. `beside` is the folder of the library, whose cache is read and updated; without `beside`,
+/// all is computed anew. `progress` is called with the number of trials done and their total.
 ///
-/// The result is the same with and without a cache: a stored trial counts only if the method's
-/// settings and the trial's files are what they were. One whose files change while they are read is
+/// The result is the same with and without a cache: a stored trial is used only if the method's
+/// settings and the trial's files are unchanged. A trial whose files change while they are read is
 /// not stored.
 ///
 /// # Errors
@@ -63,7 +63,7 @@ pub fn prepare_library(
     prepare_for(method, Arc::new(shape), (entries, wanted), beside, progress)
 }
 
-/// As [`prepare_library`], for a shape that is known.
+/// As [`prepare_library`], for a known shape.
 pub(super) fn prepare_for(
     method: &dyn Method,
     shape: Arc<LibraryShape>,
@@ -110,7 +110,7 @@ pub(super) fn prepare_for(
             .zip(&trials)
             .filter_map(|(entry, prepared)| {
                 let name = entry.cache_name();
-                // A trial that was not wanted this time stays, if it still is what it was.
+                // A trial that was not wanted this time stays stored if its files are unchanged.
                 let (stamp, bytes) = match prepared {
                     Some((prepared, stamp)) => ((*stamp)?, prepared.encode()?.into()),
                     None => {

@@ -1,4 +1,4 @@
-//! Combines the scores of the sources (Eq. 9), and ranks surfaces by them: 1-NN and k-NN, ties, margin.
+//! Combines the sources' scores (Eq. 9) and ranks surfaces by them: 1-NN, k-NN, ties, margin.
 
 use std::collections::BTreeMap;
 
@@ -34,16 +34,16 @@ pub struct Ranking {
     pub sources: Vec<SourceId>,
     /// The most alike trial of the library.
     pub nearest: TrialKey,
-    /// Probability of the first surface, by a method that gives one.
+    /// Probability of the first surface; `None` if the method gives none.
     pub confidence: Option<f64>,
-    /// Share of left-out library trials that fit their nearest surface no better than the query
-    /// fits the first (a conformal p-value), by a method and a library that give one.
+    /// Conformal p-value: share of left-out library trials that fit their nearest surface no better
+    /// than the query fits the first; `None` if the method or the library cannot give it.
     #[serde(rename = "fit")]
     pub p_value: Option<f64>,
 }
 
 impl Ranking {
-    /// The answer: the surface that is most alike.
+    /// The answer: the surface most like the query.
     pub fn surface(&self) -> &str {
         &self.ranked[0].surface
     }
@@ -51,9 +51,9 @@ impl Ranking {
 
 /// Ranks surfaces by the `k` candidates that are most alike.
 ///
-/// With k = 1 a surface counts by its best trial. With more, the k nearest trials weigh by 1/DS and
-/// a surface's score is the inverse of its summed weight; surfaces without one follow, by their
-/// best trial. Ties go to the smaller label, then the smaller trial number.
+/// With k = 1 a surface counts by its best trial. With more, the k nearest trials vote with weight
+/// 1/DS, and a surface's score is the inverse of its summed weight; surfaces without a vote follow,
+/// ordered by their best trial. Ties go to the smaller label, then the smaller trial number.
 ///
 /// Returns `None` if there are no candidates. The order of candidates does not matter.
 pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) -> Option<Ranking> {
@@ -92,12 +92,12 @@ fn log_add(a: f64, b: f64) -> f64 {
     high + (low - high).exp().ln_1p()
 }
 
-/// ln of the scores of one library trial, a slot a source; `None` where it lacks the source.
+/// ln of the scores of one library trial, one for each source; `None` where it lacks the source.
 pub type TrialScores = Vec<Option<f64>>;
 
 /// Eq. 9, Σ weight · ln score over sources. A source that the library trial lacks counts as the
-/// median of the others, so that lacking one is neither an advantage nor a disadvantage. `None` for
-/// a trial without any.
+/// median of the library's scores of that source, so that lacking it is neither an advantage nor a
+/// disadvantage. `None` for a trial that has none of the sources.
 pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64]) -> Option<f64> {
     scores.iter().any(Option::is_some).then(|| {
         let terms = scores.iter().zip(medians).zip(weights);

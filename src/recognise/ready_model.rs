@@ -1,4 +1,4 @@
-//! A model of a library, ready to name scans: from the cache where nothing has changed, else trained.
+//! Makes the model of a library: reads it from the cache if nothing has changed, else trains it.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -13,29 +13,29 @@ use crate::library::cache::{Cache, Record};
 use crate::library::files::program_stamp;
 use crate::seed;
 
-/// Name of the one record of the cache.
+/// Name of the only record in the cache.
 const RECORD: &str = "model";
 
-/// A model, and how it came about.
+/// A model, and whether it came from the cache.
 pub struct ReadyModel {
     /// The model.
     pub model: Arc<dyn Model>,
     /// Whether it came from the cache.
     pub from_cache: bool,
-    /// Problems of the caches, a line of text each. None is an error.
+    /// Problems with the caches, one line of text each; the model is usable all the same.
     pub remarks: Vec<String>,
 }
 
-/// A model of the `wanted` ones of `entries`, by index. `beside` is the folder of the library, whose
-/// caches are read and brought up to date: that of models (`METHOD-model`), then that of prepared
-/// trials, see [`super::prepare_library`]. Without it, all is made anew. `progress` gets how much is
-/// prepared of how much.
+/// Makes a model of those `entries` whose indices are in `wanted`. `beside` is the folder of the
+/// library; the caches there are read and updated: that of models (`METHOD-model`), then that of
+/// prepared trials, see [`super::prepare_library`]. Without `beside`, all is computed anew.
+/// `progress` is called with the number of trials prepared so far and their total.
 ///
-/// The result is the same with and without a cache: a stored model counts only if the method,
-/// the files of all trials, and this program itself are what they were.
+/// The result is the same with and without a cache: a stored model is used only if the method, the
+/// files of all trials and this program are unchanged.
 ///
 /// # Errors
-/// If a trial cannot be read or does not fit the scene, and as [`Method::fit`].
+/// If a trial cannot be read or does not fit the scene; also the errors of [`Method::fit`].
 pub fn ready_model(
     method: &dyn Method,
     entries: &[Entry],
@@ -51,14 +51,14 @@ pub fn ready_model(
     }
     let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
     let mut remarks = prepared.remarks;
-    // Handed over, so that the method can let go of what it has used.
+    // Moved, not borrowed, so that the method can free what it has used.
     let model = method.fit(prepared.trials.into_iter().flatten().collect(), &prepared.shape)?;
-    // One of trials that have changed meanwhile is used, and not kept.
+    // A model whose trials' files have changed meanwhile is used, but not stored.
     if let Some(kept) = kept.filter(|kept| stamp(&of_model) == Some(kept.stamp))
         && let Some(bytes) = model.clone().embedding().and_then(|model| model.store())
     {
         let why = kept.replace(bytes.into());
-        // If trials could not be kept either, that has been said.
+        // If the trials could not be stored either, a remark already says so.
         if remarks.is_empty() {
             remarks.extend(why);
         }
@@ -66,7 +66,7 @@ pub fn ready_model(
     Ok(ReadyModel { model, from_cache: false, remarks })
 }
 
-/// Stands for the files of some trials as they are now.
+/// Hash of the names and files of some trials as they are now.
 fn stamp(entries: &[&Entry]) -> Option<u64> {
     let trial = |entry: &&Entry| {
         let mut name = entry.cache_name().into_bytes();
@@ -77,26 +77,26 @@ fn stamp(entries: &[&Entry]) -> Option<u64> {
     Some(seed::stable_hash(&trials.iter().map(Vec::as_slice).collect::<Vec<_>>()))
 }
 
-/// The cache of a library's model.
+/// The cache that holds the model of a library.
 struct Kept {
     cache: Cache,
-    /// Stands for the trials of the model.
+    /// Hash of the trials that the model is made of, as `stamp` gives it.
     stamp: u64,
 }
 
 impl Kept {
-    /// Opens it; `None` if models of this method or of these trials are not kept.
+    /// Opens the cache; `None` if models of this method or of these trials are not stored.
     fn open(
         method: &dyn Method,
         entries: &[&Entry],
         shape: &LibraryShape,
         folder: &Path,
     ) -> Option<Self> {
-        // Another build may make another model of the same trials.
+        // Another build of the program may make another model of the same trials.
         let key = [method.model_key(shape)?, program_stamp()?].map(u64::to_le_bytes);
         let key = seed::stable_hash(&[&key[0], &key[1]]);
         let stamp = stamp(entries)?;
-        // Whatever is wrong with it, the model is made anew, and the file with it.
+        // A problem with this cache needs no remark: the file is written again.
         let (cache, _) = Cache::open(folder, &format!("{}-model", method.name()), key);
         Some(Self { cache, stamp })
     }

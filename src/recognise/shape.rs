@@ -8,7 +8,7 @@ use crate::library::{Entry, LibraryError, Outline, Outlines};
 use crate::scene::SourceId;
 use crate::seed;
 
-/// The shape of each source of a library that is a series.
+/// The shape of each series source of a library; pictures have none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryShape {
     sources: BTreeMap<SourceId, SourceShape>,
@@ -19,14 +19,14 @@ pub struct LibraryShape {
 pub struct SourceShape {
     /// Frames a second, of the first trial that has the source.
     pub rate_hz: f64,
-    /// Samples a frame, of that trial.
+    /// Channels of that trial: samples in a frame.
     pub channels: usize,
-    /// Median length of a trial in frames; the upper one of an even number.
+    /// Median length of a trial in frames; the upper middle one if the number of trials is even.
     pub median_frames: usize,
 }
 
 impl LibraryShape {
-    /// The shape of some trials, of which no more is read than their formats ask for.
+    /// The shape of some trials. Reads only as much of each file as its format requires.
     ///
     /// # Errors
     /// If one of them cannot be read.
@@ -46,12 +46,12 @@ impl LibraryShape {
         Ok(Self { sources: by_source.into_iter().filter_map(shape).collect() })
     }
 
-    /// The shape of a source; `None` if it is of pictures, or no trial has it.
+    /// The shape of a source; `None` if the source is a picture, or no trial has it.
     pub fn get(&self, id: &SourceId) -> Option<SourceShape> {
         self.sources.get(id).copied()
     }
 
-    /// A number for all of it.
+    /// Hash of the whole shape.
     pub fn key(&self) -> u64 {
         seed::stable_hash(&[format!("{:?}", self.sources).as_bytes()])
     }

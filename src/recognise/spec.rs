@@ -1,4 +1,4 @@
-//! The methods by which trials are compared, with their settings: one table.
+//! The table of the methods that compare trials, with their settings.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,11 +8,11 @@ use super::method::Method;
 use super::reference::{Reference, ReferenceOptions};
 use crate::scene::Scene;
 
-/// The most of anything that settings may count: samples, repetitions, neighbours.
+/// Upper limit of every count in the settings: samples, repetitions, neighbours.
 pub const MOST_COUNT: usize = 1_000_000;
 
-/// Defines [`MethodName`] and [`MethodSpec`] by one table. A line holds a method, its settings, its
-/// name as text, its help, and how it is built from a scene and its settings.
+/// Defines [`MethodName`] and [`MethodSpec`] from one table. Each line holds a method, its
+/// settings, its name as text, its help, and how it is built from a scene and its settings.
 macro_rules! methods {
     ($($name:ident($options:ty) = $text:literal, $help:literal, |$scene:ident, $set:pat_param| $build:expr;)*) => {
         /// The methods.
@@ -25,12 +25,12 @@ macro_rules! methods {
             /// All methods.
             pub const ALL: [Self; [$($text),*].len()] = [$(Self::$name),*];
 
-            /// The name as text, the same everywhere.
+            /// The name as text, the same in commands, files and output.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$name => $text,)* }
             }
 
-            /// The method in a few words.
+            /// A short description of the method.
             pub(crate) fn help(self) -> &'static str {
                 match self { $(Self::$name => $help,)* }
             }
@@ -44,7 +44,7 @@ macro_rules! methods {
         }
 
         impl From<MethodName> for MethodSpec {
-            /// The method with its usual settings.
+            /// The method with its default settings.
             fn from(name: MethodName) -> Self {
                 match name { $(MethodName::$name => Self::$name(<$options>::default()),)* }
             }
@@ -56,7 +56,7 @@ macro_rules! methods {
                 match self { $(Self::$name(_) => MethodName::$name,)* }
             }
 
-            /// The method, on the sources of a scene.
+            /// The method, ready for the sources of a scene.
             pub fn build(&self, scene: &Scene) -> Box<dyn Method> {
                 match self {
                     $(Self::$name($set) => {
@@ -89,12 +89,12 @@ methods! {
         |scene, options| OnFeatures::new(MethodName::RandomForest.as_str(), scene, RandomForest { seed: options.seed });
 }
 
-/// Settings of a method that has none.
+/// Empty settings, for a method that has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoOptions {}
 
-/// Settings of methods by trees.
+/// Settings of the tree-based methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TreeOptions {

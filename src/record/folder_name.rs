@@ -1,4 +1,4 @@
-//! Folder names that any file system takes, for labels that may hold anything.
+//! Turns labels, which may be any text, into folder names that any file system accepts.
 
 use std::fmt::Write;
 
@@ -10,9 +10,9 @@ use crate::trial::normal;
 /// Longest name in bytes; file systems allow 255, and the trial's number follows.
 const LONGEST: usize = 160;
 
-/// A folder name for a label: letters, digits, `.`, `_`, `-` and inner spaces stay, every other
-/// byte becomes `%XX`, as do dots and spaces at either end, and the first letter of a name that means
-/// something else. So no label leads out of its folder, and different labels get different names.
+/// The folder name of a label. ASCII letters, digits, `_`, `-`, and inner dots and spaces stay;
+/// every other byte becomes `%XX`, as does the first letter of a name that means something else. So
+/// no label leads out of its folder, and different labels get different names.
 pub(super) fn encode(label: &str) -> String {
     let label = &*normal(label);
     let last = label.len().saturating_sub(1);
@@ -30,7 +30,7 @@ pub(super) fn encode(label: &str) -> String {
         }
     }
     if name.len() > LONGEST {
-        // The name is ASCII, so any cut is a character's boundary; the hash keeps names apart.
+        // The name is ASCII, so it may be cut anywhere; the hash keeps different names different.
         name.truncate(LONGEST - 17);
         let hash = stable_hash(&[label.as_bytes()]);
         write!(name, "~{hash:016x}").unwrap_or_default();
@@ -38,7 +38,7 @@ pub(super) fn encode(label: &str) -> String {
     name
 }
 
-/// Whether a folder can have a label as its name, just as it is.
+/// Whether a label can be a folder's name without any change.
 pub(super) fn is_usable(label: &str) -> bool {
     let is_long = label.len() > LONGEST;
     !label.starts_with('.')
@@ -48,8 +48,8 @@ pub(super) fn is_usable(label: &str) -> bool {
         && !means_something_else(label)
 }
 
-/// Whether a file or folder of this name is no surface: in a library, or on Windows, where it may be
-/// copied to.
+/// Whether a name means something other than a surface: in a library, or on Windows, to which a
+/// library may be copied.
 fn means_something_else(label: &str) -> bool {
     let lower = label.to_ascii_lowercase();
     let stem = lower.split('.').next().unwrap_or_default();

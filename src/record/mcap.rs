@@ -1,8 +1,8 @@
-//! Trials as MCAP (<https://mcap.dev/spec>), which the field's tools open, and back.
+//! Converts trials to MCAP (<https://mcap.dev/spec>), which the field's tools open, and back.
 //!
-//! A file holds everything twice: as messages, for tools to draw, compressed and so made that they
-//! take about as much as the recording; and as attachments, the recording's own files byte for byte,
-//! from which it comes back exactly.
+//! A file holds everything twice. Its messages are for tools to draw; compressed, they take about
+//! as much room as the recording. Its attachments are the recording's own files, byte for byte,
+//! from which an import restores it exactly.
 
 mod attached;
 mod export;
@@ -18,11 +18,11 @@ use crate::dataset;
 use crate::library::{Library, LibraryError, recording};
 use crate::scene::Scene;
 
-/// Opens what is to be exported: a library of any form, or a single trial of one in the recording
-/// format.
+/// Opens a recording to be exported: a library of any layout, or a single trial of a library in the
+/// recording format.
 ///
 /// # Errors
-/// If it is neither.
+/// If it is neither, or cannot be read.
 pub fn open(recording: &Path, scene: &Scene) -> Result<Library, LibraryError> {
     match attached::is_trial(recording)? {
         true => recording::open_trial(recording, scene),

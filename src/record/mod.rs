@@ -1,4 +1,4 @@
-//! Writing the recording format, version 1; `library::recording` reads it.
+//! Writes the recording format, version 1; `library::recording` reads it.
 //!
 //! A trial is written into a folder that readers skip, and renamed when it is complete: after a
 //! crash there are complete trials and perhaps an unfinished folder, never half a trial.
@@ -27,13 +27,13 @@ use crate::scene::{Domain, Scene, SourceSpec};
 use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
-/// The text beside a trial's data, and how all is written.
+/// The content of a trial's `trial.toml`, and how its files are written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialOptions {
-    /// Start, notes, devices and marks; surface, user and number are those of the trial.
+    /// Start, notes and devices; surface, user and number are taken from the trial instead.
     pub about: About,
-    /// Wait until the disk holds each file, so that a loss of power costs no finished trial. For
-    /// data that can be made again, `false` is much faster.
+    /// Whether to wait until the disk holds each file, so that a power failure loses no finished
+    /// trial. `false` is much faster, for data that can be made again.
     pub durable: bool,
 }
 
@@ -43,8 +43,8 @@ impl Default for TrialOptions {
     }
 }
 
-/// Writes `library.toml` of a library: its name, its sources, and whether it is synthetic. The
-/// folder is made if need be; an existing `library.toml` is replaced.
+/// Writes `library.toml` of a library: its name, its sources, and whether it is synthetic. Creates
+/// the folder if it is missing, and replaces an existing `library.toml`.
 ///
 /// # Errors
 /// If the folder or the file cannot be written.
@@ -67,11 +67,11 @@ pub fn write_library_toml(
     system::persist(file, &path).map_err(|error| failed(&path, error))
 }
 
-/// Makes sure that trials can be written into a library, making its folder if need be.
+/// Checks that trials can be written into a library, and creates its folder if it is missing.
 ///
 /// # Errors
-/// If the folder cannot be made, nothing can be written there, or nothing that is would be read
-/// again; why, and what to do.
+/// With advice, if the folder cannot be created, nothing can be written there, or trials written
+/// there would never be read.
 pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
     if dataset::is_foreign(dir) {
         let problem = "this holds the LMT108 database in a layout of its own, in which trials that are \
@@ -85,7 +85,7 @@ pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
     written.map_err(|error| failed(dir, error))
 }
 
-/// Writes one trial into the library `dir` and gives its folder, `SURFACE/USER-NUMBER`.
+/// Writes one trial into the library `dir` and returns its folder, `SURFACE/USER-NUMBER`.
 ///
 /// A trial is read back as it was written: series are stored as 16-bit WAV where that loses
 /// nothing and as f32 where it would, images as PNG. Characters that do not belong into folder
@@ -108,7 +108,7 @@ pub fn write_trial(
         );
         LibraryError::file(&folder, problem)
     };
-    // Looked at first, so that nothing is written in vain.
+    // Checked first, so that nothing is written in vain.
     if folder.exists() {
         return Err(taken());
     }
@@ -119,9 +119,9 @@ pub fn write_trial(
     Ok(folder)
 }
 
-/// Writes one trial into the library `dir`, like [`write_trial`], but under the next free number
-/// if its own is taken, also by another process that writes at the same time. Gives the number and
-/// the folder.
+/// Writes one trial into the library `dir`, like [`write_trial`], but if its number is taken, even
+/// by another process at the same moment, under the next free one. Returns the number and the
+/// folder.
 ///
 /// # Errors
 /// As [`write_trial`], except that a number may be taken.
@@ -151,7 +151,7 @@ struct UnfinishedTrial<'a> {
     /// The folder of the surface.
     surface: PathBuf,
     options: &'a TrialOptions,
-    /// A folder of a random name, created for this trial alone; removed with this.
+    /// A folder of a random name, created for this trial alone, and removed when this is dropped.
     folder: tempfile::TempDir,
 }
 
@@ -180,7 +180,7 @@ impl<'a> UnfinishedTrial<'a> {
             system::usual_permissions(&mut builder);
             builder.tempdir_in(&surface)
         };
-        // An edit may take the empty folder of a surface away at this very moment.
+        // Tried twice: an edit may remove the empty folder of a surface at this very moment.
         let folder = create().or_else(|_| create()).map_err(|error| failed(&surface, error))?;
         let unfinished = Self { library, surface, options, folder };
         write_signals(unfinished.folder.path(), trial, scene, options)?;
@@ -188,7 +188,7 @@ impl<'a> UnfinishedTrial<'a> {
         Ok(unfinished)
     }
 
-    /// Writes its `trial.toml`.
+    /// Writes the `trial.toml` of the trial, with the names and number of `key`.
     fn describe(&self, key: &TrialKey) -> Result<(), LibraryError> {
         let about = About {
             surface: Some(normal(&key.surface)),
@@ -201,7 +201,7 @@ impl<'a> UnfinishedTrial<'a> {
         if durable { sync_folder(dir) } else { Ok(()) }
     }
 
-    /// Gives it its name. False if another trial has it.
+    /// Gives the folder its final name. False if another trial has that name.
     fn finish(&self, folder: &Path) -> Result<bool, LibraryError> {
         use std::io::ErrorKind::{AlreadyExists, DirectoryNotEmpty, NotADirectory};
         match system::rename_new(self.folder.path(), folder) {
@@ -233,9 +233,8 @@ pub(crate) fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
     dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
 }
 
-/// The first number that no folder of a surface's trials, be they removed, has in its name; 1 where
-/// there is none.
-/// Others may have it in their `trial.toml`: this is for where there is no time to read those.
+/// One more than the highest number in folder names of a surface's trials, removed ones included; 1
+/// if there are none. To save time, no `trial.toml` is read, which may give a trial another number.
 pub(crate) fn number_by_names(dir: &Path, surface: &str) -> u32 {
     let folder = folder_name::encode(surface);
     let folders = [dir.join(&folder), dir.join(edit::REMOVED).join(&folder)];

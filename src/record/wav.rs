@@ -8,10 +8,10 @@ use crate::trial::Series;
 
 const MOST_CHANNELS: usize = 1024;
 
-/// A WAV file: 16-bit where that holds every sample exactly, f32 elsewhere.
+/// A WAV file: of 16 bits if these hold every sample exactly, else of f32.
 ///
 /// # Errors
-/// With the reason, if WAV cannot hold the series: rates are whole numbers there.
+/// With the reason, if WAV cannot hold the series, for example because its rate is not whole.
 pub(super) fn encode(series: &Series) -> Result<Vec<u8>, String> {
     let rate_hz = series.rate_hz();
     let sample_rate = rate_hz as u32;

@@ -1,4 +1,4 @@
-//! The ring of a camera: a few whole pictures, each with its place in the stream.
+//! The ring of a camera: a few whole pictures, each with its index in the stream.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ pub struct ImageTap {
     reckoning: Reckoning,
 }
 
-/// A ring of `capacity` images; at least 1, and taken as 1 if 0.
+/// A ring of `capacity` images, where 0 counts as 1.
 pub fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
     let capacity = capacity.max(1);
     let (enter, leave) = HeapRb::new(capacity).split();
@@ -30,7 +30,7 @@ pub fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
 }
 
 impl ImageSink {
-    /// Index of the next image; lost ones count.
+    /// Index of the next image; lost ones are counted too.
     pub fn position(&self) -> u64 {
         self.ledger.head()
     }
@@ -51,7 +51,7 @@ impl ImageSink {
     /// Puts an image into the ring, waiting for room.
     ///
     /// # Errors
-    /// If a stop was requested; the image was never counted then.
+    /// If a stop was requested; the image is not counted then.
     pub fn push_waiting(&mut self, mut image: Arc<Image>, stop: &Stop) -> Result<(), Stopped> {
         while let Err(back) = self.enter(image) {
             image = back;
@@ -71,7 +71,7 @@ impl ImageSink {
 }
 
 impl ImageTap {
-    /// Index of the next image to come out; lost ones count.
+    /// Index of the next image to come out; lost ones are counted too.
     pub fn position(&self) -> u64 {
         self.reckoning.position()
     }
@@ -85,8 +85,8 @@ impl ImageTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, passing `on` each image and its index; an index that
-    /// is passed over was lost. Returns whether there was anything.
+    /// Takes all that the ring holds now, and calls `on` with each image and its index; images of
+    /// skipped indexes were lost. Returns whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(u64, Arc<Image>)) -> bool {
         let before = self.position();
         let head = self.reckoning.head();

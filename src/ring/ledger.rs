@@ -1,9 +1,9 @@
-//! Both halves of the bookkeeping of a ring: which indices came through, and which are missing.
+//! Both halves of a ring's bookkeeping: which indexes came through, and which are missing.
 //!
-//! Missing stretches travel beside the samples, in a small ring of their own. A stretch is entered
-//! there before the first frame that follows it enters the ring of samples, so a consumer that
-//! sees the frame sees the stretch. The last stretch, which nothing follows yet, is known from the
-//! head that the meter shows.
+//! Stretches of missing indexes travel beside the samples, in a small ring of their own. A stretch
+//! is entered there before the first frame that follows it enters the ring of samples, so a
+//! consumer that sees the frame sees the stretch. The last stretch, which no frame follows yet,
+//! shows in the meter's `head`, the index of the next frame.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,23 +16,23 @@ use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::{Stop, Stopped, Waker};
 
-/// The longest time for which a waiting producer relies on being woken.
+/// How long a waiting producer sleeps at most, in case that nobody wakes it.
 const NAP: Duration = Duration::from_millis(2);
-/// Stretches under way at once; when they are more, the latest one grows instead.
+/// Most stretches under way at once; beyond that, frames are lost, so that the latest one grows.
 const STRETCHES: usize = 256;
 
-/// The producer's half.
+/// The producer's half of the bookkeeping.
 pub(super) struct Ledger {
     meter: Arc<Meter>,
     stretches: HeapProd<(u64, u64)>,
-    /// The stretch that nothing follows yet.
+    /// The stretch that no frame follows yet.
     open: Option<Range<u64>>,
     head: u64,
     waker: Waker,
     room: Receiver<()>,
 }
 
-/// The consumer's half.
+/// The consumer's half of the bookkeeping.
 pub(super) struct Reckoning {
     meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,
@@ -55,8 +55,8 @@ impl Ledger {
         self.head
     }
 
-    /// Enters the open stretch; to be done before frames enter the ring. False if there is no
-    /// room for it: then no frame may enter either.
+    /// Enters the open stretch, which must be done before frames enter the ring. False if there is
+    /// no room for it: then no frame may enter either.
     pub(super) fn settle(&mut self) -> bool {
         if let Some(open) = &self.open {
             if self.stretches.try_push((open.start, open.end)).is_err() {
@@ -94,7 +94,7 @@ impl Ledger {
         }
         self.meter.waiting.store(true, Ordering::Release);
         self.waker.wake();
-        // A wake-up that got lost between the two costs one nap.
+        // A wake-up that got lost before this line costs one nap.
         let _ = self.room.recv_timeout(NAP);
         self.meter.waiting.store(false, Ordering::Release);
         Ok(())
@@ -117,7 +117,7 @@ impl Reckoning {
         self.position
     }
 
-    /// To be read before the ring is looked at: all before this index is visible then.
+    /// The index after all frames so far. Read before the ring, which then shows all of them.
     pub(super) fn head(&self) -> u64 {
         self.meter.head.load(Ordering::Acquire)
     }
@@ -128,7 +128,7 @@ impl Reckoning {
         self.meter.closed.load(Ordering::Acquire) && self.position >= self.head()
     }
 
-    /// The frames missing right here, if any are known to be.
+    /// Skips the frames known to be missing at the position, and returns their number.
     pub(super) fn missing_here(&mut self) -> Option<u64> {
         while let Some(&(start, end)) = self.stretches.try_peek() {
             if start > self.position {
@@ -144,7 +144,7 @@ impl Reckoning {
         None
     }
 
-    /// The number of the `available` frames that follow each other without a gap.
+    /// How many of the `available` frames follow each other without a gap.
     pub(super) fn contiguous(&self, available: usize) -> usize {
         match self.stretches.try_peek() {
             Some(&(start, _)) => {
@@ -164,7 +164,7 @@ impl Reckoning {
         }
     }
 
-    /// The number of frames missing up to `head`, once the ring was emptied of all before it.
+    /// Skips the frames missing before `head`, once the ring is empty, and returns their number.
     pub(super) fn missing_before(&mut self, head: u64) -> Option<u64> {
         let missing = head.checked_sub(self.position).filter(|&frames| frames > 0)?;
         self.position = head;
@@ -177,13 +177,13 @@ pub(super) fn half_full<R: Observer>(ring: &R) -> bool {
     ring.occupied_len() * 2 >= ring.capacity().get()
 }
 
-/// Counts of one ring, readable from any thread while it works.
+/// Counts of one ring, readable from any thread while the ring is in use.
 ///
 /// Counts are in frames (one sample of every channel) or images.
 #[derive(Debug)]
 pub struct Meter {
     pub(super) capacity: u64,
-    /// Index of the next frame: all that were pushed or lost so far.
+    /// Index of the next frame, which is the number of frames pushed or lost so far.
     pub(super) head: AtomicU64,
     pub(super) lost: AtomicU64,
     pub(super) received: AtomicU64,
@@ -198,7 +198,7 @@ pub struct Counts {
     pub pushed: u64,
     /// Frames that came out of the ring.
     pub received: u64,
-    /// Frames that never entered it: no room, or never arrived at the device.
+    /// Frames that never entered the ring: it was full, or they never arrived at the device.
     pub lost: u64,
     /// Frames in the ring now.
     pub fill: u64,
@@ -218,8 +218,8 @@ impl Meter {
         })
     }
 
-    /// The figures now. While frames move, `fill` may be off by those in motion; once the stream
-    /// is closed and emptied, `pushed = received + lost` exactly.
+    /// The counts now. While frames enter and leave, `fill` may be off by these; once the stream is
+    /// closed and emptied, `pushed = received + lost` exactly.
     pub fn counts(&self) -> Counts {
         let received = self.received.load(Ordering::Acquire);
         let lost = self.lost.load(Ordering::Acquire);

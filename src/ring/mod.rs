@@ -1,13 +1,12 @@
-//! One single-producer, single-consumer ring a stream: from the thread of a device to the collector.
+//! One ring for each stream (one producer, one consumer): from a device's thread to the collector.
 //!
-//! A device holds the [`Sink`] and the collector the tap. Frames are counted from
-//! the start of the stream, **lost ones included**, so that an index always stands for the same
-//! moment, whatever was lost before it. Each frame ends in exactly one of two ways: it comes out
-//! of the tap, or the tap says that it is missing, at its place and in its order.
+//! A device holds the [`Sink`], and the collector the tap, out of which the data come. Frames are
+//! counted from the start of the stream, **lost ones included**, so that an index always stands for
+//! the same moment, whatever was lost before it. Each frame ends in exactly one of two ways: it
+//! comes out of the tap, or the tap reports it as missing, at its place in the order.
 //!
-//! A producer pushes in one of two manners:
-//! - `push` never blocks, for sensors that cannot wait: data that do not fit are
-//!   lost, and counted;
+//! A producer pushes in one of two ways:
+//! - `push` never blocks, for sensors that cannot wait: data that do not fit are lost, and counted;
 //! - `push_waiting` waits for room, for sources that can wait: nothing is lost.
 
 use std::sync::Arc;
@@ -97,7 +96,7 @@ impl Waker {
 
     /// Wakes the thread, now or when it next waits. Never blocks.
     pub(crate) fn wake(&self) {
-        // Full means that it is about to wake; disconnected, that the thread has ended.
+        // A full channel: the thread is about to wake; a disconnected one: it has ended.
         let _ = self.0.try_send(());
     }
 }

@@ -22,7 +22,7 @@ pub struct SeriesTap {
     reckoning: Reckoning,
 }
 
-/// A piece of a ring of samples; pieces come in order.
+/// Samples or a gap that come out of a ring; pieces come in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece<'a> {
     /// Interleaved samples, in whole frames.
@@ -31,7 +31,7 @@ pub enum Piece<'a> {
     Missing(u64),
 }
 
-/// A ring of `capacity` frames of `channels` samples each; both at least 1, and taken as 1 if 0.
+/// A ring of `capacity` frames of `channels` samples each, where 0 counts as 1.
 pub fn series(channels: usize, capacity: usize, waker: Waker) -> (SeriesSink, SeriesTap) {
     let (channels, capacity) = (channels.max(1), capacity.max(1));
     let (enter, leave) = HeapRb::new(channels * capacity).split();
@@ -45,7 +45,7 @@ impl SeriesSink {
         self.channels
     }
 
-    /// Index of the next frame; lost ones count.
+    /// Index of the next frame; lost ones are counted too.
     pub fn position(&self) -> u64 {
         self.ledger.head()
     }
@@ -85,8 +85,8 @@ impl SeriesSink {
         }
     }
 
-    /// Counts frames that the sensor took but that never arrived here, as a gap in a device's own
-    /// sample counter shows.
+    /// Counts frames as lost that the sensor took but that never arrived here, as a gap in a
+    /// device's own sample counter shows.
     pub fn skip(&mut self, frames: u64) {
         self.ledger.lose(frames);
     }
@@ -97,9 +97,9 @@ impl SeriesSink {
         len / channels
     }
 
-    /// Puts in what fits; how many frames did.
+    /// Puts in the frames that fit, and returns their number.
     fn enter(&mut self, samples: &[f32]) -> usize {
-        // The room is a whole number of frames, as all that enters and leaves is.
+        // Only whole frames enter and leave, so the room is a whole number of frames too.
         let fits = self.ring.vacant_len().min(samples.len()) / self.channels * self.channels;
         if fits == 0 || !self.ledger.settle() {
             return 0;
@@ -116,7 +116,7 @@ impl SeriesTap {
         self.channels
     }
 
-    /// Index of the next frame to come out; lost ones count.
+    /// Index of the next frame to come out; lost ones are counted too.
     pub(crate) fn position(&self) -> u64 {
         self.reckoning.position()
     }
@@ -131,7 +131,7 @@ impl SeriesTap {
         self.reckoning.exhausted()
     }
 
-    /// Takes all that the ring holds now, passing `on` samples and gaps in their order. Returns
+    /// Takes all that the ring holds now, and calls `on` with samples and gaps in order. Returns
     /// whether there was anything.
     pub fn drain(&mut self, mut on: impl FnMut(Piece<'_>)) -> bool {
         let before = self.position();

@@ -1,28 +1,28 @@
-//! One time base: when each frame of a stream was sampled, from its index and arrival times.
+//! Estimates when each frame of a stream was sampled, on one time base, from its arrival times.
 //!
-//! An arrival is late by the way through buffers, by an amount that is never negative and often
-//! large. So the line of sampling times lies *below* all points (index, arrival): the clock takes
-//! the edge of their lower convex hull under their middle, which is the line below all of them
-//! that is nearest to them (S. B. Moon, P. Skelly and D. Towsley, *Estimation and removal of clock
-//! skew from network delay measurements*, INFOCOM 1999). The least delay that there ever is cannot
-//! be seen in arrival times: it stays in the offset, and is the same for all frames.
+//! Buffers delay arrivals by an amount that is never negative and often large. So the line of
+//! sampling times lies *below* all points (index, arrival time). The clock takes the edge of their
+//! lower convex hull under the middle of their span: the closest line that lies below all of them
+//! (S. B. Moon, P. Skelly and D. Towsley, *Estimation and removal of clock skew from network delay
+//! measurements*, INFOCOM 1999). The smallest delay cannot be seen in arrival times: it remains as
+//! a constant offset of all frames.
 //!
-//! Pure: the arrival times are passed in.
+//! No I/O: the arrival times are passed in.
 
 use std::collections::VecDeque;
 
 /// Seconds of the daemon's time base.
 pub type ClockSecond = f64;
 
-/// In each bin of this length, the point with the least delay is kept.
+/// Length of a bin; of each bin, only the point with the least delay is kept.
 const BIN_S: ClockSecond = 0.5;
 /// Bins that are kept: a minute.
 const BINS: usize = 120;
-/// A span of less says nothing of the drift: at 1 ms of noise, 10 s leave 100 ppm.
+/// A shorter span does not show the drift: with 1 ms of noise, 10 s leave an error of 100 ppm.
 const LEAST_SPAN_S: ClockSecond = 10.0;
-/// No clock is worse; the stylus without its crystal is good to 1 %.
+/// Largest drift that is believed; the stylus without its crystal is accurate to 1 %.
 const WORST_DRIFT: f64 = 0.02;
-/// This many bins in a row off the line by [`STEP_S`] mean that the index has stepped.
+/// This many bins in a row off the line by [`STEP_S`] mean that the index has jumped.
 const STEP_BINS: usize = 3;
 const STEP_S: ClockSecond = 0.01;
 
@@ -65,8 +65,8 @@ impl Clock {
         Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }
     }
 
-    /// Notes that all frames before `index` had arrived at `arrival_s`. Neither may go back;
-    /// observations that do, or that are not finite, are passed over.
+    /// Notes that all frames before `index` had arrived at `arrival_s`. Observations whose index
+    /// goes back, or that are not finite, are ignored.
     pub fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
         let x = index as f64 * self.period_s;
         let point = ClockPoint { x, y: arrival_s - x };
@@ -96,7 +96,7 @@ impl Clock {
         }
     }
 
-    /// When the frame `index` was sampled, up to the stream's constant delay; none before the
+    /// When the frame `index` was sampled, plus the stream's constant delay; `None` before the
     /// first arrival.
     pub fn time_s(&self, index: u64) -> Option<ClockSecond> {
         let x = index as f64 * self.period_s;
@@ -108,11 +108,11 @@ impl Clock {
         let Line { at, slope } = self.line?;
         // time = x + at.y + slope · (x − at.x)
         let x = (time_s - at.y + slope * at.x) / (1.0 + slope);
-        // The cast saturates at both ends; a hair less, so that an index finds itself.
+        // The cast saturates at both ends. 1e-6 absorbs rounding, so that an index finds itself.
         Some((x / self.period_s - 1e-6).ceil() as u64)
     }
 
-    /// The excess length of the stream's seconds, as a fraction; 0 while unknown.
+    /// By which fraction the stream's seconds are longer than nominal; 0 while unknown.
     #[cfg(test)]
     fn drift(&self) -> f64 {
         self.line.map_or(0.0, |line| line.slope)
@@ -141,21 +141,21 @@ impl Clock {
         };
     }
 
-    /// Forgets what was before a step of the index, which arrivals after it contradict.
+    /// Forgets the bins before a jump of the index, which later arrivals contradict.
     fn forget_before_step(&mut self) {
         let Some(old) = self.bins.len().checked_sub(STEP_BINS).filter(|old| *old >= STEP_BINS)
         else {
             return;
         };
         let (Some(line), Some(first)) = (self.line, self.bins.front()) else { return };
-        // Before the drift is known, it would look like a step.
+        // While the drift is unknown, it would look like a jump.
         if self.bins[old - 1].x - first.x < LEAST_SPAN_S {
             return;
         }
         let off = |point: &ClockPoint| point.y - line.y(point.x);
         let all =
             |far: fn(ClockSecond) -> bool| self.bins.range(old..).all(|point| far(off(point)));
-        // The line is below all points, so what is early shows as old points that are late.
+        // The line lies below all points: if new points are early, the old ones lie above it.
         let late = all(|off| off > STEP_S);
         let early = self.bins.range(..old).all(|point| off(point) > STEP_S);
         if late || early {
@@ -164,7 +164,7 @@ impl Clock {
     }
 }
 
-/// The edge of the lower convex hull of `points` (in order of x) that lies over or at `middle`.
+/// The edge of the lower convex hull of `points` (in order of x) that holds x = `middle`.
 fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
     let mut hull: Vec<ClockPoint> = Vec::with_capacity(points.len());
     for &p in points {
@@ -190,15 +190,15 @@ fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
 mod tests {
     use super::*;
 
-    /// Numbers in 0..1 that repeat with their seed.
+    /// Pseudo-random numbers in 0..1, determined by their seed.
     fn uniform(seed: &mut u64) -> f64 {
         *seed =
             seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (*seed >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// How samples come: in bursts, each late by a share that is exponential and now and then has
-    /// a Pareto tail (index 1.5, so that its variance is infinite).
+    /// Simulated arrivals, in bursts: each has an exponential delay, and 5 % have a Pareto delay as
+    /// well (index 1.5, so that its variance is infinite).
     struct SampleArrivals {
         rate_hz: f64,
         drift: f64,
@@ -211,7 +211,7 @@ mod tests {
             3.0 + index as f64 / self.rate_hz * (1.0 + self.drift)
         }
 
-        /// A clock after `seconds`, and the largest error of a 5 s span from `from_s` on.
+        /// The clock after `seconds`, and its largest error over any span of 5 s after `from_s`.
         fn run(&self, seconds: f64, from_s: f64, seed: u64) -> (Clock, f64) {
             let (mut clock, seed) = (Clock::new(self.rate_hz), &mut (seed + 1));
             let (mut index, mut last, mut worst) = (0, 0.0_f64, 0.0_f64);

@@ -1,8 +1,8 @@
-//! The collector: one thread that empties the rings, follows the marks and sends scans on.
+//! The collector: one thread that empties the rings and cuts scans out of them at their marks.
 //!
-//! A turn of its loop: take all that the rings hold, *then* read the reports. A device reports the
-//! begin of a source before it pushes the source's first frame, so frames that were taken have
-//! their marks read in the same turn, before anything old is forgotten.
+//! Each turn of its loop takes all that the rings hold, *then* reads the reports. A device reports
+//! the begin of a source before it pushes the source's first frame, so the marks of all frames
+//! taken are read in the same turn, before old frames are forgotten.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -21,9 +21,9 @@ use super::{Event, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
-/// The longest time between two looks at the rings.
+/// The longest wait between two turns of the loop.
 const TURN: Duration = Duration::from_millis(5);
-/// The device of the marks that the detector sets.
+/// Stands for the detector where a mark names the device that set it.
 const DETECTOR: usize = usize::MAX;
 
 pub(super) struct Collector {
@@ -38,7 +38,7 @@ pub(super) struct Collector {
     pub scans: VecDeque<Marked>,
     /// The number of scans that have begun, for other threads.
     pub begun: Arc<AtomicU32>,
-    /// Sets marks where the devices set none.
+    /// Sets marks if the devices set none.
     pub detector: Option<ScanDetector>,
     pub commands: Receiver<ScanCommand>,
 }
@@ -48,7 +48,7 @@ impl Collector {
         let mut stop_seen: Option<Instant> = None;
         let mut next_trace = Instant::now();
         loop {
-            // Before the drain: a device that has ended has pushed all it ever will.
+            // Read before the drain, which then takes all that the ended devices have pushed.
             let over = self.devices.iter().all(|(_, ended)| *ended);
             let looked = Instant::now();
             let mut moved = self.drain();
@@ -64,7 +64,8 @@ impl Collector {
             if let Some(every_s) = self.options.trace_every_s
                 && looked >= next_trace
             {
-                // From when it was due, so that late turns do not add up; a missed one is skipped.
+                // Counted from when it was due, so that delays do not add up; a missed one is
+                // skipped.
                 let every = Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
                 next_trace = (next_trace + every).max(looked);
                 self.send_trace();
@@ -127,7 +128,7 @@ impl Collector {
         }
     }
 
-    /// Follows a mark, which `device` set; its `name` is for people.
+    /// Applies a mark, which `device` set; warnings call the device `name`.
     fn mark(&mut self, device: usize, name: &str, mark: Mark) {
         match mark {
             Mark::Begin(begin) => {
@@ -168,7 +169,7 @@ impl Collector {
         }
     }
 
-    /// Follows the marks that a detector sets, where there is one.
+    /// Applies the marks, and passes on the warnings, of one `step` of the detector, if any.
     fn detect(&mut self, step: impl Fn(&mut ScanDetector, &[Stream]) -> Vec<Mark>) {
         let Some(detector) = &mut self.detector else { return };
         let (marks, warnings) = (step(detector, &self.streams), detector.take_warnings());
@@ -186,11 +187,11 @@ impl Collector {
         }
     }
 
-    /// Sends the progress of the first scan and, once it is complete, the scan; then the next one.
+    /// Sends the first scan's progress and, once it is complete, the scan; then the next one.
     ///
-    /// A scan whose data do not come is sent without them once the rings were `looked` at long
-    /// enough after its end (by then, not by now: sending may have waited for a slow reader), or
-    /// when all is `over`.
+    /// A scan with missing data is sent without them if the turn began, at `looked`, too long after
+    /// the scan's end became known (its begin counts, since sending may wait for a slow reader), or
+    /// if the session is `over`.
     fn send_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.send_progress(&mut scan);
@@ -229,7 +230,7 @@ impl Collector {
     }
 
     fn forget(&mut self) {
-        // A scan of the longest duration is still complete when its last data arrive.
+        // So that a scan of the longest duration is still whole when its last data arrive.
         let kept_s = self.options.longest_scan_s + self.options.deliver_limit.as_secs_f64();
         for (index, stream) in self.streams.iter_mut().enumerate() {
             let cuts = self.scans.iter().flat_map(|scan| scan.cuts.values());
@@ -246,7 +247,7 @@ impl Collector {
         self.detect(ScanDetector::update);
         self.detect(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
-        // A device that hangs will not deliver the rest.
+        // Does not wait for the rest, which a device that hangs never delivers.
         self.drain();
         self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {

@@ -1,9 +1,9 @@
-//! Detects taps and drags in levels of force and vibration: pure, a state machine fed hop by hop.
+//! Detects taps and drags in levels of force and vibration: a state machine fed once a hop (5 ms).
 //!
 //! Contact begins where any stream reaches [`DetectorConfig::onset`] and ends once all are below
-//! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not flutter. A short
-//! contact is a tap; one that lasts is a drag, and has the tap before it, if there was one. All
-//! limits of level are multiples of each stream's own noise floor.
+//! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not begin and
+//! end contacts rapidly. A short contact is a tap. A longer one is a drag, which includes the tap
+//! before it, if any. All limits of level are multiples of each stream's own noise floor.
 
 use std::collections::VecDeque;
 
@@ -12,17 +12,17 @@ use std::collections::VecDeque;
 pub struct DetectorConfig {
     /// Level at which contact begins, in multiples of the noise floor.
     pub onset: f64,
-    /// Level below which it is quiet, in the same.
+    /// Level below which there is no contact, in the same unit.
     pub quiet: f64,
-    /// A tap is over once it is quiet for this long, in seconds.
+    /// A tap is over after this much quiet, in seconds.
     pub tap_hold_s: f64,
-    /// A longer contact is a drag and no tap, in seconds.
+    /// Longest tap, in seconds; a longer contact is a drag.
     pub longest_tap_s: f64,
     /// A drag begins at most this long after its tap, in seconds.
     pub longest_pause_s: f64,
-    /// A drag is over once it is quiet for this long, in seconds; it ended when it became quiet.
+    /// A drag is over after this much quiet, in seconds; its end is where the quiet began.
     pub drag_hold_s: f64,
-    /// A longer contact is noise and no drag, in seconds.
+    /// Longest drag, in seconds; a longer contact is noise.
     pub longest_drag_s: f64,
 }
 
@@ -56,7 +56,7 @@ pub(crate) enum DetectorEvent {
         /// the first hop after it
         end: u64,
     },
-    /// The contact did not end: it was noise, and the floor is to be learnt again.
+    /// Contact lasted too long: it was noise, and the noise floor must be learnt again.
     NoiseTimeout,
 }
 
@@ -83,18 +83,18 @@ impl Detector {
         self.config
     }
 
-    /// Whether there is contact, during which noise floors are held.
+    /// Whether there is contact, during which noise floors must not rise.
     pub fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
-    /// Takes the next hop: the highest level among the streams.
+    /// Takes the level of the next hop, the highest among the streams.
     pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
         let config = self.config;
         let lasted = |since: u64, seconds: f64| (at + 1 - since) as f64 * HOP_S >= seconds - 1e-9;
-        // A level that is not a number is not quiet, and begins nothing either.
+        // NaN counts as neither quiet nor the begin of contact.
         let is_quiet = level < config.quiet;
         match &mut self.state {
             DetectorState::Quiet { tap } => {
@@ -138,7 +138,7 @@ impl Detector {
         }
     }
 
-    /// The streams have ended or stalled: a drag in progress ends here.
+    /// Ends a drag in progress, since the streams have ended or stalled.
     pub fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
@@ -150,8 +150,8 @@ impl Detector {
     }
 }
 
-/// The first hop in `window` at which `levels` (hop by hop, the first one being hop `first`)
-/// reaches `onset` after a hop below it: where a tap begins in another stream.
+/// Finds where a tap begins in another stream: the first hop in `window` that reaches `onset` after
+/// a hop below it. `levels` holds the level of each hop, from hop `first` on.
 pub(crate) fn onset_in(
     levels: &[f64],
     first: u64,
@@ -167,26 +167,26 @@ mod tests;
 
 /// Length of a hop in seconds: the resolution of every onset and end.
 pub const HOP_S: f64 = 0.005;
-/// The floor is first taken from this many hops (0.3 s); until then, the level is 0.
+/// Hops (0.3 s) before the noise floor is first used; until then, the level is 0.
 const LEARN: u64 = 60;
-/// Hops over which the floor is smoothed (0.1 s), so that one quiet hop is no floor.
+/// Hops over which the floor is smoothed (0.1 s), so that one quiet hop does not lower it.
 const SMOOTH: f64 = 20.0;
-/// Hops of a block (0.5 s) and blocks (10 s) of which the floor is the lowest.
+/// Hops of a block (0.5 s), and number of blocks (10 s) whose minimum is the floor.
 const BLOCK: u64 = 100;
 const BLOCKS: usize = 20;
-/// Below this, vibration is the converter's own, in full scales: about 6 steps of 16 bits.
+/// Vibration below this share of full scale is noise of the converter: about 6 steps of 16 bits.
 const LEAST_VIBRATION: f64 = 2e-4;
-/// One multiple of force, in full scales.
+/// Force of level 1, as a share of full scale.
 const FORCE: f64 = 5e-3;
-/// Vibration is what lies above this frequency in Hz; below are tilt and the hand.
+/// Vibration lies above this frequency in Hz; tilt and movements of the hand lie below.
 const HIGH_PASS_HZ: f64 = 20.0;
 
 /// The kind of sensor behind a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorKind {
-    /// Force at rest is the lowest of late; a multiple is 0.5 % of full scale above that.
+    /// Level 1 is 0.5 % of full scale above the floor, which is the lowest recent force.
     Force,
-    /// A multiple is the noise floor: the lowest RMS of late (minimum statistics: R. Martin,
+    /// Level 1 is the noise floor, which is the lowest recent RMS (minimum statistics: R. Martin,
     /// *Noise power spectral density estimation*, IEEE Trans. Speech and Audio Processing 9, 2001).
     Vibration,
 }
@@ -197,7 +197,7 @@ pub struct StreamLevel {
     kind: SensorKind,
     channels: usize,
     hop: f64,
-    /// Share of the old mean that one frame leaves.
+    /// Share of the running mean that remains after one frame.
     keep: f64,
     /// The last finite sample of each channel.
     last: Vec<f64>,
@@ -262,7 +262,7 @@ impl StreamLevel {
         }
     }
 
-    /// Forgets the floor, which was taken for contact.
+    /// Forgets the noise floor, so that it is learnt again.
     pub fn relearn(&mut self) {
         self.blocks.clear();
         self.lowest = f64::INFINITY;

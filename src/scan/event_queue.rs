@@ -20,7 +20,7 @@ pub(super) struct EventQueue {
     backlog: VecDeque<Event>,
     /// After a stop: until when to wait for the reader.
     patience: Option<Instant>,
-    /// Whether to wait for the reader: true while no device would lose by it.
+    /// Whether sending waits for the reader: true if no device would lose data by it.
     pub waits: bool,
     pub totals: Totals,
 }
@@ -37,7 +37,7 @@ impl EventQueue {
         }
     }
 
-    /// Sends what must not be missed.
+    /// Sends an event that must not be missed.
     pub fn push(&mut self, event: Event) {
         match &event {
             Event::Scan(_) => self.totals.scans += 1,
@@ -47,7 +47,7 @@ impl EventQueue {
         self.backlog.push_back(event);
         self.flush();
         while self.backlog.len() > BACKLOG {
-            // Scans last: a flood of warnings must not displace them.
+            // Drops scans last: a flood of warnings must not displace them.
             let other = self.backlog.iter().position(|event| !matches!(event, Event::Scan(_)));
             self.backlog.remove(other.unwrap_or(0));
             self.totals.dropped_events += 1;
@@ -58,7 +58,7 @@ impl EventQueue {
         self.push(Event::Warning(text));
     }
 
-    /// Sends what the next one of its kind would include as well. False if the reader was busy.
+    /// Sends a snapshot; false if the reader was busy: then the next one will include its data.
     pub fn offer(&mut self, event: Event) -> bool {
         self.flush();
         let sent = self.backlog.is_empty() && self.send(event).is_ok();
@@ -66,7 +66,7 @@ impl EventQueue {
         sent
     }
 
-    /// Passes on the backlog.
+    /// Sends the backlog, as far as the reader takes it.
     pub fn flush(&mut self) {
         while let Some(event) = self.backlog.pop_front() {
             if let Err(back) = self.send(event) {
@@ -75,11 +75,11 @@ impl EventQueue {
         }
     }
 
-    /// Passes on all that is left, as far as the reader takes it, and ends with the account.
+    /// Sends all that is left, as far as the reader takes it, and then the totals.
     pub fn finish(mut self) -> Totals {
         self.waits = true;
         self.flush();
-        // Nobody reads any more: the account, which the session returns as well, says so.
+        // The reader takes no more: the totals, which the session returns too, count this.
         self.totals.dropped_events += self.backlog.len() as u64;
         self.backlog.clear();
         let _ = self.send(Event::Finished(self.totals.clone()));

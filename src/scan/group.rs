@@ -1,4 +1,4 @@
-//! The streams of one device that show contact, on their one sample counter.
+//! The streams of one device that show contact: they share a sample counter and a detector.
 
 use std::collections::VecDeque;
 
@@ -11,17 +11,17 @@ const KEPT_HOPS: usize = 2_000;
 
 /// The streams of one device that show contact.
 pub(super) struct Group {
-    /// Indexes of the streams, and their levels.
+    /// Index and level of each stream.
     pub channels: Vec<(usize, StreamLevel)>,
     pub rate_hz: f64,
     pub detector: Detector,
-    /// Index of the first frame of hop 0, and of the next frame.
+    /// Index of the first frame of hop 0, and of the next frame to take.
     base: u64,
     next: u64,
-    /// Highest level of each hop, the latest hops; the first of them is hop `first`.
+    /// The highest level over all streams in each of the latest hops, from hop `first` on.
     pub levels: VecDeque<f64>,
     pub first: u64,
-    /// Seconds by which its times are later than those of the leading group.
+    /// Seconds by which this group's times are later than those of the leading group.
     pub offset_s: f64,
 }
 
@@ -71,7 +71,7 @@ impl Group {
         (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
     }
 
-    /// Takes the frames that all streams which are `alive` have.
+    /// Takes the new frames that all `alive` streams have delivered.
     pub fn update(
         &mut self,
         streams: &[Stream],
@@ -88,7 +88,7 @@ impl Group {
             return Vec::new();
         };
         if from > self.next {
-            // A gap longer than any scan: a drag ends here, and the next turn begins behind the gap.
+            // The gap exceeds any scan: a drag ends here, and the next call begins behind the gap.
             let found = self.detector.finish();
             if found.is_none() {
                 self.restart(from);
@@ -113,8 +113,8 @@ impl Group {
             });
         }
         self.next = end;
-        // A stream that was silent for a while may finish its hops a little off the others, so the
-        // number of hops is that of the counter.
+        // A stream that was silent for a while may finish more or fewer hops than the others, so
+        // the sample counter determines the number of hops.
         let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
         let so_far = self.first + self.levels.len() as u64;
         fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
@@ -133,7 +133,7 @@ impl Group {
         events
     }
 
-    /// Begins to count at frame `base`.
+    /// Counts hops from frame `base` on, and forgets levels and noise floors.
     fn restart(&mut self, base: u64) {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();

@@ -1,5 +1,5 @@
-//! A scan between its begin and its end: it follows the marks until all data have come, and is then cut out
-//! of the streams.
+//! A scan that has begun: marks say where its sources begin and end, and once all its data have
+//! come, it is cut out of the streams.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::device::{Begin, Mark, Open};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
-/// A scan that was begun.
+/// A scan that has begun and is not sent yet.
 #[derive(Debug)]
 pub(super) struct Marked {
     pub number: u32,
@@ -21,11 +21,11 @@ pub(super) struct Marked {
     pub cuts: BTreeMap<SourceId, SourceSpan>,
     /// The time of its last sample, and the time when its end became known.
     pub ended: Option<(Instant, Instant)>,
-    /// Steps of progress that were sent.
+    /// Number of the last step of progress that was sent.
     pub steps: u64,
-    /// Reasons why the scan should not be trusted, besides those that its data show.
+    /// Reasons why the scan should not be trusted, besides those found in its data.
     pub spoiled: Vec<String>,
-    /// The part that it has come to.
+    /// The part that it has reached.
     pub phase: Option<Phase>,
 }
 
@@ -43,13 +43,13 @@ pub(super) struct SourceSpan {
 }
 
 impl SourceSpan {
-    /// Index after the last frame that is the source's and has come out of its ring.
+    /// Index after the last frame of the source that has come out of the ring.
     pub fn available(&self, streams: &[Stream]) -> u64 {
         let end = self.end.unwrap_or(u64::MAX);
         streams[self.stream].end().min(end).max(self.start)
     }
 
-    /// Whether all that belongs to the source has come out of its ring, or never will.
+    /// Whether all frames of the source have come out of the ring, or never will.
     pub fn delivered(&self, streams: &[Stream]) -> bool {
         let stream = &streams[self.stream];
         self.end.is_some_and(|end| stream.end() >= end || stream.exhausted())
@@ -70,18 +70,18 @@ impl Marked {
         }
     }
 
-    /// Whether every ring has delivered up to the marks.
+    /// Whether the scan has ended and the rings have delivered all of its frames.
     pub fn complete(&self, streams: &[Stream]) -> bool {
         self.ended.is_some() && self.cuts.values().all(|cut| cut.delivered(streams))
     }
 
-    /// Follows a mark other than a begin.
+    /// Applies a mark other than a begin.
     ///
     /// # Errors
     /// With a message, if the marks contradict each other.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
-            // These make and unmake a scan, and never reach one.
+            // The collector applies these itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}
             Mark::Spoil { why } => self.spoiled.push(why),
             Mark::Open(open) => self.open(open, streams)?,
@@ -131,7 +131,7 @@ struct CutPiece {
     spoiled: Option<String>,
 }
 
-/// Makes the scan of marks whose data have been delivered, as far as they ever will be.
+/// Cuts a scan out of the streams once its data have come; `None` if it has not ended.
 pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     let (ended_at, _) = marked.ended?;
     let mut signals = BTreeMap::new();
@@ -209,7 +209,7 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
         ));
     }
     let mut own = narrow(samples, history.channels(), cut.channels);
-    // A gap at the very begin has no frame of this source before it: take the one after it.
+    // A gap at the very begin has no frame of this source before it: repeat the one after it.
     if let Some(gap) = gaps.drain(..).find(|gap| gap.start <= first && gap.end > first) {
         let at = (gap.end - first) as usize * cut.channels;
         if at < own.len() {

@@ -1,7 +1,9 @@
-//! Makes scans out of streams: empties the rings, follows the marks, cuts the sources.
+//! Makes scans out of streams: empties the rings and cuts out sources between their marks.
 //!
-//! A [`Session`] runs devices and one collector, each on its own thread, and gives [`Event`]s. A
-//! [`Scan`] holds only data from the rings; its true label is kept separately.
+//! A mark says where a scan or one of its sources begins or ends; a replayed recording sets marks
+//! itself, for live devices a detector does. A [`Session`] runs devices and one collector, each on
+//! its own thread, and sends [`Event`]s. A [`Scan`] holds only data from the rings; its true label
+//! is kept separately.
 
 pub(crate) mod clock;
 mod collect;
@@ -38,16 +40,16 @@ pub struct Scan {
     pub trial: Trial,
     /// The true label, where a recording has it: for reports, not for recognition.
     pub truth: Option<TrialKey>,
-    /// Made by a generator, not measured.
+    /// Whether a generator made the data.
     pub synthetic: bool,
-    /// Duration in seconds of the longest source of the drag; of all, if there was no drag.
+    /// Duration in seconds of the longest source of the drag, or, if there was no drag, of all.
     pub scan_s: f64,
     /// Frames (and pictures) lost within the scan, over all sources.
     pub lost_samples: u64,
-    /// The same for each source that was marked.
+    /// Frames (or pictures) lost of each source.
     pub lost_by_source: BTreeMap<SourceId, u64>,
     /// Reasons why the scan should not be trusted, a line each; empty if there are none. A gap of
-    /// at most 1 ms is bridged by repeating the frame before it, and spoils nothing.
+    /// at most 1 ms is filled by repeating the frame before it, and is no such reason.
     pub spoiled: Vec<String>,
     /// The time of its last sample.
     pub ended_at: Instant,
@@ -75,7 +77,7 @@ impl Scan {
 pub enum Event {
     /// A scan is complete.
     Scan(Box<Scan>),
-    /// A scan has come to a part, or has ended; its data may still be under way.
+    /// A scan has reached a part, such as the drag, or has ended; its data may still be under way.
     Phase {
         /// number of the scan
         scan: u32,
@@ -101,7 +103,7 @@ pub enum Event {
     Finished(Totals),
 }
 
-/// The account of a session.
+/// Totals over a session.
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
     /// Scans that were sent.
@@ -114,7 +116,7 @@ pub struct Totals {
     pub abandoned: Vec<String>,
     /// Warnings that were sent.
     pub warnings: u32,
-    /// Snapshots (progress, traces) that found their reader busy; the next one held their data.
+    /// Snapshots (progress, traces) not sent to a busy reader; the next one held their data.
     pub late_snapshots: u64,
     /// Other events that were dropped because their reader did not keep up or was gone.
     pub dropped_events: u64,

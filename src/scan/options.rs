@@ -12,21 +12,21 @@ pub struct Options {
     pub ring_s: f64,
     /// Pictures that the ring of a camera holds.
     pub ring_images: usize,
-    /// A [`Progress`](super::Progress) each this many seconds of drag; `Some(0.05)` makes 20 a
+    /// Seconds of drag from one [`Progress`](super::Progress) to the next; `Some(0.05)` makes 20 a
     /// second in real time. Off by default.
     pub progress_every_s: Option<f64>,
-    /// A [`Trace`](super::Trace) each this many seconds of real time. Off by default.
+    /// Seconds of real time from one [`Trace`](super::Trace) to the next. Off by default.
     pub trace_every_s: Option<f64>,
-    /// Length of each stream that is kept for marks that look back, in seconds.
+    /// Seconds of each stream that are kept, so that marks can refer to past frames.
     pub lookback_s: f64,
-    /// The longest scan, in seconds. A scan that was detected or begun by command ends then; of
-    /// a recorded one that is longer, the rest is lost.
+    /// The longest scan, in seconds. A scan that was detected or begun by command ends then; a
+    /// longer recorded one loses its beginning.
     pub longest_scan_s: f64,
     /// The time that a scan waits after its end for missing data.
     pub deliver_limit: Duration,
     /// The time that a stop waits for a device.
     pub stop_limit: Duration,
-    /// Events that wait for their reader.
+    /// Most events that wait for their reader.
     pub events: usize,
     /// The detection of scans in streams that carry no marks. Off by default.
     pub detection: Option<Detection>,
@@ -54,8 +54,8 @@ impl Default for Options {
 pub struct Detection {
     /// Thresholds of taps and drags.
     pub detector: DetectorConfig,
-    /// Streams that show contact, by device: those of one group share one sample counter and one
-    /// rate. The first group whose data arrive leads.
+    /// Streams that show contact, in one group for each device: they share a sample counter and a
+    /// rate. The first group whose data arrive leads: its detections make the scans.
     pub groups: Vec<Vec<(SourceId, SensorKind)>>,
     /// The sources of a scan.
     pub cuts: Vec<CutFrom>,
@@ -68,7 +68,7 @@ pub struct CutFrom {
     pub source: SourceId,
     /// Its stream.
     pub stream: SourceId,
-    /// The part of the scan.
+    /// The part of the scan that the source covers.
     pub phase: Phase,
     /// The number of the stream's channels, from the first one, that belong to the source.
     pub channels: usize,
@@ -77,7 +77,7 @@ pub struct CutFrom {
 /// A command of a person or a program, which a detector does not overrule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScanCommand {
-    /// A drag begins now; a scan in progress that was detected then ends by command alone.
+    /// A drag begins now; if a detected scan is in progress, from now on only a command ends it.
     Begin,
     /// The scan in progress ends now.
     End,

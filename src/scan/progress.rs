@@ -1,7 +1,7 @@
 //! Snapshots of a scan in progress, in steps of scan time: each carries only the new data.
 //!
-//! A snapshot that its reader was too busy for is not repeated: the next one carries its data too,
-//! so a reader that adds them up always has the scan without a gap.
+//! A snapshot whose reader is busy is not sent: the next one carries its data too, so a reader that
+//! joins the snapshots has the scan without a gap.
 
 use std::sync::Arc;
 
@@ -34,14 +34,14 @@ pub struct Progress {
     pub truth: Option<TrialKey>,
     /// Seconds of drag that the snapshots hold so far.
     pub scan_s: f64,
-    /// New frames, a source each.
+    /// New frames, one item for each source.
     pub fresh: Vec<Fresh>,
     /// New pictures.
     pub images: Vec<(SourceId, Arc<Image>)>,
 }
 
 impl Progress {
-    /// Adds what came after it in the same scan.
+    /// Appends the data of a `later` snapshot of the same scan.
     pub(crate) fn append(&mut self, later: Self) {
         self.scan_s = later.scan_s;
         for fresh in later.fresh {
@@ -57,14 +57,14 @@ impl Progress {
 /// New data of the streams, during scans and between them.
 #[derive(Clone, Debug)]
 pub struct Trace {
-    /// New frames, a stream each.
+    /// New frames, one item for each stream.
     pub fresh: Vec<Fresh>,
     /// The latest picture of each camera stream that has a new one.
     pub images: Vec<(SourceId, Arc<Image>)>,
 }
 
 impl SourceSpan {
-    /// Index after the frames of the first `seconds`, a begun frame included.
+    /// Index after the frames of the source's first `seconds`, rounded up.
     fn until(&self, seconds: f64) -> u64 {
         self.start + (seconds * self.rate_hz).ceil() as u64
     }
@@ -72,9 +72,9 @@ impl SourceSpan {
 
 /// The next snapshot of a scan, in steps of `every_s` seconds of drag, and the number of its step.
 ///
-/// With `exact`, it is taken at one step at a time and holds exactly what every source had by
-/// then, so that it does not depend on how the data came. Without, it is taken as soon as one
-/// source has got there, at the latest step that one has reached.
+/// With `exact`, no step is skipped, and the snapshot waits until every source has delivered up to
+/// its step, so that it does not depend on how the data arrive. Otherwise it is taken as soon as
+/// one source has, at the latest step that any source has reached.
 pub(super) fn next(
     marked: &Marked,
     streams: &[Stream],
@@ -158,7 +158,7 @@ impl SnapshotLengths {
     }
 }
 
-/// The new data of the streams since each was last traced, and the ends of these data.
+/// The streams' data since each was last traced, and the index after these data in each stream.
 pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {

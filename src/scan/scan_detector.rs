@@ -1,10 +1,9 @@
-//! Marks for streams that carry none: detects taps and drags, and cuts all sources to one span.
+//! Sets marks in streams that carry none, around taps and drags: one span of time in all sources.
 //!
-//! Streams of one device share one sample counter and form a [`Group`]; each group has a detector
-//! of its own, on its own counter. The first group whose data arrive leads: its detections make the
-//! marks. Their times become indexes of the other streams through the [`Timeline`], and the
-//! constant offset between two devices, which arrival times cannot show, through the tap that both
-//! sensed.
+//! Streams of one device share one sample counter and form a [`Group`] with a detector of its own.
+//! The first group whose data arrive leads: its detections make the marks. The [`Timeline`] turns
+//! their times into indexes of the other streams. The constant offset between two devices, which
+//! arrival times cannot show, is read off the tap that both sensed.
 
 use super::detect::{DetectorEvent, HOP_S, onset_in};
 use super::group::Group;
@@ -27,7 +26,7 @@ struct Contact {
     start: u64,
 }
 
-/// A source, and the number of its stream.
+/// A source, and the index of its stream.
 struct PlacedCut {
     cut: CutFrom,
     stream: usize,
@@ -37,11 +36,11 @@ struct Running {
     /// The group that detected it; none if a command began it.
     lead: Option<usize>,
     begun_s: f64,
-    /// The sources that were opened for its drag, as indexes of cuts.
+    /// The sources that were opened for its drag, as indexes into `cuts`.
     opened: Vec<usize>,
 }
 
-/// Follows the streams of a session.
+/// Detects scans in the streams of a session.
 pub(super) struct ScanDetector {
     timeline: Timeline,
     groups: Vec<Group>,
@@ -54,7 +53,7 @@ pub(super) struct ScanDetector {
 }
 
 impl ScanDetector {
-    /// A detector for these streams; what `detection` says of others is ignored. No scan lasts
+    /// A detector for these streams, by those parts of `detection` that concern them. No scan lasts
     /// longer than `longest_scan_s` seconds.
     pub fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
@@ -122,7 +121,7 @@ impl ScanDetector {
         marks
     }
 
-    /// Ends the scan in progress: nothing more will come.
+    /// Ends the scan in progress, since no more data will come.
     pub fn finish(&mut self, streams: &[Stream]) -> Vec<Mark> {
         let now_s = self.timeline.now_s();
         let mut marks = Vec::new();
@@ -193,7 +192,7 @@ impl ScanDetector {
         }
     }
 
-    /// Begins the scan of `contact`, or without it a drag that begins now.
+    /// Begins the scan of `contact`; without one, a scan whose drag begins now.
     fn begin(
         &mut self,
         contact: Option<Contact>,
@@ -251,8 +250,8 @@ impl ScanDetector {
         marks.push(Mark::End { at: self.timeline.instant(now_s) });
     }
 
-    /// Marks the latest pictures, however old: when a scan begins, and again when it ends, since
-    /// one with flash is taken during the drag.
+    /// Marks the latest pictures, however old. Called when a scan begins, and again when it ends,
+    /// since pictures with flash are taken during the drag.
     fn mark_images(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
         for placed in &self.cuts {
             if let StreamBuffer::Images { history, .. } = streams[placed.stream].buffer()
@@ -287,7 +286,7 @@ impl ScanDetector {
         }
     }
 
-    /// Index in stream number `at` of the moment at which a hop of group `lead` began.
+    /// Index of the frame of stream number `at` sampled when hop `hop` of group `lead` began.
     fn index(&self, lead: usize, hop: u64, at: usize, streams: &[Stream]) -> Option<u64> {
         let group = &self.groups[lead];
         let leading = &streams[group.channels[0].0];
@@ -302,7 +301,7 @@ impl ScanDetector {
 }
 
 impl PlacedCut {
-    /// The mark that opens it at frame `start`.
+    /// The mark that opens the source at frame `start`.
     fn open(&self, start: u64, rate_hz: f64) -> Mark {
         let CutFrom { source, stream, phase, channels } = &self.cut;
         Mark::Open(Open {

@@ -21,12 +21,12 @@ use crate::device::{
 use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
 
-/// Reports under way before a device waits.
+/// Reports that may be under way before a device has to wait.
 const REPORTS: usize = 1024;
 
 /// Errors of the start and the end of a session.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages describe the variants.
 pub enum SessionError {
     #[error("two devices have a stream called {0}; rename one of them in the configuration")]
     SameStream(SourceId),
@@ -49,7 +49,7 @@ pub struct StreamMeter {
 }
 
 impl StreamMeter {
-    /// The figures now.
+    /// The counts at this moment.
     pub fn counts(&self) -> Counts {
         self.meter.counts()
     }
@@ -73,7 +73,7 @@ impl Session {
     ///
     /// # Errors
     /// If two streams have one name, an option is impossible, or a thread cannot be started. A
-    /// device that fails is no error here: it ends in an event.
+    /// device that fails is no error here: an event reports it.
     pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
         check(&options)?;
         let stop = Stop::default();
@@ -119,7 +119,7 @@ impl Session {
             commands: cued,
         };
         let collector = spawn("collector", move || {
-            // After its end, in whatever way, no device may wait for it.
+            // However the collector ends, no device may go on waiting for it.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;
@@ -137,7 +137,7 @@ impl Session {
             let name = device.name().to_string();
             let link = DeviceLink::new(index, session.stop.clone(), report.clone());
             let report = report.clone();
-            // If there is no thread, dropping the session stops those that run.
+            // If a thread cannot be started, dropping the session stops those that run.
             let thread = spawn(&name, move || run(device, sinks, &link, index, &report))?;
             session.devices.push((name, thread));
         }
@@ -172,8 +172,8 @@ impl Session {
         self.waker.wake();
     }
 
-    /// Ends all devices and the collector, and gives the account. Events that were not read are
-    /// lost. A device that does not end within the limit is abandoned, and named.
+    /// Ends all devices and the collector, and returns the totals. Events that were not read are
+    /// lost. A device that does not end in time is abandoned, and named in the totals.
     ///
     /// # Errors
     /// If the collector panicked.
@@ -192,7 +192,7 @@ impl Session {
 
     fn join(&mut self) -> Result<Totals, SessionError> {
         let Some(collector) = self.collector.take() else { return Ok(Totals::default()) };
-        // Ends when the collector does; until then its events have a reader.
+        // Reads until the collector ends, so that it never waits for a reader.
         while self.events.recv().is_ok() {}
         let totals =
             collector.join().map_err(|panic| SessionError::Collector(what(panic.as_ref())))?;
@@ -256,7 +256,7 @@ fn spawn<T: Send + 'static>(
     name: &str,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, SessionError> {
-    // A thread's name holds no NUL.
+    // A thread's name must not hold NUL.
     let builder = std::thread::Builder::new().name(name.replace('\0', ""));
     builder.spawn(work).map_err(|error| SessionError::Thread { name: name.into(), error })
 }
@@ -273,7 +273,7 @@ fn run(
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
         Err(DeviceError::Failed(problem))
     });
-    // The streams are closed before the end is reported, so that it comes after all data.
+    // The streams are closed before the end is reported, so that the report comes after all data.
     drop(sinks);
     let _ = reports.send(DeviceReport { device: index, kind: DeviceReportKind::Ended(result) });
 }

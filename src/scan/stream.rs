@@ -8,7 +8,7 @@ use crate::ring::{ImageTap, Meter, Piece, SeriesTap};
 use crate::scene::SourceId;
 use crate::trial::Image;
 
-/// Pictures that are kept for marks to come.
+/// Pictures that are kept for later marks.
 const RECENT_IMAGES: u64 = 8;
 /// Pictures that are kept at most.
 const MOST_IMAGES: usize = 64;
@@ -18,7 +18,7 @@ pub(super) struct Stream {
     /// Number of its device: streams of one device and one rate share one sample counter.
     pub device: usize,
     buffer: StreamBuffer,
-    /// Index after what was sent as traces.
+    /// Index after the last frame that was sent in a trace.
     pub traced: u64,
 }
 
@@ -76,7 +76,7 @@ impl Stream {
         }
     }
 
-    /// Index after what has come out of the ring.
+    /// Index after the last frame that came out of the ring.
     pub fn end(&self) -> u64 {
         match &self.buffer {
             StreamBuffer::Series { history, .. } => history.end(),
@@ -84,7 +84,7 @@ impl Stream {
         }
     }
 
-    /// Index after what was put into the ring.
+    /// Index after the last frame that was put into the ring.
     pub fn pushed(&self) -> u64 {
         self.meter().counts().pushed
     }
@@ -97,8 +97,8 @@ impl Stream {
         }
     }
 
-    /// Takes all that is in the ring; whether there was anything. A gap that is longer than
-    /// `longest_s` seconds is not filled.
+    /// Takes all that is in the ring, and returns whether there was anything. Gaps longer than
+    /// `longest_s` seconds are not filled.
     pub fn drain(&mut self, longest_s: f64) -> bool {
         match &mut self.buffer {
             StreamBuffer::Series { tap, history, rate_hz } => {
@@ -113,8 +113,8 @@ impl Stream {
         }
     }
 
-    /// Forgets what no scan needs: `needed` is the first index that one does, `rate_hz` that
-    /// scan's rate.
+    /// Forgets frames older than `lookback_s`, except those from `needed` on (an index, and the
+    /// rate in Hz of the scan that needs it), which are kept up to an age of `longest_s`.
     pub fn forget(&mut self, needed: Option<(u64, f64)>, lookback_s: f64, longest_s: f64) {
         match &mut self.buffer {
             StreamBuffer::Series { history, rate_hz, .. } => {
@@ -136,15 +136,15 @@ impl Stream {
     }
 }
 
-/// The latest frames of a series. A missing frame is stood in for by the one before it, so that an
-/// index always means the same moment; the stretches that were missing are remembered.
+/// The latest frames of a series. A gap is filled by repeating the frame before it, so that an
+/// index always means the same moment; the gaps are remembered.
 #[derive(Debug)]
 pub struct SeriesHistory {
     channels: usize,
     /// Index of the first frame that is kept.
     base: u64,
     samples: Vec<f32>,
-    /// In order, not touching each other.
+    /// The gaps, in order, not touching each other.
     missing: VecDeque<Range<u64>>,
 }
 
@@ -167,7 +167,7 @@ impl SeriesHistory {
         self.base + (self.samples.len() / self.channels) as u64
     }
 
-    /// Interleaved samples of the frames `span`, as far as they are kept, and the first index.
+    /// The first index of `span` that is kept, and the interleaved samples from there on.
     pub fn frames(&self, span: Range<u64>) -> (u64, &[f32]) {
         let start = span.start.clamp(self.base, self.end());
         let end = span.end.clamp(start, self.end());
@@ -175,7 +175,7 @@ impl SeriesHistory {
         (start, &self.samples[at(start)..at(end)])
     }
 
-    /// The stretches within `span` that were missing.
+    /// The gaps within `span`.
     pub fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
         self.missing
             .iter()
@@ -183,8 +183,8 @@ impl SeriesHistory {
             .filter(|gap| gap.start < gap.end)
     }
 
-    /// Adds what came out of the ring. A gap of more than `most` frames is not filled: what was
-    /// before it is forgotten instead.
+    /// Adds frames or a gap that came out of the ring. A gap of more than `most` frames is not
+    /// filled: the frames before it are forgotten instead.
     pub(super) fn extend(&mut self, piece: Piece<'_>, most: u64) {
         match piece {
             Piece::Samples(samples) => self.samples.extend_from_slice(samples),
@@ -221,7 +221,7 @@ impl SeriesHistory {
             return;
         }
         self.samples.drain(..old * self.channels);
-        // After a burst, its room is given back.
+        // Gives memory back after a burst.
         if self.samples.capacity() > 8 * self.samples.len() {
             self.samples.shrink_to(2 * self.samples.len());
         }
@@ -260,7 +260,7 @@ impl ImageHistory {
         self.end = end;
     }
 
-    /// Forgets pictures before `keep`, and more than `most`.
+    /// Forgets pictures before index `keep`, and the oldest beyond `most`.
     pub(super) fn forget_before(&mut self, keep: u64, most: usize) {
         while self.images.front().is_some_and(|(at, _)| *at < keep) || self.images.len() > most {
             self.images.pop_front();
@@ -268,7 +268,7 @@ impl ImageHistory {
     }
 }
 
-/// The first `channels` of frames that have `wide` channels.
+/// The first `channels` channels of frames that have `wide` channels.
 pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
     if wide == channels {
         return samples.to_vec();

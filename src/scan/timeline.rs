@@ -35,7 +35,7 @@ impl Timeline {
         Self { begin: Instant::now(), streams: streams.iter().map(arrivals).collect() }
     }
 
-    /// Notes what has arrived; gives the time.
+    /// Notes which frames have arrived, and returns the time.
     pub fn observe(&mut self, streams: &[Stream]) -> ClockSecond {
         let now_s = self.now_s();
         for (stream, known) in streams.iter().zip(&mut self.streams) {
@@ -77,12 +77,12 @@ impl Timeline {
         self.streams[stream].clock.time_s(frame)
     }
 
-    /// Index of the frame that was sampled at a time; none before the stream's first arrival.
+    /// Index of the frame that was sampled at a time; `None` before the stream's first arrival.
     pub fn index_at(&self, stream: usize, time_s: ClockSecond) -> Option<u64> {
         self.streams[stream].clock.index_at(time_s)
     }
 
-    /// Index of the frame that is sampled now; of a silent stream, of the next one.
+    /// Index of the frame that is sampled now; if the stream is silent, of its next frame.
     pub fn index_now(&self, stream: usize, now_s: ClockSecond) -> u64 {
         let by_clock = self.index_at(stream, now_s).filter(|_| self.alive(stream, now_s));
         by_clock.unwrap_or(self.streams[stream].end)

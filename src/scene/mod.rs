@@ -1,4 +1,4 @@
-//! The sources of a station. A source is a row of configuration, not a case in the code.
+//! The sources of a station. A source is described by configuration, not by code of its own.
 //!
 //! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
 //! works with.
@@ -115,7 +115,7 @@ pub enum Colour {
     Value,
 }
 
-/// The part of a scan that a source is cut from, in their order.
+/// The part of a scan that a source is cut from; parts are ordered by time.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
 )]
@@ -132,7 +132,7 @@ pub enum Phase {
 /// One source: what it is and how it is compared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceSpec {
-    /// Short name, also that of its files.
+    /// Short name of the source and of its files.
     pub id: SourceId,
     /// A name for messages.
     pub what: String,
@@ -142,7 +142,7 @@ pub struct SourceSpec {
     pub phase: Phase,
     /// The domain in which samples are drawn.
     pub domain: Domain,
-    /// The part of each pixel that is compared; it has no meaning where the domain is not an image.
+    /// The part of each pixel that is compared, if the source is an image.
     pub colour: Colour,
     /// Number of channels.
     pub channels: usize,
@@ -152,14 +152,14 @@ pub struct SourceSpec {
     pub align_mean: bool,
     /// Exponent of the source's score in the discrepancy score (Eq. 9).
     pub weight: f64,
-    /// A fixed length scale instead of the median heuristic.
+    /// A fixed length scale of the kernel, instead of the median heuristic.
     pub sigma: Option<f64>,
     /// Added to the score n·MMD²_b.
     pub score_offset: f64,
 }
 
 impl SourceSpec {
-    /// Ends the band at a frequency in Hz; one that begins above it then begins at 0.
+    /// Ends the band at a frequency in Hz; a band that began above it then begins at 0.
     pub(crate) fn end_band_at(&mut self, end_hz: f64) {
         if let Domain::Spectrum { band_hz } | Domain::Time { band_hz: Some(band_hz) } =
             &mut self.domain
@@ -168,7 +168,7 @@ impl SourceSpec {
         }
     }
 
-    /// Checks that a spectrum reaches no higher than half the sample rate of its recording.
+    /// Checks that the band reaches no higher than half the sample rate of a recording.
     ///
     /// # Errors
     /// With what is wrong, and what to do.
@@ -195,7 +195,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// This scene with the sources of another added; the other's win where both name one.
+    /// This scene with the sources of `other`, which replace sources of the same name.
     pub fn with(mut self, other: Scene) -> Self {
         self.sources.extend(other.sources);
         if !other.name.is_empty() {
@@ -204,7 +204,7 @@ impl Scene {
         self
     }
 
-    /// This scene with `change` done to each of its sources; their names must stay.
+    /// This scene, with `change` applied to each of its sources, whose names must stay.
     pub fn changed(mut self, change: impl FnMut(&mut SourceSpec)) -> Self {
         self.sources.values_mut().for_each(change);
         self
@@ -252,7 +252,7 @@ impl Scene {
         self.sources.get(id)
     }
 
-    /// Whether a source is of the drag; those that the scene lacks are not.
+    /// Whether a source is recorded during the drag; false for one that the scene lacks.
     pub fn is_dragged(&self, id: &SourceId) -> bool {
         self.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
     }
@@ -265,7 +265,7 @@ impl Scene {
 
 /// Errors of a description of sources.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages describe the variants.
 pub enum SceneError {
     #[error("{0}")]
     Toml(#[from] toml::de::Error),

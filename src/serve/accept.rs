@@ -27,7 +27,7 @@ use super::settings::{Limits, Settings};
 const LARGEST_HEAD: usize = 16 << 10;
 /// The most header fields of a request.
 const MOST_HEADERS: usize = 64;
-/// The pause after the system gave no connection, for example because no file handles are left.
+/// The pause after a connection could not be accepted, for example for lack of file handles.
 const NO_CONNECTION: Duration = Duration::from_millis(100);
 
 /// Serves a router until `stop`.
@@ -81,8 +81,8 @@ impl Places {
         Self { all, an_address, proxies, taken: Mutex::default() }
     }
 
-    /// Takes a place, if the address may have one. Proxies speak for many, so only the limit for
-    /// all holds for them.
+    /// Takes a place, if the address may have one. Proxies stand for many clients, so only the
+    /// total limit applies to them.
     fn take(places: &Arc<Self>, address: IpAddr) -> Option<ConnectionPlace> {
         let taken = &mut *places.taken();
         let proxy = places.proxies.contains(&address.to_canonical());
@@ -97,7 +97,7 @@ impl Places {
     }
 
     fn taken(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        // Plain counts, whole whatever happened.
+        // Even after a panic, these are plain counts.
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -114,7 +114,7 @@ impl Drop for ConnectionPlace {
 }
 
 async fn connection(stream: TcpStream, peer: Peer, router: Router, limits: Limits) {
-    // Events are small, and wanted at once.
+    // Events are small and must go out at once.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(limits.unread));

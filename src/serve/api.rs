@@ -174,7 +174,7 @@ pub fn file<S: Clone + Send + Sync + 'static>(
     content_type: &'static str,
     text: &'static str,
 ) -> MethodRouter<S> {
-    // After an update of the program, no browser shows the old page.
+    // So that no browser shows the old page after an update of the program.
     let headers = [(CONTENT_TYPE, content_type), (CACHE_CONTROL, "no-cache")];
     get(move || async move { (headers, text).into_response() })
 }

@@ -13,14 +13,14 @@ pub struct Peer(pub SocketAddr);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Client {
     pub address: IpAddr,
-    /// Whether the client speaks TLS, to a trusted proxy.
+    /// Whether the client speaks TLS with a trusted proxy.
     pub tls: bool,
 }
 
 impl Client {
-    /// The client of a request: what `X-Forwarded-For` and `X-Forwarded-Proto` say counts only where
-    /// the connection comes from one of `proxies`. Of several addresses the last one that is no
-    /// proxy is the client's: those before it are its own words.
+    /// The client of a request. `X-Forwarded-For` and `X-Forwarded-Proto` count only if the
+    /// connection comes from one of `proxies`. Of several addresses, the last that is no proxy's is
+    /// the client's: the client may have made up those before it.
     pub fn of(request: &Request, proxies: &[IpAddr], unknown: IpAddr) -> Self {
         let peer = request.extensions().get::<Peer>().map_or(unknown, |peer| peer.0.ip());
         let peer = peer.to_canonical();
@@ -38,14 +38,14 @@ impl Client {
     }
 }
 
-/// The parts between commas of all header lines of a name.
+/// The comma-separated parts of all header lines called `name`.
 fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str> {
     let lines = headers.get_all(name).into_iter().filter_map(|value| value.to_str().ok());
     lines.flat_map(|line| line.split(',')).map(str::trim)
 }
 
-/// The address by which a client is counted: of IPv6, the network of 64 bits that one subscriber
-/// line has.
+/// The address under which a client is counted: of IPv6, the network of 64 bits, all of which
+/// belongs to one subscriber line.
 pub fn neighbourhood(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => {

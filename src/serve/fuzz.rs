@@ -1,5 +1,5 @@
-//! One request of any bytes, through all that is ours: guard, paths, queries, bodies. For the fuzz
-//! target and the property test, which check the same of every answer.
+//! Sends requests of arbitrary bytes through the guard and all handlers, and checks every answer,
+//! for the fuzz target and the property test.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use crate::station::Command;
 /// The token of the server that has one.
 const SECRET: &str = "0123456789abcdef";
 
-/// A server without a network, and what it orders.
+/// A server without a network, and the commands that it sends to the station.
 struct OfflineServer {
     router: Router,
     orders: Receiver<Command>,
@@ -46,7 +46,7 @@ impl OfflineServer {
         Self { router: api::router(hub, &settings), orders, runtime }
     }
 
-    /// Sends a request, and checks the answer. True if this server takes another one.
+    /// Sends a request, and checks the answer. True if this server can take another request.
     fn send(&mut self, request: Request) -> bool {
         let (method, path) = (request.method().clone(), request.uri().path().to_string());
         let Self { router, orders, runtime } = self;
@@ -79,8 +79,8 @@ impl OfflineServer {
     }
 }
 
-/// A request as it would come over a line: `METHOD PATH`, lines of `NAME: VALUE`, an empty line and
-/// the body. None, if the line's own parser (`hyper`) would refuse it.
+/// A request in the form `METHOD PATH`, lines of `NAME: VALUE`, an empty line and the body. `None`
+/// if the HTTP parser (`hyper`) would refuse it.
 fn request(bytes: &[u8]) -> Option<Request> {
     let end = bytes.windows(2).position(|two| two == b"\n\n").unwrap_or(bytes.len());
     let (head, body) = bytes.split_at(end);
@@ -102,8 +102,8 @@ thread_local! {
 /// Sends a request to two servers, one of which wants a token.
 ///
 /// # Panics
-/// If an answer is not as it must be: an error of the server's own, an order that was not allowed or
-/// whose labels could mean a path, invalid JSON.
+/// If an answer is wrong: an internal error of the server, a command that was not allowed or whose
+/// labels could be read as a path, or invalid JSON.
 pub fn send(bytes: &[u8]) {
     SERVERS.with_borrow_mut(|servers| {
         for (server, secret) in servers.iter_mut().zip([None, Some(SECRET)]) {

@@ -32,14 +32,14 @@ const MOST_SESSIONS: usize = 1024;
 /// Refusals a minute that are logged one by one.
 const LOGGED: u32 = 10;
 
-/// Paths that need no token: they reveal nothing, and the form for the token is made of them.
+/// Paths that need no token: they reveal nothing, and the form for the token uses them.
 const OPEN: [&str; 3] = ["/healthz", "/style.css", "/favicon.svg"];
 
-/// The form for the token, with the place of a problem.
+/// The page with the form for the token, and the place in it for the text of a problem.
 const TOKEN_FORM: &str = include_str!("page/token.html");
 const PROBLEM_PLACE: &str = "<!-- problem -->";
 
-/// The page needs its own files only; no other page may frame it.
+/// The page loads only its own files, and no other page may frame it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
                       media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'self'; \
                       frame-ancestors 'none'";
@@ -98,8 +98,8 @@ impl Budgets {
         }
     }
 
-    /// Whether a token may be compared: each comparison is paid for before it is made, and paid
-    /// back if the token was right.
+    /// Compares a token that a client gave. Each attempt first takes one of the guesses that the
+    /// client may make, which a right token gives back.
     fn try_token(
         &mut self,
         (token, given): (&Token, &str),
@@ -124,7 +124,7 @@ impl Budgets {
         self.known.admit(address, now).then_some(()).ok_or(Problem::TooOften)
     }
 
-    /// A new session, if the system has a random number for it; the oldest of too many ends.
+    /// A new session, if the system has random numbers; of too many sessions, the oldest ends.
     fn begin_session(&mut self) -> Option<u128> {
         let half = || SysRng.try_next_u64().ok().map(u128::from);
         let session = half()? << 64 | half()?;
@@ -153,12 +153,12 @@ impl Guard {
     }
 
     fn budgets(&self) -> MutexGuard<'_, Budgets> {
-        // Plain figures, whole whatever happened.
+        // Even after a panic, these are plain numbers.
         self.budgets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a request pass, or answers it: `/?token=…`, which a person opens once, with the cookies
-    /// and the page without the token.
+    /// Lets a request pass (`None`), or answers it: a person opens `/?token=…` once, and gets the
+    /// cookies and the address of the page without the token.
     fn check(&self, request: &Request, client: Client) -> Result<Option<Response>, Problem> {
         let (headers, address) = (request.headers(), neighbourhood(client.address));
         let host = text(headers, &HOST).unwrap_or_default();
@@ -182,9 +182,9 @@ impl Guard {
                 if !self.budgets().strangers.admit(address, Instant::now()) {
                     return Err(Problem::TooOften);
                 }
-                // A name that a stranger's DNS points at this machine is refused. With a
-                // token, any name may stand for this machine, and the stranger does not know the
-                // token.
+                // Without a token, the host must be a name of this machine: a stranger's DNS may
+                // point any other name here. With a token, any name will do, since the stranger
+                // does not know the token.
                 match token {
                     Some(_) if is_open => {}
                     Some(_) => return Err(Problem::Token),
@@ -199,7 +199,7 @@ impl Guard {
         Ok(None)
     }
 
-    /// The cookies, and the page without the token in its address.
+    /// Answers with the cookies, and sends the browser to the page without the token.
     fn enter(&self, token: &Token, client: Client) -> Response {
         let secure = if client.tls { "; Secure" } else { "" };
         let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
@@ -245,7 +245,7 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     if status.is_client_error() {
         guard.traffic.refused.fetch_add(1, Ordering::Relaxed);
         if guard.budgets().logs(Instant::now()) {
-            // The path is a stranger's; the log stays one plain line.
+            // A stranger chose the path; the log stays one plain line.
             let path: String = path.chars().take(100).collect();
             tracing::warn!("refused {method} {path:?} from {}: {status}", client.address);
         }
@@ -281,8 +281,8 @@ fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
-/// Whether a `Host` names this machine by itself: `localhost`, 127.x.x.x or `[::1]`, any port, since
-/// a tunnel may change it.
+/// Whether a `Host` header names this machine: `localhost`, 127.x.x.x or `[::1]`, with any port,
+/// since a tunnel may change the port.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -292,7 +292,7 @@ fn is_loopback(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Refuses requests from pages of other sites. Programs send neither of these headers.
+/// Refuses requests from pages of other sites. Programs send neither `Origin` nor `Sec-Fetch-Site`.
 fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
@@ -308,25 +308,25 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     }
 }
 
-/// Clients that are remembered.
+/// Clients whose buckets are kept.
 const MOST_CLIENTS: usize = 4096;
 
-/// A bucket for each client.
+/// A bucket of permits for each client, which limits its rate (token bucket).
 #[derive(Debug)]
 pub struct Rates<K> {
     a_second: f64,
     burst: f64,
-    /// The content of each bucket, and the time at which it had that.
+    /// The permits in each bucket, and the time when they were counted.
     buckets: HashMap<K, (f64, Instant)>,
 }
 
 impl<K: Copy + Eq + Hash> Rates<K> {
-    /// Full buckets of `burst`, which fill by so much `a_second`.
+    /// Buckets that hold at most `burst` permits, are full at first, and gain `a_second` a second.
     pub fn new(a_second: f64, burst: f64) -> Self {
         Self { a_second, burst, buckets: HashMap::new() }
     }
 
-    /// Takes one from the bucket of a client, if there is one in it.
+    /// Takes a permit from the bucket of a client, if one is left.
     pub fn admit(&mut self, client: K, now: Instant) -> bool {
         let (a_second, burst) = (self.a_second, self.burst);
         let filled = |(left, since): (f64, Instant)| {
@@ -334,7 +334,7 @@ impl<K: Copy + Eq + Hash> Rates<K> {
             (left + more).min(burst)
         };
         if self.buckets.len() >= MOST_CLIENTS && !self.buckets.contains_key(&client) {
-            // A full bucket is as good as none.
+            // A full bucket need not be kept.
             self.buckets.retain(|_, bucket| filled(*bucket) < burst);
             if self.buckets.len() >= MOST_CLIENTS {
                 return false;
@@ -347,7 +347,7 @@ impl<K: Copy + Eq + Hash> Rates<K> {
         admitted
     }
 
-    /// Puts back what was taken.
+    /// Puts a permit back.
     pub fn give_back(&mut self, client: K) {
         if let Some((left, _)) = self.buckets.get_mut(&client) {
             *left = (*left + 1.0).min(self.burst);

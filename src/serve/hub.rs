@@ -1,7 +1,7 @@
 //! The work of the server's thread: takes in the station's events, and publishes them.
 //!
-//! One thread runs all of it, so the lock is never waited for; it is there because handlers may,
-//! by their types, run anywhere.
+//! Nearly all of it runs on one thread, so the lock is rarely waited for; the types of handlers
+//! demand one.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -49,11 +49,11 @@ pub struct Hub {
     pub history: Arc<History>,
     /// The library that may be edited.
     pub library: Option<LibraryFolder>,
-    /// Its audit.
+    /// The audit of that library.
     pub checks: Checks,
 }
 
-/// The part behind the lock.
+/// The part of the hub behind its lock.
 #[derive(Debug)]
 pub struct HubState {
     pub state: State,
@@ -70,7 +70,7 @@ pub struct HubState {
     camera: Option<CameraView>,
     /// The outputs that answers go to.
     outputs: Vec<OutputHealth>,
-    /// Their state that was last published.
+    /// The state of the outputs that was last published.
     output_views: Vec<OutputView>,
 }
 
@@ -81,7 +81,7 @@ struct PhaseEvent {
 }
 
 impl HubState {
-    /// All that is known now.
+    /// All that is known now, as one document.
     pub fn whole(&self) -> StateDocument<'_> {
         let outputs = self.outputs.iter().map(OutputHealth::view).collect();
         StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters, outputs)
@@ -179,7 +179,7 @@ impl HubState {
             StationEvent::Phase { scan, phase } => {
                 self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
             }
-            // One that came after its scan is no news.
+            // A guess that comes after the end of its scan is not published.
             StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
                 self.publish(EventKind::Guess, guess);
             }
@@ -190,7 +190,7 @@ impl HubState {
                 self.publish(EventKind::Answer, &answer);
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
-            // The state holds it, and its change is published.
+            // Published by `change`, as far as they change the state.
             StationEvent::Enrolling(_)
             | StationEvent::Ending(_)
             | StationEvent::Alive
@@ -225,7 +225,7 @@ pub enum Undelivered {
 }
 
 impl Hub {
-    /// A hub that knows nothing yet; `missed` counts the events that found no room.
+    /// A hub before the first event; the reporter counts events without room in `missed`.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
@@ -257,17 +257,17 @@ impl Hub {
 
     /// The part behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, HubState> {
-        // A panic while it was held left plain figures, usable by themselves.
+        // Even after a panic, each of these values can be used.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// All figures.
+    /// The text of all metrics.
     pub fn metrics(&self) -> String {
         let precision = self.history.precision();
         self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision, &self.traffic)
     }
 
-    /// Takes in an event. A surface that was enrolled is used at once.
+    /// Takes in an event. Once all trials of an enrolment are kept, the library is read again.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
             StationEvent::Answer(answer) => Some(answer),
@@ -275,7 +275,7 @@ impl Hub {
             _ => None,
         };
         if let Some(answer) = answer.filter(|_| !self.history.is_on_disk()) {
-            // In memory alone, where nothing can fail.
+            // In memory alone this cannot fail.
             let _ = self.history.answered(answer);
         }
         let inner = &mut *self.lock();
@@ -312,7 +312,7 @@ impl Hub {
     /// Sends a command, without waiting for the station.
     ///
     /// # Errors
-    /// If it has ended, is busy with the orders before, or cannot do that.
+    /// If the station has ended, is busy with earlier commands, or keeps no scans.
     pub fn order(&self, order: Command) -> Result<(), Undelivered> {
         let enrolls =
             matches!(order, Command::Enroll { .. } | Command::KeepRefused(_) | Command::EndEnroll);
@@ -375,7 +375,7 @@ fn every(period: Duration) -> Interval {
     interval
 }
 
-/// All that is known now.
+/// The document that holds all that is known now.
 #[derive(Serialize)]
 pub struct StateDocument<'a> {
     #[serde(flatten)]
@@ -390,7 +390,7 @@ pub struct StateDocument<'a> {
 }
 
 impl<'a> StateDocument<'a> {
-    /// Collects the state now.
+    /// Collects what is known now.
     pub fn of(
         state: &'a State,
         enrolls: bool,
@@ -439,7 +439,7 @@ fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
 pub struct CheckView {
     /// `none`, `running`, `done` or `failed`.
     pub state: &'static str,
-    /// Since when.
+    /// When this state began, in milliseconds since 1970.
     pub unix_ms: u64,
     /// The reason why it failed.
     pub problem: Option<String>,
@@ -447,22 +447,22 @@ pub struct CheckView {
     pub report: Option<Arc<CheckReport>>,
 }
 
-/// Audits, one at a time.
+/// Audits of the library, one at a time.
 #[derive(Debug)]
 pub struct Checks {
-    /// Does one.
+    /// Runs an audit.
     pub audit: Option<Audit>,
     view: Mutex<CheckView>,
 }
 
 impl Checks {
-    /// None has run yet.
+    /// The state before the first audit.
     pub fn new(audit: Option<Audit>) -> Self {
         let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
         Self { audit, view: Mutex::new(view) }
     }
 
-    /// The state of the last one.
+    /// The state of the last audit.
     pub fn lock(&self) -> MutexGuard<'_, CheckView> {
         // Each change is one assignment.
         self.view.lock().unwrap_or_else(PoisonError::into_inner)

@@ -1,4 +1,4 @@
-//! Labels that the network may bring in: they read the same everywhere.
+//! Checks labels from the network: valid ones are harmless in file names, pages and terminals.
 
 use crate::trial::normal;
 
@@ -7,7 +7,7 @@ const LONGEST: usize = 80;
 /// The characters that a label may hold beside letters, digits and spaces.
 const MARKS: &str = "_-.,()+'%#";
 
-/// A label of a surface or a user as it is to be used, without spaces around it.
+/// The label of a surface or a user in normal form, without spaces around it.
 ///
 /// # Errors
 /// If it is not valid, with the reason. `what` names the field.

@@ -123,7 +123,7 @@ async fn edited<T: AsRef<Step> + Send + 'static>(
     let history = hub.history.clone();
     let step = aside(move || {
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
-        // A move that cannot be noted now is found out when it matters.
+        // If the moves cannot be noted now, the trials are found by their notes when needed.
         let _ = history.relocated(&step.as_ref().moves);
         Ok(step)
     });

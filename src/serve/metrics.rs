@@ -1,7 +1,7 @@
-//! The figures for Prometheus, in its text format 0.0.4.
+//! Metrics for Prometheus, in its text format 0.0.4.
 //!
-//! <https://prometheus.io/docs/instrumenting/exposition_formats/>: a few lines of text a metric,
-//! written here rather than kept in a registry, since the figures live in the rings' meters.
+//! <https://prometheus.io/docs/instrumenting/exposition_formats/>: a few lines of text for each
+//! metric, written here without a registry, since the meters of the rings keep the counts.
 
 use std::fmt::{Display, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,16 +18,16 @@ use crate::station::AnswerState;
 /// The content type of the format.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Bounds of scan durations, in seconds.
+/// Bounds of the histogram of scan durations, in seconds.
 const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
-/// Bounds of latencies, in seconds.
+/// Bounds of the histogram of latencies, in seconds.
 const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
-/// Counts of values below each of some bounds.
+/// A histogram: counts of values between bounds.
 #[derive(Debug)]
 struct Histogram {
     bounds: &'static [f64],
-    /// One a bound, and one for what lies above all.
+    /// For each bound, the values up to it and above the one before; then those above all bounds.
     counts: Vec<u64>,
     sum: f64,
 }
@@ -44,7 +44,7 @@ impl Histogram {
     }
 }
 
-/// Figures that are counted here.
+/// Numbers that are counted here.
 #[derive(Debug)]
 pub struct Metrics {
     scan_s: Histogram,
@@ -58,7 +58,7 @@ impl Default for Metrics {
     }
 }
 
-/// Figures that are counted elsewhere.
+/// Numbers that are counted elsewhere.
 pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
@@ -68,18 +68,18 @@ pub struct Elsewhere<'a> {
     pub missed_notices: u64,
     /// The outputs that answers go to.
     pub outputs: &'a [OutputView],
-    /// Of answers that somebody corrected.
+    /// How many answers were right, of those that somebody reviewed.
     pub precision: &'a [Precision],
 }
 
 impl Metrics {
-    /// A scan was named.
+    /// Counts a scan that was named.
     pub fn scan(&mut self, scan_s: f64, latency_s: f64) {
         self.scan_s.observe(scan_s);
         self.latency_s.observe(latency_s);
     }
 
-    /// All figures.
+    /// The text of all metrics.
     pub fn text(&self, elsewhere: &Elsewhere<'_>) -> String {
         let mut page = MetricsPage::default();
         let state = elsewhere.state;

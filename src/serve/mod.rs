@@ -1,6 +1,6 @@
 //! The station on the network: a page for the operator, an interface for programs, metrics.
 //!
-//! [`Server::start`] gives a [`Server`] and a [`Reporter`]. The reporter is a
+//! [`Server::start`] returns a [`Server`] and a [`Reporter`]. The reporter is a
 //! [`Listener`](crate::station::Listener) and does nothing on the station's thread but enter an
 //! event into a bounded queue; everything else happens on one thread of the server:
 //!

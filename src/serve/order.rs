@@ -7,7 +7,7 @@ use super::label;
 use crate::station::Command;
 use crate::trial::EXPERT;
 
-/// Most trials of one order.
+/// Most trials of one enrolment.
 const MOST_TRIALS: u32 = 1000;
 
 /// The body of a request to keep a refused scan.
@@ -17,7 +17,7 @@ struct KeepRefused {
     scan: u32,
 }
 
-/// The order in the body of a request to keep a refused scan.
+/// The command in the body of a request to keep a refused scan.
 ///
 /// # Errors
 /// If it is not valid, with the reason.
@@ -42,7 +42,7 @@ fn one() -> u32 {
     1
 }
 
-/// The order in the body of a request to enrol.
+/// The command in the body of a request to enrol.
 ///
 /// # Errors
 /// If it is not valid, with the reason.

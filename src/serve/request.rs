@@ -91,10 +91,10 @@ impl From<BytesRejection> for Problem {
     }
 }
 
-/// The argument of each handler.
+/// The hub, as each handler gets it.
 pub type Shared = State<Arc<Hub>>;
 
-/// Runs work that may wait for the disk on another thread than the server's.
+/// Runs work that may wait for the disk, on a thread other than the server's.
 pub async fn aside<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {

@@ -27,9 +27,9 @@ use crate::scene::SourceId;
 use crate::station::Command;
 use crate::trial::{EXPERT, Trial, TrialKey};
 
-/// Scans of one answer, unless the request says otherwise.
+/// Scans in one answer, unless the request says otherwise.
 const USUAL: usize = 100;
-/// Most scans of one answer.
+/// Most scans in one answer.
 const MOST: usize = 1000;
 
 /// The paths of scans below `/api/v1`.
@@ -68,9 +68,9 @@ impl From<LibraryError> for Problem {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PageRequest {
-    /// How many at most.
+    /// Most scans in the answer.
     limit: Option<usize>,
-    /// Only scans before this one, by its name or its number.
+    /// Only scans before this one, which is given by its `id` or its number.
     before: Option<String>,
 }
 
@@ -129,7 +129,7 @@ async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
 type ScanPath = Result<Path<String>, PathRejection>;
 
 fn name(id: ScanPath) -> Result<String, Problem> {
-    let bad = |_| Problem::Bad("a scan is named by its `id`, or its number".into());
+    let bad = |_| Problem::Bad("name the scan by its `id` or its number".into());
     id.map(|Path(id)| id).map_err(bad)
 }
 
@@ -138,7 +138,7 @@ async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<Value>, Problem> 
     Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
 }
 
-/// A file as it stands.
+/// The bytes of a file.
 fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
     std::fs::read(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Problem::NotFound,
@@ -152,7 +152,7 @@ async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
-/// The name on disk of a file that may be asked for, and its type.
+/// The name on disk and the content type of a file that clients may ask for.
 fn on_disk(file: &str) -> Option<(String, &'static str)> {
     let (stem, extension) = file.rsplit_once('.')?;
     let nearest = stem.strip_prefix("nearest-");
@@ -165,8 +165,8 @@ fn on_disk(file: &str) -> Option<(String, &'static str)> {
     }
 }
 
-/// A part of a file, where a request asks for one that is there, as a player does that seeks; else
-/// all of it (RFC 9110 §14).
+/// The part of a file that a request asks for, as a player does to seek; the whole file, if it asks
+/// for none or cannot be understood (RFC 9110 §14).
 fn part(headers: &HeaderMap, mut bytes: Vec<u8>) -> Response {
     let length = bytes.len();
     let range = headers.get(RANGE).and_then(|range| range.to_str().ok()?.strip_prefix("bytes="));
@@ -199,7 +199,7 @@ async fn file(
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
-/// The latest picture of a camera: the region that is compared, or all of it.
+/// The latest picture of a camera: the region that is compared, or (`whole-SOURCE.jpg`) all of it.
 async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
     let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
@@ -231,7 +231,7 @@ async fn history(State(hub): Shared) -> Json<HistoryView> {
     Json(HistoryView { extent, precision })
 }
 
-/// A correction of a scan; an empty one takes the last one back.
+/// A correction of a scan; an empty one removes the correction.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Was {
@@ -252,7 +252,7 @@ impl Was {
                 let surface = label::check("surface", &surface).map_err(Problem::Bad)?;
                 Ok(Some(Correction::Surface { surface }))
             }
-            _ => Err(Problem::Bad("a scan was one of `surface`, `unknown` and `bad`".into())),
+            _ => Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
         }
     }
 }
@@ -282,19 +282,19 @@ async fn correct(
     let (scan, is_moved) = scan.await?;
     hub.corrected(&scan);
     if is_moved {
-        // A station that is too busy for it leaves it to the operator.
+        // If the station is too busy, the operator can reload later.
         let _ = hub.order(Command::Reload);
     }
     Ok(Json(scan))
 }
 
-/// The notes of the trial that a scan becomes, by which it is found again.
+/// The notes of the trial that a scan becomes, by which that trial is found again.
 fn notes(scan: &Value) -> String {
     format!("scan {}", full_name(scan))
 }
 
-/// Gives the trial that a scan became another label, or removes it where the scan was no surface;
-/// says where it is then.
+/// Gives the trial that a scan became another label, or removes it if there is no `label`. Returns
+/// the trial's new name, unless it is gone.
 fn correct_trial(
     library: &LibraryFolder,
     scan: &Value,
@@ -310,7 +310,7 @@ fn correct_trial(
     Ok(Some(step.moves.first().map_or(trial, |one| one.to.clone())))
 }
 
-/// The name of a scan that may have been asked for by its number.
+/// The `id` of a scan, which may have been asked for by its number.
 fn full_name(scan: &Value) -> String {
     scan["id"].as_str().unwrap_or_default().to_string()
 }
@@ -338,7 +338,7 @@ async fn keep(
         if let Some(trial) =
             edit::trial_of_note(&library.folder, &notes(&scan), scan["became"].as_str())
         {
-            // A crash may have come between the trial and this line.
+            // After a crash, the trial may be there without this note.
             history.became(&id, Some(trial.clone()))?;
             let why = format!("this scan is a trial of the library already: {trial}");
             return Err(Problem::Bad(why));
@@ -349,12 +349,12 @@ async fn keep(
     });
     let scan = scan.await?;
     hub.corrected(&scan);
-    // A station that is too busy for it leaves it to the operator.
+    // If the station is too busy, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(scan))
 }
 
-/// Writes a corrected scan into a library, and says as which trial.
+/// Writes a corrected scan into a library, and returns the name of the trial.
 fn to_library(
     library: &LibraryFolder,
     scan: &Value,
@@ -366,7 +366,7 @@ fn to_library(
         return refuse("say first which surface this scan was");
     };
     if scan["spoiled"].as_array().is_some_and(|reasons| !reasons.is_empty()) {
-        return refuse("this scan is spoiled, and no good trial");
+        return refuse("this scan is spoiled, so it cannot become a trial");
     }
     let about = About::read(folder)?;
     let opened = recording::open_trial(folder, &library.scene)?;

@@ -24,17 +24,15 @@ pub struct Server {
     thread: Option<JoinHandle<()>>,
 }
 
-/// The time that the end of the server waits for events that are not sent yet, and then for answers
-/// under
-/// way.
+/// How long the end of the server waits for events not sent yet, and again for answers under way.
 const SHUTDOWN_GRACE: Duration = Duration::from_millis(300);
 
 impl Server {
-    /// Serves from now on; `orders` go to the station.
+    /// Starts to serve; commands go to the station through `orders`.
     ///
     /// # Errors
-    /// If the address is open to others and there is no token, if it cannot be had, or if the
-    /// system gives no thread.
+    /// If other machines reach the address and there is no token, if the address cannot be used, or
+    /// if no thread can be started.
     pub fn start(
         settings: &Settings,
         orders: Sender<Command>,
@@ -81,7 +79,7 @@ impl Server {
                 // once.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
-            // An edit or a list of the library may wait for the disk, or for another program.
+            // No longer: an edit of the library may wait for the disk or another program.
             runtime.shutdown_timeout(SHUTDOWN_GRACE);
         };
         let thread = std::thread::Builder::new()
@@ -96,7 +94,7 @@ impl Server {
         self.address
     }
 
-    /// Ends all connections; answers under way have a moment.
+    /// Ends all connections; answers under way get a moment.
     pub fn stop(mut self) {
         self.end();
     }
@@ -104,7 +102,7 @@ impl Server {
     fn end(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // Its connections are closed even if it panicked.
+            // The thread's connections are closed even if it panicked.
             let _ = thread.join();
         }
     }
@@ -116,9 +114,9 @@ impl Drop for Server {
     }
 }
 
-/// Events in the queue.
+/// Most events in the queue.
 const QUEUE: usize = 1024;
-/// Traces leave this much room for what matters more.
+/// Traces leave this many places in the queue free for more important events.
 const KEPT_FREE: usize = 768;
 
 /// Passes the events of the station on to the server.
@@ -135,7 +133,7 @@ fn pair() -> (Reporter, mpsc::Receiver<StationEvent>) {
 }
 
 impl Reporter {
-    /// Events that found no room.
+    /// The number of events that found no room in the queue.
     fn missed(&self) -> Arc<AtomicU64> {
         self.missed.clone()
     }
@@ -143,7 +141,7 @@ impl Reporter {
 
 impl Listener for Reporter {
     fn on_event(&mut self, event: &StationEvent) {
-        // Whole scans are the keeper's.
+        // The server needs neither signs of life nor whole scans.
         if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
             return;
         }

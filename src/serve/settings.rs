@@ -24,16 +24,16 @@ pub struct Settings {
     pub address: SocketAddr,
     /// The token that a client must know, where one is set.
     pub token: Option<Token>,
-    /// Proxies in front of the server: what they say of a client (`X-Forwarded-For`,
-    /// `X-Forwarded-Proto`) is believed, and their connections are not counted.
+    /// Proxies in front of the server: what they tell of a client (`X-Forwarded-For`,
+    /// `X-Forwarded-Proto`) is believed, and they may have all connections.
     pub proxies: Vec<IpAddr>,
     /// The limits of clients.
     pub limits: Limits,
     /// Whether the station keeps scans for a library.
     pub enrolls: bool,
-    /// That library, where it may be edited: scans become its trials.
+    /// That library, if it may be edited: scans become its trials.
     pub library: Option<LibraryFolder>,
-    /// Audits that library, where it may be edited.
+    /// The audit of that library, if it may be edited.
     pub check: Option<Audit>,
     /// Past scans.
     pub history: Arc<History>,
@@ -100,11 +100,11 @@ pub struct Limits {
     pub unread: Duration,
     /// Requests a second that one address may make in the long run.
     pub requests_a_second: f64,
-    /// How many of them at once.
+    /// Requests that one address may make at once.
     pub burst: f64,
     /// Wrong tokens a second that one address may try in the long run.
     pub guesses_a_second: f64,
-    /// How many of them at once.
+    /// Wrong tokens that one address may try at once.
     pub guess_burst: f64,
 }
 
@@ -142,7 +142,7 @@ impl Token {
         Ok(Self(text.into()))
     }
 
-    /// Whether a client knows it. The time that this takes depends on the length alone.
+    /// Whether a client gave this token. The time that this takes depends on the length alone.
     pub fn matches(&self, given: &str) -> bool {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
@@ -179,7 +179,7 @@ pub enum ServeError {
     /// not a valid token
     #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
     Token,
-    /// the system gave no thread, or no means to wait on sockets
+    /// the system cannot start a thread, or cannot wait on sockets
     #[error("cannot serve: {0}")]
     System(std::io::Error),
 }

@@ -16,7 +16,7 @@ const WARNINGS: usize = 50;
 /// Devices that are listed; names come from the hardware, and could be many.
 const DEVICES: usize = 64;
 
-/// Now, see [`record::unix_ms`].
+/// The present time, in milliseconds since 1970.
 pub fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
@@ -24,14 +24,14 @@ pub fn unix_ms() -> u64 {
 /// Advice for the operator.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Advice {
-    /// For programs.
+    /// The advice, for programs.
     #[serde(rename = "do")]
     pub what: AdviceKind,
     /// Seconds that the drag should still last, if known.
     pub more_s: Option<f64>,
     /// The device to plug in, if one is disconnected.
     pub device: Option<String>,
-    /// The same in a few words.
+    /// The advice in a few words.
     pub text: String,
 }
 
@@ -44,7 +44,7 @@ pub enum AdviceKind {
     Enroll,
     /// Begin a scan.
     Tap,
-    /// Go on.
+    /// Go on dragging.
     Drag,
     /// The scan is long enough.
     Lift,
@@ -56,11 +56,11 @@ pub enum AdviceKind {
 pub struct DeviceView {
     /// Its name.
     pub device: String,
-    /// How it is.
+    /// Its state.
     pub state: DeviceState,
     /// The reason, and what to do.
     pub detail: String,
-    /// Since when.
+    /// When this state began.
     pub since_unix_ms: u64,
 }
 
@@ -74,7 +74,7 @@ pub struct LibraryView {
     pub synthetic: bool,
     /// The reason why scans cannot be named with it, if they cannot.
     pub problem: Option<String>,
-    /// The basis of its answers, a line each.
+    /// Remarks on what its answers rest on, a line each.
     pub remarks: Vec<String>,
 }
 
@@ -96,10 +96,10 @@ impl From<&LibraryState> for LibraryView {
     }
 }
 
-/// Something that was wrong.
+/// A warning, and when it came.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WarningView {
-    /// When.
+    /// Milliseconds since 1970.
     pub unix_ms: u64,
     /// The warning.
     pub text: String,
@@ -110,17 +110,17 @@ pub struct WarningView {
 pub struct SessionCounts {
     /// Scans that were named, or found to be unknown.
     pub scans: u64,
-    /// Those that are none of the library's surfaces.
+    /// Of these scans, those that are none of the library's surfaces.
     pub unknown: u64,
-    /// Those that are the nearest surface, with reasons for doubt.
+    /// Of these scans, those named by the nearest surface, with reasons for doubt.
     pub unsure: u64,
-    /// Those that are the nearest surface, where there is no threshold for unknown ones.
+    /// Of these scans, those named by the nearest surface, without a threshold for unknown ones.
     pub nearest: u64,
     /// Scans that could not be named.
     pub unnamed: u64,
-    /// Those that should not be trusted.
+    /// Answered scans that should not be trusted.
     pub spoiled: u64,
-    /// Those that are spoiled, or whose sources are damaged.
+    /// Answered scans that are spoiled, or whose sources are damaged.
     pub damaged: u64,
     /// Scans that were kept for the library.
     pub enrolled: u64,
@@ -140,11 +140,11 @@ pub struct State {
     pub started_unix_ms: u64,
     /// Number of the scan in progress.
     pub scan: Option<u32>,
-    /// Its part.
+    /// The part that this scan has reached.
     pub phase: Option<Phase>,
     /// The advice for now.
     pub advice: Advice,
-    /// How the scan in progress looks so far.
+    /// What the scan in progress seems to be so far.
     pub guess: Option<Guess>,
     /// The last scan that was named.
     pub answer: Option<Arc<Answer>>,
@@ -152,9 +152,9 @@ pub struct State {
     pub devices: Vec<DeviceView>,
     /// The library, as soon as there is one.
     pub library: Option<LibraryView>,
-    /// Whether it is being read.
+    /// Whether the library is being read.
     pub reading: bool,
-    /// The order for the next scan, if it is to be kept.
+    /// The enrolment that the next scan is for, if any.
     pub enrolling: Option<Enrolling>,
     /// Counts of the session so far.
     pub counts: SessionCounts,
@@ -168,7 +168,7 @@ pub struct State {
 }
 
 impl State {
-    /// Nothing is known yet.
+    /// The state before the first event.
     pub fn new() -> Self {
         let advice =
             Advice { what: AdviceKind::Wait, more_s: None, device: None, text: "wait".into() };
@@ -200,7 +200,7 @@ impl State {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {
                 let now = phase.map(|_| *scan);
-                // Nothing else ends a guess, and none comes after its scan.
+                // A guess stays only while its own scan goes on.
                 self.guess = self.guess.take().filter(|guess| now == Some(guess.scan));
                 (self.scan, self.phase) = (now, *phase);
             }
@@ -284,15 +284,15 @@ impl State {
             return say(AdviceKind::Wait, "reading the library");
         }
         let streams = self.devices.iter().any(|device| device.state == DeviceState::Streaming);
-        // A device that never came is missed only where no other one streams.
+        // A device that never came is missed only if no other one streams.
         let gone = |device: &&DeviceView| match device.state {
             DeviceState::Lost => true,
             DeviceState::Absent => !streams,
             _ => false,
         };
-        // By name, the stylus is the last of the devices.
+        // The last by name, which is the stylus if it is missing.
         if let Some(DeviceView { device, .. }) = self.devices.iter().rfind(gone) {
-            // A port may follow its kind.
+            // The name may be a kind and a port: takes the kind.
             let mut name = device.split(' ').next().unwrap_or(device).chars();
             let first =
                 name.next().map_or_else(String::new, |first| first.to_uppercase().collect());
@@ -319,8 +319,8 @@ impl State {
         }
         match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
             Some(more_s) => {
-                // In tenths, rounded up: what is advised is enough. But 1.2 s are not 1.3 s for
-                // the last bit of a difference.
+                // Rounded up to tenths, so that the advised time is enough; 1e-6 keeps an error of
+                // rounding from turning 1.2 s into 1.3 s.
                 let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
                 drag(Some(more_s), format!("{more_s:.1} s more"))
             }
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));
         state.take(&phase(1, None));
         assert_eq!(state.guess, None);
-        // The worker was still at it; then the next scan begins.
+        // A late guess of scan 1 is ignored, even once the next scan has begun.
         state.take(&guess(1));
         assert_eq!(state.guess, None);
         state.take(&phase(2, Some(Phase::Tap)));

@@ -1,7 +1,7 @@
 //! Subscribers to the stream of events: a bounded queue each, and none waits for another.
 //!
-//! An event is encoded once and shared. Where a queue is full, traces and figures are skipped,
-//! since the next ones make up for them; of other events, the subscriber learns how many it missed,
+//! An event is encoded once and shared. If a queue is full, traces and other events that the next
+//! one of their type replaces are skipped. Of the rest, the subscriber learns how many it missed,
 //! and gets the whole state again.
 
 use std::pin::Pin;
@@ -12,9 +12,9 @@ use futures_core::Stream;
 use serde::Serialize;
 use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
 
-/// Events that wait for one subscriber.
+/// Most events that wait for one subscriber.
 const QUEUE: usize = 256;
-/// Figures and traces leave this much room for what matters more.
+/// Traces and the like leave this many places in a queue free for more important events.
 const KEPT_FREE: usize = 128;
 
 /// Defines [`EventKind`] by one list of types and their names.
@@ -63,7 +63,7 @@ event_kinds! {
 }
 
 impl EventKind {
-    /// Whether the next one makes up for it.
+    /// Whether the next event of this type replaces one that was missed.
     fn passes(self) -> bool {
         matches!(self, Self::Trace | Self::Spectrum | Self::Streams | Self::Guess | Self::Advice)
     }
@@ -77,7 +77,7 @@ impl EventFilter {
     /// All types.
     pub const ALL: Self = Self(u32::MAX);
 
-    /// From names with commas between them. How many were missed is always sent.
+    /// Reads names with commas between them. Events of type `missed` are always wanted.
     ///
     /// # Errors
     /// If a name is unknown.
@@ -99,14 +99,14 @@ impl EventFilter {
     }
 }
 
-/// One event as it goes over the line.
+/// One event, as a server-sent event.
 pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     // Plain structs, finite numbers and text: nothing here that JSON cannot express.
     let json = serde_json::to_string(data).unwrap_or_default();
     Bytes::from(format!("event: {}\ndata: {json}\n\n", kind.name()))
 }
 
-/// Keeps a silent line open, and finds those that are dead.
+/// A comment that keeps a silent connection open, and reveals a dead one.
 const KEEP_ALIVE: &[u8] = b":\n\n";
 
 #[derive(Debug, Serialize)]
@@ -148,7 +148,8 @@ impl Subscribers {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
-    /// Sends an event to all who want it. `state` gives the whole state to one that has caught up.
+    /// Sends an event to all who want it, and `state` to those who have caught up after missing
+    /// some.
     pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {
@@ -158,7 +159,7 @@ impl Subscribers {
         });
     }
 
-    /// Keeps lines open.
+    /// Keeps connections open.
     pub fn keep_alive(&mut self) {
         // A subscriber whose queue is full has enough to read.
         self.subscribers.retain(|subscriber| {
@@ -174,7 +175,7 @@ impl Subscribers {
 }
 
 impl Subscriber {
-    /// Whether it was sent.
+    /// Sends an event, if it is wanted; false if there was no room.
     fn send(&mut self, kind: EventKind, event: &Bytes) -> bool {
         if !self.filter.holds(kind) {
             return true;
@@ -198,7 +199,7 @@ impl Subscriber {
     }
 }
 
-/// A subscriber's end: the body of its answer.
+/// A subscriber's end of its queue: the body of the answer.
 #[derive(Debug)]
 pub struct EventStream(pub Receiver<Bytes>);
 

@@ -1,4 +1,4 @@
-//! Makes streams small enough to draw: the extremes of short stretches of time, and spectra.
+//! Makes streams small enough to draw: the extremes of short bins of time, and spectra.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -10,7 +10,7 @@ use crate::scene::SourceId;
 
 /// Bins a second that a trace aims at.
 const BINS_A_SECOND: f64 = 200.0;
-/// Most bins of one stream in one event: the newest; a player faster than real time makes more.
+/// Most bins of one stream in one event; of more, as in a fast replay, the newest are sent.
 const MOST_BINS: usize = 400;
 /// Frames of each stream that are kept for its spectrum.
 pub const RECENT: usize = 4096;
@@ -32,22 +32,22 @@ pub struct Bins {
     pub bin_s: f64,
     /// When the first bin begins, in seconds from the begin of the stream.
     pub start_s: f64,
-    /// Least sample of each bin, a list a channel.
+    /// Least sample of each bin, one list for each channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample of each bin, a list a channel.
+    /// Greatest sample of each bin, one list for each channel.
     pub max: Vec<Vec<f32>>,
     /// The bins, counted from 0, in which a channel rests at its limit.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub clipped: Vec<usize>,
 }
 
-/// Follows the streams.
+/// Makes bins of all streams.
 #[derive(Debug, Default)]
 pub struct Tracer {
     streams: BTreeMap<SourceId, TracedStream>,
 }
 
-/// One stream: its bin that is not full yet, and its newest frames.
+/// One stream: its unfinished bin, and its newest frames.
 #[derive(Debug)]
 pub struct TracedStream {
     /// Frames a second.
@@ -60,13 +60,13 @@ pub struct TracedStream {
     width: usize,
     /// Index of the frame that is expected next.
     next: u64,
-    /// Frames in the bin that is not full.
+    /// Frames in the unfinished bin.
     filled: usize,
-    /// Its least and greatest sample so far, a pair a channel.
+    /// Least and greatest sample in the unfinished bin, one pair for each channel.
     extremes: Vec<(f32, f32)>,
     /// The limits of each channel.
     limits: Vec<ChannelLimits>,
-    /// Whether a channel rested at its limit in the bin that is not full.
+    /// Whether a channel rested at its limit in the unfinished bin.
     clipped: bool,
 }
 
@@ -77,22 +77,22 @@ struct ChannelLimits {
     low: f32,
     high: f32,
     last: f32,
-    /// Samples in a row like the last.
+    /// Length of the run of samples that equal the last one.
     run: usize,
-    /// Samples between the limits that were unlike the one before; a switch has none.
+    /// Samples between the limits that differed from the one before; a switch has none.
     between: usize,
-    /// Samples of late in runs of at least [`RUN`], at the limits and between them; where values are
-    /// coarse or repeated, they rest everywhere.
+    /// Recent samples in runs of at least [`RUN`], at the limits and between them; coarse or
+    /// repeated values rest at both.
     rested: [f32; 2],
 }
 
 /// This many samples in a row at a limit are clipped.
 const RUN: usize = 3;
-/// Share of that memory that a sample leaves: it lasts some thousand samples.
+/// Share of `rested` that remains after one sample, so that it covers some thousand samples.
 const MEMORY: f32 = 1.0 - 1.0 / 4096.0;
-/// Limits hold this many times as many resting samples as all other values.
+/// Limits must hold this many times as many resting samples as all other values.
 const ABOVE_ELSEWHERE: f32 = 4.0;
-/// Fewer resting samples at its limits are the crest of a slow signal.
+/// Fewer resting samples at the limits may be the crest of a slow signal.
 const FEWEST_AT_LIMITS: f32 = 16.0;
 /// With fewer values between its limits, a channel is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
@@ -113,7 +113,7 @@ impl ChannelLimits {
         self.last = x;
         let at_limit = x <= self.low || x >= self.high;
         if x < self.low || x > self.high {
-            // A value that the signal passes is no limit.
+            // A limit that the signal passes was none: its resting samples now count as between.
             self.rested = [0.0, self.rested[0] + self.rested[1]];
         }
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
@@ -124,7 +124,7 @@ impl ChannelLimits {
         let [at_limits, elsewhere] = self.rested;
         let outstanding = at_limits > (ABOVE_ELSEWHERE * elsewhere).max(FEWEST_AT_LIMITS)
             && self.between >= FEWEST_BETWEEN;
-        // Zero is a sensor at rest.
+        // At zero, the sensor is at rest.
         at_limit && x != 0.0 && rests && outstanding
     }
 }
@@ -146,12 +146,12 @@ impl TracedStream {
         }
     }
 
-    /// Whether frames continue what was seen.
+    /// Whether frames follow the last ones without a gap, in the same format.
     fn continues(&self, fresh: &Fresh) -> bool {
         (self.next, self.channels, self.rate_hz) == (fresh.start, fresh.channels, fresh.rate_hz)
     }
 
-    /// Takes new frames, and gives the bins that they fill.
+    /// Takes new frames, and returns the bins that they fill.
     fn add(&mut self, fresh: &Fresh) -> Bins {
         let mut bins = Bins {
             source: fresh.source.clone(),
@@ -212,8 +212,8 @@ impl Bins {
 }
 
 impl Tracer {
-    /// Takes what is new, and gives what of it can be drawn. After a gap, or with another rate, a
-    /// stream begins again.
+    /// Takes new data, and returns the bins and pictures to draw. After a gap, or at another rate,
+    /// a stream begins anew.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {

@@ -16,7 +16,7 @@ use crate::trial::Flaw;
 /// A scan that has ended, and its name: one line of JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Answer {
-    /// Names the answer for good: when it was given (UTC), and the number of its scan.
+    /// The permanent id of the answer: when it was given (UTC), and the number of its scan.
     pub id: String,
     /// The address of its page, relative to the address of the server.
     pub link: String,
@@ -26,11 +26,11 @@ pub struct Answer {
     pub scan: u32,
     /// Whether the name stands.
     pub state: AnswerState,
-    /// Reasons why it does not, a line each; empty for [`AnswerState::Named`].
+    /// Reasons why the name does not stand, a line each; empty for [`AnswerState::Named`].
     pub reasons: Vec<String>,
     /// The surface; `None` if the scan fits none, or could not be compared.
     pub surface: Option<String>,
-    /// The true surface, where a recording has it; likewise the next two.
+    /// The true surface, where a recording says so; likewise `user` and `trial`.
     pub truth: Option<String>,
     /// The person who dragged.
     pub user: Option<String>,
@@ -38,14 +38,14 @@ pub struct Answer {
     pub trial: Option<u32>,
     /// Made by a generator, not measured.
     pub synthetic: bool,
-    /// All surfaces of the library, the most alike first.
+    /// All surfaces of the library, the most similar first.
     pub ranked: Vec<RankedSurface>,
     /// ln of the ratio of the second score to the first.
     pub margin: f64,
     /// Probability of the first surface, by a method that gives one.
     pub confidence: Option<f64>,
-    /// Share of left-out library trials that fit their surface no better than this one fits the
-    /// first (a conformal p-value), where the library is large enough.
+    /// Share of left-out library trials that fit their surface no better than this scan fits the
+    /// first one (a conformal p-value), where the library is large enough.
     pub fit: Option<f64>,
     /// Probability that the surface is none of the library's, where scans can be found unknown; it is
     /// one half at the threshold below which they are called so.
@@ -64,7 +64,7 @@ pub struct Answer {
     pub sources: Vec<SourceId>,
     /// Reasons why the scan should not be trusted, a line each.
     pub spoiled: Vec<String>,
-    /// These, and the damage of its sources.
+    /// The reasons in `spoiled`, and the damage of its sources.
     pub damage: Vec<Damage>,
     /// How long the drag should have lasted, in seconds, where that is known.
     pub needed_s: Option<f64>,
@@ -76,15 +76,15 @@ pub struct Answer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AnswerState {
-    /// It does.
+    /// The name stands.
     Named,
-    /// It is the nearest surface of the library; unknown surfaces are not detected.
+    /// The name is the nearest surface of the library; unknown surfaces are not detected.
     Nearest,
-    /// It is the nearest surface, and there are reasons for doubt.
+    /// The name is the nearest surface, and there are reasons for doubt.
     Unsure,
     /// The scan fits no surface of the library.
     Unknown,
-    /// It could not be compared: it holds too little, there is no library, or the method failed.
+    /// The scan could not be compared: too little data, no library, or the method failed.
     Unnamed,
 }
 
@@ -101,7 +101,7 @@ impl AnswerState {
     }
 }
 
-/// Share of a scan from which on a channel that rests is dead.
+/// A channel that rests for at least this share of a scan is dead.
 const DEAD: f64 = 0.9;
 
 /// Damage of a scan: its signals are not those of the surface alone.
@@ -114,14 +114,14 @@ pub struct Damage {
 }
 
 impl Damage {
-    /// The damage of a source by the flaws of its channels: a dead one, or else the one that is
-    /// clipped most. A channel, counted from 0, that does not move in the library may rest.
+    /// The damage of a source by the flaws of its channels: a dead channel, or else the one clipped
+    /// most. A channel (`moves` counts from 0) that never changes in the library may rest.
     pub(super) fn of_source(
         source: &SourceId,
         flaws: &[Flaw],
         moves: impl Fn(usize) -> bool,
     ) -> Option<Self> {
-        // Whether it is dead, and the share of the scan for which it is so.
+        // Whether the channel is dead (not clipped), and for what share of the scan.
         let weight = |flaw: &Flaw| match flaw {
             Flaw::Constant { .. } => (true, 1.0),
             Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
@@ -152,7 +152,7 @@ pub struct AnsweredScan {
     pub scan: Box<Scan>,
     /// Its answer.
     pub answer: Arc<Answer>,
-    /// The library that it was compared with; `None` for [`AnswerState::Unnamed`].
+    /// The recogniser that named it; `None` for [`AnswerState::Unnamed`].
     pub by: Option<Arc<Recogniser>>,
 }
 
@@ -174,7 +174,7 @@ impl fmt::Debug for AnsweredScan {
 }
 
 impl Answer {
-    /// The answer that the scan alone allows, `latency_ms` after its end: it has no name.
+    /// An answer without a name, from the scan alone, `latency_ms` after its end.
     pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
@@ -209,7 +209,7 @@ impl Answer {
         }
     }
 
-    /// Seconds that the drag was too short, if it was.
+    /// By how many seconds the drag was too short, if it was.
     pub(crate) fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
     }

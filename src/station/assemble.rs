@@ -25,8 +25,7 @@ pub struct Assembled {
     pub viewfinder: Option<Viewfinder>,
 }
 
-/// Releases the shutter for a picture with flash once a drag has begun: the scan takes the picture
-/// along when it ends.
+/// Requests a picture with flash once a drag has begun; the picture becomes part of that scan.
 #[derive(Clone, Debug)]
 pub struct Flasher(Shutter);
 
@@ -61,7 +60,7 @@ pub fn assemble(config: &StationConfig) -> Assembled {
         }
     }
     for cut in &config.detection.cuts {
-        // So far these are streams; several sources may come from one.
+        // So far `device_of` lists streams; several sources may be cut from one.
         if let Some(device) = all.device_of.get(cut.stream.as_str()) {
             let device = device.clone();
             all.device_of.insert(cut.source.to_string(), device);

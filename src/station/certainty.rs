@@ -8,11 +8,11 @@ use crate::scan::Scan;
 /// Probability below which the first surface is no more likely than all others together.
 const EVEN: f64 = 0.5;
 
-/// Share of the needed drag at which a scan is long enough to be named: fewer samples
-/// than that many make a weaker test, not a wrong one.
+/// Share of the needed drag from which a scan is long enough to be named: with fewer samples than
+/// needed the test is weaker, not wrong.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// A scan that was named, as far as its judgement needs it.
+/// A scan that was named, with what is needed to judge its answer.
 pub(super) struct NamedScan<'a> {
     pub verdict: &'a Verdict,
     pub scan: &'a Scan,
@@ -21,7 +21,7 @@ pub(super) struct NamedScan<'a> {
 }
 
 /// The state of a scan in progress whose first surface has this probability; `None` as long as it
-/// cannot be told from an unknown surface.
+/// cannot be told whether the surface is unknown.
 pub(super) fn so_far(
     p_value: Option<f64>,
     rejection: Option<&Rejection>,
@@ -82,7 +82,7 @@ fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
     match needed_s.filter(|needed_s| scan.scan_s < LONG_ENOUGH * needed_s) {
-        // An answer that would not change any more needs no longer scan.
+        // A settled answer does not need a longer scan.
         Some(needed_s) if settled_s.is_none() => {
             doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
         }
@@ -106,7 +106,7 @@ fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     doubts
 }
 
-/// A probability with as many digits as mean something.
+/// A probability with its meaningful digits.
 fn digits(p: f64) -> String {
     if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
 }

@@ -30,20 +30,21 @@ pub struct Guess {
     pub scan: u32,
     /// Seconds of drag so far.
     pub scan_s: f64,
-    /// Whether the first surface would stand if the scan ended now, by the rule of answers; `None`
-    /// as long as it cannot be told from an unknown surface.
+    /// The state of the answer if the scan ended now; `None` as long as it cannot be told whether
+    /// the surface is unknown.
     pub state: Option<AnswerState>,
     /// The most probable surfaces, at most five; empty as long as there is nothing to say.
     pub named: Vec<SurfaceProbability>,
     /// Damage of its sources so far.
     pub damage: Vec<Damage>,
-    /// The answer will not change any more, to the stated error.
+    /// Whether the answer is settled: a longer drag gives the same, up to a stated loss of
+    /// accuracy.
     pub settled: bool,
     /// How long the drag should last, in seconds, where that is known: to be named, or, where it is
     /// to be kept, to be a good trial.
     pub needed_s: Option<f64>,
-    /// The drag may end: it is as long as it should be, or its answer is settled by a rule that the
-    /// library has enough trials to support.
+    /// Whether the drag may end: it is as long as it should be, or its answer is settled by a rule
+    /// that the library has enough trials to support.
     pub enough: bool,
 }
 
@@ -73,9 +74,9 @@ pub struct Enrolled {
     pub folder: Option<PathBuf>,
     /// Reasons why it was not kept, or its imperfections, a line each.
     pub remarks: Vec<String>,
-    /// The surface that the library before it would have named it, if any.
+    /// The surface that the library without this trial would have named, if any.
     pub nearest: Option<String>,
-    /// How many trials its order still wants; 0 once that order has ended.
+    /// Number of trials that its order still wants; 0 once that order has ended.
     pub wanted: u32,
 }
 
@@ -88,9 +89,9 @@ pub struct Enrolling {
     pub user: String,
     /// The number of scans to come; `None` for every scan until the station ends.
     pub wanted: Option<u32>,
-    /// The number of trials that were ordered; `None` likewise.
+    /// The number of trials that were ordered; `None` for every scan.
     pub trials: Option<u32>,
-    /// How many of them were kept.
+    /// The number of trials that were kept.
     pub kept: u32,
     /// The last scan, if it was refused.
     pub refused: Option<RefusedScan>,
@@ -122,8 +123,7 @@ pub enum EnrolledOutcome {
 /// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
-    /// The session has begun; the meters of its streams can be read at any time. The first
-    /// event.
+    /// The first event: the session has begun. The meters of its streams can be read at any time.
     Streams(Vec<StreamMeter>),
     /// A device has changed its state.
     Device {
@@ -136,22 +136,22 @@ pub enum StationEvent {
     },
     /// New data of the streams.
     Trace(Arc<Trace>),
-    /// A scan has begun, or has come to another part.
+    /// A scan has begun, or has entered another part (such as the drag), or is over.
     Phase {
         /// number of the scan
         scan: u32,
         /// the part; `None` when it is over
         phase: Option<Phase>,
     },
-    /// News of the scan in progress.
+    /// An early answer for the scan in progress.
     Guess(Guess),
     /// A scan was named.
     Answer(Arc<Answer>),
     /// A scan that could not be named.
     Unnamed(Unnamed),
-    /// The scan itself; follows its answer, or that it has no name.
+    /// The scan itself, sent after its `Answer` or `Unnamed` event.
     Scan(Arc<AnsweredScan>),
-    /// A scan was kept for a library, or was not.
+    /// The outcome of a scan that was to be kept as a trial.
     Enrolled(Enrolled),
     /// The order for the next scan has changed; `None` if the scan will only be named.
     Enrolling(Option<Enrolling>),
@@ -161,9 +161,9 @@ pub enum StationEvent {
     Library(LibraryState),
     /// A warning: something was lost, damaged or not understood, and work continues.
     Warning(String),
-    /// The station's loop turns; the answer to [`Command::Ping`].
+    /// The station's loop is running; the answer to [`Command::Ping`].
     Alive,
-    /// The end was ordered: nothing may hold it up after this moment.
+    /// [`Command::Quit`] was given: listeners may work until this moment.
     Ending(Instant),
     /// The station has ended; the last event.
     Finished(Arc<Totals>),
@@ -186,8 +186,8 @@ pub enum Command {
     Start,
     /// End the scan in progress.
     Stop,
-    /// Keep the next `trials` good scans as trials of `surface`, from the next scan to begin on, in
-    /// the place of the order before.
+    /// Keep the next `trials` good scans as trials of `surface`, starting with the next scan to
+    /// begin; replaces the order before.
     Enroll {
         /// the label
         surface: String,
@@ -198,7 +198,7 @@ pub enum Command {
     },
     /// Keep this scan, which was refused last, as a trial anyway.
     KeepRefused(u32),
-    /// End the order in force, unless it is the station's own, from the next scan to begin on.
+    /// End the order in force from the next scan on, unless it is the station's own.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
     Ping,
@@ -227,8 +227,8 @@ impl<L: Listener + ?Sized> Listener for Box<L> {
     }
 }
 
-/// The end of a listener's thread, which takes nothing more once the station has finished. However
-/// many listeners there are, all of them together are waited for until one moment.
+/// Waits for the end of a listener's thread once the station has finished. All listeners share one
+/// deadline, however many there are.
 #[derive(Debug)]
 pub struct End {
     ended: Receiver<Infallible>,
@@ -236,7 +236,7 @@ pub struct End {
 }
 
 impl End {
-    /// Of a thread that holds the other side of `ended` for as long as it works.
+    /// For a thread that holds the sender of `ended` as long as it works.
     pub(crate) fn of(ended: Receiver<Infallible>) -> Self {
         Self { ended, until: None }
     }
@@ -249,8 +249,8 @@ impl End {
         matches!(event, StationEvent::Finished(_))
     }
 
-    /// Waits for the thread, but no longer than `patience` or the end of the station may take; false
-    /// if it still works.
+    /// Waits for the thread, at most for `patience` and until the moment of
+    /// [`StationEvent::Ending`]; false if it still works.
     pub(crate) fn wait(&self, patience: Duration) -> bool {
         let patient = Instant::now().checked_add(patience);
         let until = self.until.into_iter().chain(patient).min();

@@ -66,9 +66,8 @@ impl Followed {
         news
     }
 
-    /// The ranking of a scan that was followed, from the sums so far. `None` where the
-    /// scan must be gone through from its beginning: it was not followed, or has lost samples, or
-    /// another library was read since it began.
+    /// The ranking of a scan that was followed, from the sums so far. `None` if it must be computed
+    /// from the whole scan, which was not followed, lost samples, or began with another library.
     pub fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
         let (followed_by, follower) =
             self.follower.as_mut().filter(|_| self.scan == scan.number)?;
@@ -89,7 +88,7 @@ impl Followed {
     }
 }
 
-/// The result of `work`; `None` if it panicked. One scan must not take the station with it.
+/// The result of `work`; `None` if it panicked. A panic on one scan must not end the station.
 pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
     std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
 }

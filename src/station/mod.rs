@@ -2,8 +2,8 @@
 //! steered by commands.
 //!
 //! A [`Listener`] (the terminal, JSON lines, the page) gets every [`StationEvent`]; a key, a signal
-//! or the interface for programs sends a [`Command`]. Neither knows of the other, and none of them
-//! can hold up a device.
+//! or the interface for programs sends a [`Command`]. They do not know of each other, and cannot
+//! hold up a device.
 
 mod answer;
 mod assemble;

@@ -43,7 +43,7 @@ struct Order {
     under_way: u32,
     /// The first scan that it covers.
     from: u32,
-    /// The first scan after them; `None` while it is in force.
+    /// The first scan that it no longer covers; `None` while it is in force.
     until: Option<u32>,
 }
 
@@ -68,7 +68,7 @@ impl Order {
         self.from <= scan && self.until.is_none_or(|until| scan < until)
     }
 
-    /// Whether it can still become anything.
+    /// Whether it has all its trials, or covers no scan any more and none is being written.
     fn is_over(&self) -> bool {
         let covers_none = self.until.is_some_and(|until| until <= self.from);
         self.wanted() == Some(0) || covers_none && self.under_way == 0
@@ -78,21 +78,21 @@ impl Order {
 /// All orders of a station that are not done.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
-    /// The station's own.
+    /// The station's own order.
     own: Option<Order>,
-    /// The others, the newest last; all but that one have ended.
+    /// The other orders, the newest last; only that one may still be in force.
     given: Vec<Order>,
-    /// Orders so far.
+    /// Number of orders given so far.
     count: u64,
 }
 
 impl Orders {
-    /// Gives the station its own order, which covers what no other does.
+    /// Gives the station its own order, which covers scans that no other order covers.
     pub fn set_own(&mut self, keep: Keep) {
         self.own = Some(Order::new(0, keep, 0));
     }
 
-    /// Puts an order in force from scan `next` on, in the place of the one before.
+    /// Puts an order in force from scan `next` on; it replaces the one before.
     pub fn give(&mut self, keep: Keep, next: u32) {
         self.end(next);
         self.count += 1;
@@ -230,7 +230,7 @@ mod tests {
         let counted = orders.count(&oak, became(&oak, EnrolledOutcome::Kept));
         assert_eq!(counted.wanted, 0);
         assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
-        // The same label and user again, under an order of its own.
+        // Another order for the same label and user.
         let ash = orders.claim(2).unwrap();
         orders.give(keep("ash", Some(2)), 3);
         orders.count(&ash, became(&ash, EnrolledOutcome::Kept));
@@ -274,7 +274,7 @@ mod tests {
         orders.give(keep("oak", Some(1)), 2);
         assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
         assert_eq!(label(orders.claim(2)).as_deref(), Some("oak"));
-        // Not lost, though the one before may still be refused.
+        // The station's own order covers scan 3, though scan 2 may still be refused.
         assert_eq!(label(orders.claim(3)).as_deref(), Some("felt"));
         orders.end(4);
         assert_eq!(label(orders.claim(4)).as_deref(), Some("felt"));

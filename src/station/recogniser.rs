@@ -20,9 +20,9 @@ use crate::trial::{Flaw, Signal, TrialKey, flaws};
 /// The result of comparing a scan with a library.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
-    /// The library's surfaces, the most alike first.
+    /// The library's surfaces, the most similar first.
     pub ranking: Ranking,
-    /// The p-value at or below which it would be none of them, where there is such a threshold.
+    /// The p-value at or below which the scan is unknown; `None` without such a threshold.
     pub rejection: Option<Rejection>,
     /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
@@ -47,7 +47,7 @@ impl Verdict {
 /// The flaws of series, by their sources.
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
-/// The ranking of a scan, and the flaws that were found on the way.
+/// The ranking of a scan, and the flaws that were found while it was followed.
 pub struct Ranked {
     /// The library's surfaces.
     pub ranking: Ranking,
@@ -55,7 +55,7 @@ pub struct Ranked {
     pub flaws: FlawsBySource,
 }
 
-/// Reads a library, as often as it is called.
+/// Reads the library anew at each call.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
 /// A library, ready to name scans.
@@ -77,10 +77,11 @@ impl Recogniser {
         Self::with_folds(vec![model], BTreeMap::new(), scene, library)
     }
 
-    /// Names recorded scans by the model of their fold; those not in `model_of`, by the first.
+    /// Names each recorded scan by the model of its fold; those not in `model_of`, by the first
+    /// model.
     ///
     /// # Panics
-    /// If there is no model, or `model_of` names one that there is not.
+    /// If there is no model, or an index in `model_of` is out of range.
     pub fn with_folds(
         models: Vec<Arc<dyn Model>>,
         model_of: BTreeMap<TrialKey, usize>,
@@ -93,19 +94,19 @@ impl Recogniser {
         Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    /// Says how long scans must last, in seconds, where that is known.
+    /// Sets how long scans must last, in seconds, where that is known.
     pub fn lasting(self, needed_s: Option<f64>) -> Self {
         Self { needed_s, ..self }
     }
 
-    /// Remembers where the trials are that scans are compared with, to show the nearest one.
+    /// Sets where the library's trials are, so that the one nearest to a scan can be shown.
     pub fn with_trials(mut self, entries: &[Entry]) -> Self {
         self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
         self
     }
 
-    /// Calls scans unknown that fit no surface, at a stated rate of false rejections or the usual
-    /// one. Gives the threshold of each model and its basis.
+    /// From now on, calls a scan that fits no surface unknown, at this rate of false alarms (the
+    /// usual one for `None`). Returns the threshold of each model and its basis.
     ///
     /// # Errors
     /// If the method gives no p-value, or a library has too few trials; no scan is called
@@ -122,8 +123,8 @@ impl Recogniser {
         Ok(rejections)
     }
 
-    /// Finds when answers are settled with each model, for a stated loss of accuracy, so that no
-    /// scan waits for it. Gives what was found; nothing, if the method cannot follow scans.
+    /// Finds ahead of all scans when answers are settled with each model, at this loss of accuracy.
+    /// Empty if the method cannot follow scans.
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
@@ -138,7 +139,7 @@ impl Recogniser {
         self.library.remarks.extend_from_slice(remarks);
     }
 
-    /// The model of a scan. The truth only says which library it is not part of.
+    /// The index of a scan's model. The truth only serves to choose the model made without it.
     fn model(&self, truth: Option<&TrialKey>) -> usize {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
@@ -148,7 +149,7 @@ impl Recogniser {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The flaws of all series of a scan, except of switches; `known` as in [`Ranked`].
+    /// The flaws of all series of a scan, except of switches; `known` holds those already found.
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> FlawsBySource {
         known.retain(|id, _| !self.is_switch(id));
         for (id, signal) in scan.trial.signals.iter().filter(|(id, _)| !self.is_switch(id)) {
@@ -167,7 +168,7 @@ impl Recogniser {
         flaws.iter().filter_map(of).collect()
     }
 
-    /// Whether a channel of a source, counted from 0, moves in the library; `truth` as in
+    /// Whether a channel (counted from 0) ever changes in the library; `truth` as in
     /// [`Scan::truth`].
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
         let embedding = self.models[self.model(truth)].clone().embedding();
@@ -185,8 +186,8 @@ impl Recogniser {
         self.damage(truth, &found)
     }
 
-    /// The state of a scan in progress, by the rule of answers; `None` as long as it cannot be told
-    /// from an unknown surface.
+    /// The state of the answer if the scan in progress ended now; `None` as long as it cannot be
+    /// told whether the surface is unknown.
     pub(super) fn state_so_far(
         &self,
         truth: Option<&TrialKey>,
@@ -196,7 +197,7 @@ impl Recogniser {
         so_far(guess.p_value, self.following[self.model(truth)].rejection.as_ref(), *probability)
     }
 
-    /// Flaws of the scan's channels, and that it is short.
+    /// Remarks on the flaws of the scan's channels, and on a drag that is too short.
     fn remarks(&self, scan: &Scan, ranking: &Ranking, flaws: &FlawsBySource) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, found) in flaws {
@@ -230,8 +231,8 @@ impl Recogniser {
         Ok(Ranked { ranking, flaws: FlawsBySource::new() })
     }
 
-    /// A scan as a query to its model: the data from the rings, without sources that have flaws; and
-    /// a text for each of these sources.
+    /// A scan as a query to its model, without sources that have flaws, and a text for each of
+    /// these sources.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
         let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
@@ -290,7 +291,7 @@ impl Recogniser {
         not_compared.map(why).collect()
     }
 
-    /// Follows a scan in progress, by a method that can; `truth` as in [`Scan::truth`].
+    /// Begins to follow a scan, if the method can; `truth` as in [`Scan::truth`].
     pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Follower> {
         let at = self.model(truth);
         Some(self.models[at].clone().embedding()?.follow(&self.following[at]))

@@ -17,9 +17,9 @@ use crate::scene::SourceId;
 
 /// The time after [`Command::Quit`] for the last answers. Devices have 2 s of it to stop.
 const NAMED: Duration = Duration::from_millis(2500);
-/// The time after it for the disk.
+/// The time after [`Command::Quit`] until which scans are written to disk.
 const WRITTEN: Duration = Duration::from_millis(3200);
-/// The time after it for listeners.
+/// The time after [`Command::Quit`] until which listeners may work.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
 /// The recogniser of scans, if there is one.
@@ -38,9 +38,9 @@ pub(super) struct Parts {
     pub session: Session,
     pub worker: Worker,
     pub recording: Option<RecordingThread>,
-    /// Sources of which a good trial holds enough independent samples.
+    /// Sources of which a good trial must hold enough independent samples, by T*.
     pub by_t_star: Vec<SourceId>,
-    /// Whether all devices can wait.
+    /// Whether all devices can wait for the station, so that it may pause them.
     pub waits: bool,
     pub load: Option<Load>,
     /// The station's own order.
@@ -66,7 +66,7 @@ pub(super) struct StationRun<'a> {
     orders: Orders,
     /// The order for the next scan, as last reported.
     enrolling: Option<Enrolling>,
-    /// When the end was ordered.
+    /// When [`Command::Quit`] was given.
     ordered: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
@@ -184,8 +184,8 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Takes the outcome of a scan that was to be kept; it is reported once the nearest surface of the
-    /// scan is known.
+    /// Takes the outcome of a scan that was to be kept; if it was kept, the outcome is reported
+    /// once the nearest surface is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
@@ -220,7 +220,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Keeps the scans that begin from now on.
+    /// Keeps the scans that begin from now on as trials.
     fn enroll(&mut self, keep: Keep) {
         if self.recording.is_none() {
             return self.warn("this scan cannot be kept: no library is set");
@@ -293,7 +293,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Reads the library; meanwhile the one before stays in use, or scans wait.
+    /// Reads the library; meanwhile the old one stays in use, or scans wait if there is none.
     pub fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
             return self.warn("nothing was reloaded: no library is set");
@@ -320,7 +320,7 @@ impl StationRun<'_> {
     }
 }
 
-/// Scans that wait to be named, where their devices cannot wait: a quarter of an hour's.
+/// Most scans that wait to be named where devices cannot wait: those of a quarter of an hour.
 const BACKLOG: usize = 64;
 
 /// A job that the worker has: the number of the scan, or the report to be completed.
@@ -369,7 +369,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Adds progress of a scan. Progress that waits for the worker is joined to one piece.
+    /// Adds progress of a scan, joined to progress of the same scan that still waits.
     fn progress(&mut self, progress: Progress) {
         match self.pending.back_mut() {
             Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
@@ -444,9 +444,9 @@ impl StationRun<'_> {
         self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
     }
 
-    /// Reports the scans that will not be named, since the end does not wait any longer.
+    /// Reports the scans left unnamed because the time for that after [`Command::Quit`] is over.
     fn give_up_naming(&mut self) {
-        // The results of jobs that the worker has come too late from now on.
+        // From now on, results of the worker come too late.
         self.worker.done = never();
         let pending: Vec<InHand> = self.pending.drain(..).map(|job| InHand::of(&job)).collect();
         let in_hand: Vec<InHand> = self.in_hand.drain(..).collect();

@@ -40,14 +40,14 @@ impl<'a> Station<'a> {
         }
     }
 
-    /// Names scans with this from the start.
+    /// Sets the recogniser that names scans from the start.
     pub fn recogniser(mut self, recogniser: Arc<Recogniser>) -> Self {
         self.recogniser = Some(recogniser);
         self
     }
 
-    /// Reads the library with this: at the start, unless there is a recogniser already, and at
-    /// each [`Command::Reload`].
+    /// Sets the function that reads the library: at the start, unless there is a recogniser
+    /// already, and at each [`Command::Reload`].
     pub fn load(mut self, load: Load) -> Self {
         self.load = Some(load);
         self
@@ -78,7 +78,7 @@ impl<'a> Station<'a> {
         self
     }
 
-    /// Sends an event to the listeners so far, before it runs.
+    /// Sends an event to the listeners added so far, before the station runs.
     pub fn emit(&mut self, event: &StationEvent) {
         self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
     }
@@ -115,7 +115,7 @@ impl<'a> Station<'a> {
             None if run.can_load() => run.reload(),
             None => {}
         }
-        // Its sender, which is kept here too, keeps the channel open.
+        // The channel stays open, since `self.commands` also holds a sender.
         run.until_finished(&self.commands.1);
         run.finish()
     }

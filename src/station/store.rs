@@ -1,7 +1,7 @@
 //! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
 //!
-//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and is
-//! tried again until it is written or the station ends.
+//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and
+//! is tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::convert::Infallible;
@@ -25,7 +25,7 @@ use crate::trial::{Trial, TrialKey, normal};
 
 /// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
-/// Scans that wait to be written: of 10 s each, 200 MB.
+/// Most scans that wait to be written: 200 MB for scans of 10 s.
 const MAX_WAITING: usize = 64;
 
 /// The library in which scans are stored, and the notes that go with them.
@@ -37,7 +37,7 @@ pub struct ScanStore {
     pub scene: Scene,
     /// The device of each source.
     pub devices: BTreeMap<String, String>,
-    /// Sources of which a good trial holds enough independent samples.
+    /// Sources of which a good trial must hold enough independent samples, by T*.
     pub by_t_star: Vec<SourceId>,
 }
 
@@ -66,7 +66,7 @@ enum Task {
     KeepRefused(u32),
 }
 
-/// The thread, and its two ends.
+/// The thread that writes scans: the channels to and from it.
 pub(super) struct RecordingThread {
     scans: Sender<Task>,
     pub stored: Receiver<StoredScan>,
@@ -92,7 +92,7 @@ impl RecordingThread {
         Ok(Self { scans, stored, working, under_way: BTreeMap::new() })
     }
 
-    /// Stores a scan, which `by` may name once it is kept.
+    /// Stores a scan; once it is kept, `by` finds its nearest surface.
     pub fn store(&mut self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         self.under_way.insert(scan.number, enrolment.clone());
         // Fails only if the thread has panicked; then the end reports the scan as lost.
@@ -160,9 +160,9 @@ struct StoreWriter {
     waiting: VecDeque<WaitingScan>,
     /// The scan that was refused last.
     refused: Option<WaitingScan>,
-    /// The next numbers when the library was last read.
+    /// The next numbers, as last read from the library and counted on.
     next: Numbers,
-    /// Whether that was for the scan at hand.
+    /// Whether `next` was read from the library for the scan that is now stored.
     current: bool,
     send: Sender<StoredScan>,
     /// Closed when there is no time left for reading the library.
@@ -175,7 +175,7 @@ impl StoreWriter {
         Self { store, waiting, refused, next, current: false, send, ending }
     }
 
-    /// Stores scans until there will be no more.
+    /// Stores scans until the channel closes, then tries a last time to write those that wait.
     fn run(&mut self, scans: &Receiver<Task>) {
         loop {
             let next = match self.waiting.is_empty() {
@@ -219,7 +219,7 @@ impl StoreWriter {
 
     /// Writes a scan, or lets it wait.
     fn keep(&mut self, mut new: WaitingScan) {
-        // Each time, since others may write into the same library.
+        // Read each time, since other programs may write into the same library.
         self.read_numbers();
         match self.write(&new) {
             Ok(stored) => self.kept(new, stored),
@@ -236,7 +236,7 @@ impl StoreWriter {
         }
     }
 
-    /// Tries to write what waits, until the first that fails; another one is first next time.
+    /// Tries to write the waiting scans until one fails, which then goes to the end of the queue.
     fn retry(&mut self) {
         self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
@@ -262,7 +262,7 @@ impl StoreWriter {
             started_at: Some(utc(began)),
             notes: (!scan.spoiled.is_empty()).then(|| scan.spoiled.join("\n")),
             synthetic: scan.synthetic,
-            // Nothing is to be compared with a scan that has holes.
+            // So that no scan is compared with one that has gaps.
             incomplete: !scan.spoiled.is_empty(),
             devices: self.store.devices.clone(),
             ..About::default()
@@ -290,7 +290,7 @@ impl StoreWriter {
         let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
     }
 
-    /// Learns the numbers that are taken, if the library can be read now and there is time for it.
+    /// Reads the next free trial numbers, if the library can be read now and there is time for it.
     fn read_numbers(&mut self) {
         self.current = false;
         if self.ending.try_recv() == Err(TryRecvError::Disconnected) {

@@ -1,5 +1,5 @@
-//! Decides whether a scan is good enough: in progress, whether it may end, for its name or as a
-//! trial; at its end, whether it may be kept as a trial.
+//! Decides whether a scan is good enough: whether one in progress may end, to be named or kept as a
+//! trial, and whether one that has ended may be kept.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use crate::trial::{Series, Signal, flaws};
 /// A source that has been at rest for this long, in seconds of drag, is not judged.
 const RESTS_S: f64 = 1.0;
 
-/// Least drag of a trial, in seconds: ten looks.
+/// Least drag of a trial, in seconds: ten times the interval at which scans are followed.
 const LEAST_S: f64 = 10.0 * LOOK_S;
 
 /// The purpose of a scan in progress.
@@ -27,7 +27,7 @@ pub(super) enum Purpose {
     Keep(Vec<SourceId>),
 }
 
-/// The drag that the judged sources need, as far as their T* is known by now.
+/// How long the drag must be for the judged sources, by their T* as estimated so far.
 #[derive(Default)]
 pub(super) struct TrialNeed {
     of_source: BTreeMap<SourceId, SourceNeed>,
@@ -37,13 +37,14 @@ struct SourceNeed {
     online: OnlineDuration,
     first: Vec<f32>,
     moves: bool,
-    /// By the upper bound of T*: the trial is judged by T* itself.
+    /// Seconds of drag by the upper bound of T*; the finished trial is judged by T* itself.
     needed_s: Option<f64>,
 }
 
 impl TrialNeed {
-    /// Says in `news`, which holds how long the drag must last to be named, how long it must last for
-    /// its purpose, and whether it may end. A settled answer counts where its rule is `supported`.
+    /// Sets in `news` the time needed for the purpose (it held the time needed to be named) and
+    /// whether the drag may end. A settled answer may end it if its rule is `supported` by enough
+    /// trials.
     pub fn judge(
         &mut self,
         news: &mut Guess,
@@ -57,13 +58,13 @@ impl TrialNeed {
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
             let least_s = Some(news.needed_s.unwrap_or(LEAST_S).max(LEAST_S));
             news.needed_s = self.needed_s(progress.scan_s, least_s);
-            // A name is not what such a scan is for.
+            // A settled name does not make a good trial.
             settled = false;
         }
         news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
     }
 
-    /// Takes the next frames of a source.
+    /// Adds the next frames of a source.
     fn add(&mut self, fresh: &Fresh) {
         let begin = || SourceNeed {
             online: OnlineDuration::new(
@@ -78,15 +79,15 @@ impl TrialNeed {
         let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
         let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
         source.moves |= frames.into_iter().any(|frame| frame != source.first);
-        // Frames with samples that are not numbers are not part of T*; such a scan is refused as a trial.
+        // Frames with samples that are not numbers do not count for T*; such a scan is refused as a
+        // trial.
         if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
             let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
             source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());
         }
     }
 
-    /// The length that the drag needs, in seconds, at least `least_s`; `None` while it is not
-    /// known.
+    /// How long the drag must be, in seconds, at least `least_s`; `None` while it is not known.
     fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {
@@ -100,9 +101,9 @@ impl TrialNeed {
     }
 }
 
-/// Why a scan is no good trial, a line each: it is spoiled, shorter than the scan time of the library
-/// that `by` compares with or than ten looks, or damaged. `by_t_star` are the sources of which it must hold enough
-/// independent samples.
+/// Reasons why a scan is not a good trial, a line each: it is spoiled or damaged, or shorter than
+/// `LEAST_S` or than the scan time of the library that `by` compares with, or holds too few
+/// independent samples of the sources `by_t_star`.
 pub(super) fn faults(
     scan: &Scan,
     scene: &Scene,
@@ -134,7 +135,7 @@ pub(super) fn faults(
     faults
 }
 
-/// That a recording holds too few independent samples, by its own T*.
+/// A message if a recording holds too few independent samples, by its own T*.
 fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     let held_s = series.duration_s();
     let settings =
@@ -144,7 +145,7 @@ fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     let estimate = online.estimate();
     let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
         Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
-        // It never changes, which no longer drag would mend.
+        // A constant source stays constant however long the drag is.
         _ if series.is_constant() => return None,
         _ => f64::INFINITY,
     };

@@ -11,7 +11,7 @@ use crate::trial::TrialKey;
 pub struct Why {
     /// The first surface of the ranking.
     pub winner: String,
-    /// The second.
+    /// The second surface of the ranking.
     pub runner_up: Option<String>,
     /// The sources, with the one that favours the winner most first; empty by a method that
     /// cannot take sources apart.
@@ -20,15 +20,15 @@ pub struct Why {
     pub left_out: Vec<String>,
     /// The p-value, as [`Ranking::p_value`].
     pub p_value: Option<f64>,
-    /// At or below which a scan is unknown.
+    /// The p-value at or below which a scan is unknown.
     pub threshold: Option<f64>,
     /// Left-out trials that the threshold rests on.
     pub threshold_trials: Option<usize>,
     /// Surfaces that the scan was compared with.
     pub surfaces: usize,
-    /// The most alike trial of the library.
+    /// The most similar trial of the library.
     pub nearest: TrialKey,
-    /// All surfaces, the most alike first.
+    /// All surfaces, the most similar first.
     pub ranked: Vec<RankedSurface>,
 }
 
@@ -37,15 +37,15 @@ pub struct Why {
 pub struct SourceSays {
     /// The source.
     pub source: SourceId,
-    /// ln of the ratio by which it favours the winner over the runner-up; below 0, it favours the
-    /// runner-up. `None` where one of them lacks the source.
+    /// ln of the ratio by which the source favours the winner over the runner-up, whom it favours
+    /// if this is below 0. `None` where one of them lacks the source.
     pub for_winner: Option<f64>,
     /// The surface that it would name alone.
     pub alone: Option<String>,
 }
 
 impl Why {
-    /// From a ranking and its evidence.
+    /// Explains a ranking by its evidence.
     pub(crate) fn new(
         ranking: &Ranking,
         evidence: Option<&Evidence>,

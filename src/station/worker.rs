@@ -15,17 +15,17 @@ use super::trial_need::Purpose;
 use crate::recognise::RecogniseError;
 use crate::scan::{Progress, Scan};
 
-/// Something about a job of the worker, by the kind of job.
+/// The kinds of job of the worker, each with its own type of data.
 pub(super) enum JobOf<S, P, K> {
     /// A scan to be named.
     Scan(S),
     /// New data of the scan in progress.
     Progress(P),
-    /// A scan that was kept, of which the nearest surface is sought.
+    /// A scan that was kept as a trial, for which the nearest surface is sought.
     Kept(K),
 }
 
-/// A job, before it is known what names it.
+/// A job without the recogniser for it.
 pub(super) type Job = JobOf<Box<Scan>, Progress, Box<StoredScan>>;
 
 /// A job with all that the worker needs for it. Progress comes with its purpose, and with a
@@ -40,7 +40,7 @@ pub(super) type Work = JobOf<
 pub(super) type WorkerEvent = JobOf<ScanAnswer, Guess, Option<String>>;
 
 impl Work {
-    /// The job alone.
+    /// The job, without its recogniser and purpose.
     pub fn into_job(self) -> Job {
         match self {
             Self::Scan((scan, _)) => Job::Scan(scan),
@@ -52,12 +52,12 @@ impl Work {
 
 pub(super) enum ScanAnswer {
     Named(Arc<AnsweredScan>),
-    /// One that could not be named.
+    /// A scan that could not be named.
     Unnamed(Arc<AnsweredScan>, Unnamed),
 }
 
 impl ScanAnswer {
-    /// That a scan could not be named, and why.
+    /// The answer for a scan that could not be named, with the reason.
     pub fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> Self {
         let answer =
             Arc::new(Answer { reasons: vec![why.into()], ..Answer::of(&scan, latency_ms) });
@@ -67,16 +67,16 @@ impl ScanAnswer {
     }
 }
 
-/// The two ends of the thread, which gives an event for each piece of work, in their order. Once
-/// the first is dropped, it ends after its current job, and nobody waits for it.
+/// The channels to and from the thread, which returns one event for each piece of work, in order.
+/// Once `work` is dropped, the thread ends after its current job; nobody waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,
 }
 
 impl Worker {
-    /// Starts the thread. With `queues`, scans may wait for their turn behind others, as those of a
-    /// recording do if it is played as fast as possible; that wait is not counted as latency.
+    /// Starts the thread. With `queues`, scans may wait behind others, as in a recording that is
+    /// played as fast as possible; that wait is not counted as latency.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -159,7 +159,7 @@ fn named(
     ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
 }
 
-/// The surface that the library would name a scan that was kept.
+/// The surface that the recogniser names for a scan that was kept as a trial.
 fn nearest(stored: &StoredScan) -> Option<String> {
     let (scan, by) = stored.kept.as_ref()?;
     let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
@@ -180,7 +180,7 @@ mod tests {
     use crate::station::LibraryState;
     use crate::trial::{Trial, TrialKey};
 
-    /// Finds that everything is oak, but panics in one of its parts.
+    /// A method that names everything oak, but panics in one of its functions.
     #[derive(Clone, Copy)]
     struct PanicsIn(&'static str);
 

@@ -1,5 +1,5 @@
-//! Flaws that a person with the cable in hand would want to know: a channel that is stuck, or
-//! one that runs into its limits.
+//! Flaws of a channel that a broken cable or a wrong gain causes: the channel is stuck, or it runs
+//! into its limits.
 
 use std::collections::HashMap;
 
@@ -12,23 +12,23 @@ pub enum Flaw {
     Constant {
         /// channel, counted from 1
         channel: usize,
-        /// that value
+        /// the value of every sample
         value: f32,
     },
-    /// From some sample on every sample has the same value.
+    /// From some sample to the last, all have the same value.
     Stuck {
         /// channel, counted from 1
         channel: usize,
         /// that value
         value: f32,
-        /// share of samples that have it, 0 to 1
+        /// share of samples in this last run, 0 to 1
         share: f64,
     },
     /// The channel rests at its highest or lowest value too often to be chance.
     Saturated {
         /// channel, counted from 1
         channel: usize,
-        /// that value; 0 is no limit of a converter, but a loose cable
+        /// that value; at 0, the cause is no converter's limit, but a loose cable
         value: f32,
         /// share of samples at the limit, 0 to 1
         share: f64,
@@ -72,21 +72,21 @@ impl std::fmt::Display for Flaw {
     }
 }
 
-/// Fewer values than this are a switch or a coarse converter, whose limits are not flaws.
+/// A channel with fewer distinct values is a switch or a coarse converter: no flaw at its limits.
 const FEWEST_VALUES: usize = 16;
-/// This many samples in a row at a limit are a flaw.
+/// Length of a run of equal samples from which on they count as resting.
 const RUN: usize = 3;
-/// A channel that rests for so large a share at the end of a scan is stuck.
+/// A channel that is constant for this share of a scan, at its end, is stuck.
 const STUCK: f64 = 0.5;
-/// Share of samples in such runs that makes a flaw; at zero, where many sensors rest, it takes
-/// [`STUCK`].
+/// Share of samples resting at the limits from which on a channel is saturated; at zero, where many
+/// sensors rest, [`STUCK`] applies instead.
 const SHARE: f64 = 0.02;
-/// A limit holds this many times as many resting samples as any other value. Where values are coarse
-/// or repeated, all of them rest, and the uppermost step of a sine holds 2.4 times as many samples as
-/// the one below it.
+/// A limit must hold this many times as many resting samples as any other value. If samples are
+/// coarse or repeated, they rest at all values, and the uppermost step of a sine holds 2.4 times as
+/// many as the step below it.
 const ABOVE_OTHERS: usize = 4;
 
-/// Whether a picture is of one colour throughout: a covered lens, or a camera that gives nothing.
+/// Whether all pixels of a picture are equal: the lens is covered, or the camera delivers no data.
 pub fn is_plain(image: &Image) -> bool {
     let first = &image.rgb()[..3];
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
@@ -97,13 +97,13 @@ pub fn is_plain(image: &Image) -> bool {
 struct ChannelFlaws {
     samples: usize,
     last: f32,
-    /// Samples at the end that are equal.
+    /// Length of the run of equal samples at the end.
     run: usize,
-    /// Distinct values, up to [`FEWEST_VALUES`].
+    /// The first distinct values, at most [`FEWEST_VALUES`].
     seen: Vec<f32>,
     low: f32,
     high: f32,
-    /// Samples in runs of at least [`RUN`], by the bits of their value.
+    /// Number of samples in runs of at least [`RUN`] equal ones, by the bits of their value.
     resting: HashMap<u32, usize>,
 }
 
@@ -126,7 +126,7 @@ impl ChannelFlaws {
         }
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
         if self.run >= RUN {
-            // Minus zero is zero.
+            // Adding 0 turns -0 into 0.
             let of_value = self.resting.entry((x + 0.0).to_bits()).or_default();
             *of_value += if self.run == RUN { RUN } else { 1 };
         }
@@ -166,7 +166,7 @@ impl ChannelFlaws {
         found(f32::from_bits(most), share, SHARE).or_else(|| found(0.0, at_zero, STUCK))
     }
 
-    /// A number of samples, as a share of all.
+    /// A number of samples, as a share of all samples so far.
     fn share(&self, samples: usize) -> f64 {
         samples as f64 / self.samples.max(1) as f64
     }
@@ -182,7 +182,7 @@ impl ChannelFlaws {
 pub struct SeriesFlaws(Vec<ChannelFlaws>);
 
 impl SeriesFlaws {
-    /// Of a series of this many channels that has no frame yet.
+    /// For a series of this many channels, before its first frame.
     pub fn new(channels: usize) -> Self {
         Self(vec![ChannelFlaws::default(); channels])
     }
@@ -199,7 +199,7 @@ impl SeriesFlaws {
         self.each(ChannelFlaws::flaw).collect()
     }
 
-    /// Of these, [`Flaw::Constant`] and [`Flaw::Stuck`].
+    /// The [`Flaw::Constant`]s and [`Flaw::Stuck`]s so far, channel by channel.
     pub fn dead(&self) -> impl Iterator<Item = Flaw> {
         self.each(ChannelFlaws::dead)
     }
@@ -269,7 +269,7 @@ mod tests {
         for steps in [8.0, 20.0, 100.0] {
             assert_eq!(one_channel((0..10_000).map(|i| (sine(i) * steps).round())), [], "{steps}");
         }
-        // Noise, each value five times; and its own limits, now and then.
+        // Noise with each value five times; then a coarse sine that is clipped.
         let noise = |i: i32| ((i / 5) as f32 * 12.9898).sin() * 43_758.547;
         assert_eq!(one_channel((0..5000).map(|i| (noise(i).fract() * 9.0).round())), []);
         let clipped = (0..10_000).map(|i| (sine(i) * 20.0).round().clamp(-10.0, 10.0));

@@ -21,9 +21,9 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// This trial with each of its series that follows a drag cut to the first `seconds`.
+    /// This trial, with every series recorded during the drag cut to its first `seconds`.
     ///
-    /// Taps are transients and images have no duration; `is_drag` chooses the sources to cut.
+    /// `is_drag` chooses the sources to cut: a tap is a transient, and an image has no duration.
     pub fn first_seconds(mut self, seconds: f64, is_drag: impl Fn(&SourceId) -> bool) -> Self {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {
@@ -44,7 +44,7 @@ impl Trial {
     }
 }
 
-/// The user of a trial that names none.
+/// The user of a trial whose recording names none.
 pub const EXPERT: &str = "expert";
 
 /// The surface of a trial whose label nobody knows.
@@ -63,7 +63,7 @@ pub(crate) fn normal(label: &str) -> String {
     Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
 )]
 pub struct TrialKey {
-    /// The label: what a recogniser answers with.
+    /// The surface's label, which recognition answers with.
     pub surface: String,
     /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
     pub user: String,

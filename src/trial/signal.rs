@@ -4,9 +4,9 @@ use ndarray::{ArrayView2, ArrayViewMut2};
 
 use crate::seed;
 
-/// Errors of data that cannot be a signal.
+/// Why data cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages describe the variants.
 pub enum SignalError {
     #[error("it holds no samples; record again, or remove the file")]
     Empty,
@@ -71,8 +71,8 @@ pub struct Series {
 }
 
 impl Series {
-    /// Most samples of a source of a trial that are read or written, all channels together: six
-    /// minutes of sound. Comparing takes about 100 bytes for each.
+    /// Largest number of samples of one source of a trial, all channels together: six minutes of
+    /// sound. A comparison takes about 100 bytes of memory for each.
     pub const MOST_SAMPLES: usize = 1 << 24;
 
     /// A series from interleaved samples.
@@ -117,7 +117,7 @@ impl Series {
         self.frames() as f64 / self.rate_hz
     }
 
-    /// Whether every frame is like the first.
+    /// Whether every frame equals the first.
     pub fn is_constant(&self) -> bool {
         self.samples.chunks(self.channels).all(|frame| *frame == self.samples[..self.channels])
     }

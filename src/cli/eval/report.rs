@@ -16,13 +16,13 @@ pub struct EvalReport {
     pub data: String,
     pub synthetic: bool,
     pub query_seconds: Option<f64>,
-    /// With `--settle`.
+    /// Only with `--settle`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub settled: Option<SettledOutcome>,
-    /// With `--leave-surfaces-out`.
+    /// Only with `--leave-surfaces-out`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unknown: Option<UnknownOutcome>,
-    /// With `--enrolled`.
+    /// Only with `--enrolled`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub enrolled: Option<EnrolmentOutcome>,
     pub predictions: Vec<EvalAnswer>,
@@ -30,7 +30,7 @@ pub struct EvalReport {
     pub warnings: Vec<String>,
 }
 
-// The signature is serde's.
+// serde demands this signature.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn name<S: serde::Serializer>(protocol: &Protocol, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(protocol.name())

@@ -1,22 +1,22 @@
-//! The trial and source of a file of LMT108, by its name and its folders.
+//! Finds the trial and the source of a file of LMT108 from its name and its folders.
 //!
-//! Some names are known, others inferred (method.md §7), so upper and lower case do not matter, and
-//! what the folders say need not be said again by the name.
+//! Some of the database's names are inferred (method.md §7), so reading is lenient: upper and lower
+//! case do not matter, and the name need not repeat what the folders tell.
 
 use crate::trial::{EXPERT, TrialKey};
 
-/// One channel of one source of one trial.
+/// The channel, source and trial that a file holds.
 #[derive(Debug, PartialEq)]
 pub(super) struct NamePart {
     pub key: TrialKey,
     pub source: &'static str,
     /// Counted from 0; always 0 where a file holds the whole source.
     pub channel: usize,
-    /// The folder says Training and the name says test, or the other way round.
+    /// The folder says training and the name says test, or the other way round.
     pub contradicts: bool,
 }
 
-/// The words that end the surface's name.
+/// Words in a file's name that follow the surface's name.
 const WORDS: [&str; 12] = [
     "movement",
     "tapping",
@@ -38,11 +38,11 @@ enum Split {
     Testing,
 }
 
-/// Parses a file's name; `folders` are those above it, from the database's root, in lower case, and
-/// `stem` is its name without the extension.
+/// Parses a file's name: `folders` holds the folders from the database's root down to the file, in
+/// lower case, `stem` the name without its extension.
 ///
 /// # Errors
-/// With the reason, if it is no part of a trial that the program knows.
+/// With the reason, if the file does not belong to a trial.
 pub(super) fn parse(folders: &[String], stem: &str) -> Result<NamePart, &'static str> {
     let in_folder = |name: &str| folders.iter().any(|folder| folder == name);
     let said = split_in_folders(folders);
@@ -64,7 +64,7 @@ pub(super) fn parse(folders: &[String], stem: &str) -> Result<NamePart, &'static
 
     let mut trial = number;
     let (source, channel) = if has("image") {
-        // The pairs are (1, 1), (10, 2), (2, 3), …, (9, 10): the first number is the trial.
+        // Images have two numbers: (1, 1), (10, 2), (2, 3), …, (9, 10). The first is the trial.
         if let Some(number) = words.last().and_then(|word| word.parse().ok()) {
             trial = number;
         }
@@ -115,7 +115,7 @@ fn split_in_folders(folders: &[String]) -> Option<Split> {
     })
 }
 
-/// Cuts `_train7` off `…_train7`: what is left, the split if it is said, the number.
+/// Cuts `_train7` off `…_train7`; returns the text before it, the split, if any, and the number.
 fn cut_number(stem: &str) -> Result<(&str, Option<Split>, u32), &'static str> {
     let head = stem.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = stem[head.len()..].parse().map_err(|_| "its name does not end with a number")?;

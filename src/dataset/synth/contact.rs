@@ -1,5 +1,5 @@
-//! The signals of a contact: the hand that moves the stylus, the tap, vibrations, forces
-//! (fr), reflectance (ir) and metal (me).
+//! Generates the signals of a contact between stylus and surface: sounds (mi1, mi2), acceleration
+//! (ac), forces (fr), reflectance (ir) and metal (me), all shaped by the user's hand.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ use super::noise::{coloured, correlated, fill_normal, quantised};
 use super::parameters::Difficulty;
 use crate::seed::{normal, uniform};
 
-/// One source of one trial: what moves it, and its length in frames.
+/// One source of one trial: the random draws and the hand that shape it, and its length and rate.
 pub(super) struct Contact<'a> {
     pub draws: &'a Draws<'a>,
     pub d: &'a Difficulty,
@@ -47,7 +47,7 @@ pub(super) fn reflectance(&Contact { draws, d, hand, frames, rate_hz }: &Contact
     let level = logistic(draws.value("reflectance level", d.reflectance_level)) as f32;
     let width = draws.value("reflectance width", d.reflectance_width).exp() as f32;
     let skew = 0.5 * draws.value("reflectance skew", d.reflectance_skew).tanh() as f32;
-    // Near black and near white there is less room to move.
+    // Near black and near white the reflectance can vary less.
     let width = width * 4.0 * level * (1.0 - level);
     // For a normal x, x + skew·(x² − 1) has mean 0 and variance 1 + 2·skew².
     let scale = width / (1.0 + 2.0 * skew * skew).sqrt();
@@ -58,7 +58,7 @@ pub(super) fn reflectance(&Contact { draws, d, hand, frames, rate_hz }: &Contact
     samples
 }
 
-/// 1 while metal is felt, 0 otherwise. Always 0 unless the surface conducts.
+/// 1 while the detector senses metal, 0 otherwise. Always 0 unless the surface conducts.
 pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
     let &Contact { draws, d, frames, rate_hz, .. } = contact;
     if !conducts {
@@ -66,7 +66,7 @@ pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
     }
     let felt = logistic(draws.value("metal contact", d.metal_contact));
     let rng = &mut draws.noise("metal");
-    // Stays for a while in each state; shares of the time are `felt` and 1 − `felt`.
+    // Stays in each state for a random while; senses metal for a share `felt` of the time.
     let mut samples = Vec::with_capacity(frames);
     let mut on = uniform(rng) < felt;
     while samples.len() < frames {
@@ -79,9 +79,9 @@ pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
     samples
 }
 
-/// Number of points of the slow change of force within a drag.
+/// Number of random points that make the slow change of force within a drag.
 const DRIFT_KNOTS: usize = 12;
-/// Frames over which that change is taken to be linear.
+/// Frames over which the gain from that change is interpolated linearly.
 const BLOCK: usize = 64;
 
 #[derive(Debug)]
@@ -90,7 +90,7 @@ pub(super) struct Hand {
     pub force: f64,
     /// ln of the speed
     pub speed: f64,
-    /// ln of the force over its mean, at equidistant times of the drag
+    /// ln of the ratio of force to mean force, at equidistant times of the drag
     drift: [f64; DRIFT_KNOTS],
 }
 
@@ -104,7 +104,7 @@ impl Hand {
         }
     }
 
-    /// Multiplies a signal that spans the drag by the relative force to a power.
+    /// Multiplies a signal that spans the drag by (force/mean force)^`power`.
     pub fn modulate(&self, samples: &mut [f32], power: f64) {
         let gain = |at: usize, len: usize| {
             let x = at as f64 / len as f64 * (DRIFT_KNOTS - 1) as f64;
@@ -156,7 +156,7 @@ pub(super) fn tap_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'
     samples
 }
 
-/// Adds strength · exp(−i / decay) · sin(i · turn), by turning a complex number step by step.
+/// Adds strength · exp(−i / decay) · sin(i · turn), by rotating a complex number step by step.
 fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
     let shrink = (-1.0 / decay).exp();
     let (turn_im, turn_re) = turn.sin_cos();
@@ -170,19 +170,18 @@ fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
 const BUMPS: u32 = 4;
 /// Width of a bump, as the standard deviation of the ln of the frequency.
 const BUMP_WIDTH: f64 = 0.25;
-/// The microphone picks up nothing above.
+/// The microphone picks up nothing above this frequency.
 const MICROPHONE_END_HZ: f64 = 12_000.0;
-/// The accelerometer feels nothing above.
+/// The accelerometer senses nothing above this frequency.
 const ACCELEROMETER_END_HZ: f64 = 1_600.0;
-/// Level grows as force to this power.
+/// The level of sound and acceleration grows as force to this power.
 const FORCE_POWER: f64 = 0.7;
 
-/// A smooth spectrum: a slope with bumps over it. Its density is 1 at the middle frequency, less
-/// the bumps.
+/// A smooth spectrum: a power law times bumps. At the middle frequency the power law is 1.
 struct Spectrum {
     middle_hz: f64,
     slope: f64,
-    /// ln of the centre in Hz, and height
+    /// ln of the centre in Hz, and relative height
     bumps: [(f64, f64); BUMPS as usize],
 }
 
@@ -211,11 +210,11 @@ impl Spectrum {
     }
 }
 
-/// The room's noise: amplitude per √Hz at a frequency in Hz.
+/// Spectrum of the room's noise: amplitude per √Hz at a frequency in Hz.
 fn room(draws: &Draws<'_>, d: &Difficulty) -> impl Fn(f64) -> f64 + use<> {
     let level = draws.value("room level", d.room_level).exp();
     let slope = draws.value("room slope", d.room_slope);
-    // A room of slope 0 has this level as its standard deviation.
+    // With slope 0 the noise has the standard deviation `level`.
     let unit = level / MICROPHONE_END_HZ.sqrt();
     move |hz| unit * (hz.max(20.0) / 1_000.0).powf(-slope)
 }

@@ -1,24 +1,24 @@
-//! A physical value: a centre, moved by the surface, by the user and by the trial.
+//! A quantity of the synthetic scene: a centre plus independent normal effects of the surface, the
+//! user and the trial (a random-effects model).
 //!
-//! Every quantity of the scene is a sum of independent normal effects (a random-effects model), so
-//! the whole scene is calibrated by changing numbers in `Difficulty`, and what separates surfaces
-//! stands beside what confuses them.
+//! So the whole scene is calibrated by the numbers in `Difficulty`: the spread between surfaces, by
+//! which a method tells them apart, stands beside the spreads that blur it.
 
 use rand_chacha::ChaCha8Rng;
 
 use crate::seed::{self, normal, uniform};
 use crate::trial::{EXPERT, TrialKey};
 
-/// One quantity: its centre, and the standard deviations of what moves it, all in its own unit.
+/// One quantity: its centre and the standard deviations of its effects, all in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effect {
-    /// the value with which surfaces, users and trials play
+    /// the mean over surfaces, for the expert
     pub centre: f64,
-    /// between surfaces: what a recogniser can use
+    /// standard deviation between surfaces, which a recogniser can use
     pub surface: f64,
-    /// between users; the expert is the zero, so this is the distance between expert and user
+    /// standard deviation of a user's difference from the expert, whose own effect is 0
     pub user: f64,
-    /// between trials of one surface by one user
+    /// standard deviation between trials of one surface by one user
     pub trial: f64,
 }
 
@@ -29,13 +29,13 @@ impl Effect {
     }
 }
 
-/// The draws of one trial. Keyed by name, so a quantity does not depend on which others exist,
-/// nor a trial on which others are made.
+/// The random draws of one trial. Keys name each draw, so a quantity does not depend on which
+/// others exist, nor a trial on which others are made.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Draws<'a> {
     pub seed: u64,
     pub key: &'a TrialKey,
-    /// A surface that this one is almost like, and how far from it, 0 to 1, it is.
+    /// A surface that this one resembles, and the distance to it, from 0 to 1.
     pub like: Option<(&'a str, f64)>,
 }
 
@@ -45,7 +45,7 @@ impl Draws<'_> {
         self.nth(name, 0, effect)
     }
 
-    /// The value of one of several like quantities, such as the heights of bumps.
+    /// The value of one of several quantities with the same effects, such as the heights of bumps.
     pub fn nth(&self, name: &str, index: u32, effect: Effect) -> f64 {
         let (name, index) = (name.as_bytes(), &index.to_le_bytes()[..]);
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
@@ -64,7 +64,7 @@ impl Draws<'_> {
             + draw(effect.trial, &[b"trial", name, index, surface, user, &number])
     }
 
-    /// A uniform number in [0, 1) that belongs to the surface.
+    /// A uniform number in [0, 1), the same in all trials of the surface.
     pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
         let index = index.to_le_bytes();
         let surface = self.like.map_or(self.key.surface.as_str(), |(other, _)| other);
@@ -72,7 +72,7 @@ impl Draws<'_> {
         uniform(&mut seed::rng(self.seed, &key))
     }
 
-    /// A generator for noise that belongs to this trial alone.
+    /// A generator for noise that differs from trial to trial.
     pub fn noise(&self, name: &str) -> ChaCha8Rng {
         let number = self.key.number.to_le_bytes();
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
@@ -80,7 +80,7 @@ impl Draws<'_> {
     }
 }
 
-/// A number between 0 and 1 from one on the whole line.
+/// Maps any number to one between 0 and 1.
 pub(super) fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

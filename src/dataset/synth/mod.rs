@@ -1,16 +1,16 @@
-//! A synthetic scene: surfaces, a stylus and hands that exist only as numbers.
+//! A synthetic scene: simulated trials of invented surfaces and users.
 //!
-//! It serves tests, demonstrations and stress, and stands in no headline; every library made here
-//! says that it is synthetic. Each trial is generated when it is loaded, from the seed, the surface,
-//! the user and the number alone, so that any of them can be had by itself and on any thread. One
-//! machine gives the same bytes each time; between processors the last bits of a transform, and so
-//! now and then the last bit of a sample, may differ.
+//! It serves tests, demonstrations and stress tests, never published accuracies; every library made
+//! here is marked as synthetic. A trial is generated when it is loaded, from the seed, the surface,
+//! the user and the trial's number alone, so that each can be made by itself and on any thread. One
+//! machine gives the same bytes each time; another processor may differ in the last bits of a
+//! transform, and so sometimes in the last bit of a sample.
 //!
 //! [`Difficulty`] holds every constant of the model; `effect` says how they make a trial.
 //!
-//! [`Difficulty::lmt108`] is calibrated on Table II of the paper. This table ranks no method; it is
-//! what `cargo run --release --example synth_pattern -- --users 10` prints (mean ± standard
-//! deviation over the users):
+//! [`Difficulty::lmt108`] is calibrated on Table II of the paper. `cargo run --release --example
+//! synth_pattern -- --users 10` prints this table (mean ± standard deviation over the users), which
+//! must not be used to rank methods:
 //!
 //! | setting | synthetic, % | paper, % | difference |
 //! |---|---|---|---|
@@ -26,8 +26,8 @@
 //! | all, without the shift | 89.1 ± 9.2 | 88.7 | +0.4 |
 //!
 //! Each source is within 12 points of the paper and all eight within 3; the shift is worth 6.5
-//! points. `--seed 3`, with which nothing was chosen, gives 97.2 ± 2.4 for all eight and 87.6 ± 6.1
-//! without the shift.
+//! points. `--seed 3`, which the calibration did not use, gives 97.2 ± 2.4 for all eight and
+//! 87.6 ± 6.1 without the shift.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -48,25 +48,24 @@ mod picture;
 pub use effect::Effect;
 pub use parameters::{Difficulty, Parameters, Twins};
 
-/// Kinds of material, in turn from surface to surface; the names are LMT108's.
+/// Materials, which the surfaces take in turn; the names are those of LMT108.
 const MATERIALS: [&str; 9] =
     ["Mesh", "Stone", "Glossy", "Wood", "Rubber", "Carpet", "Foam", "Plastic", "Textile"];
-/// The kinds of which some conduct.
+/// The materials that may conduct.
 const CONDUCTORS: [&str; 2] = ["Mesh", "Glossy"];
 /// Rate of the microphone in Hz.
 const SOUND_RATE_HZ: f64 = 44_100.0;
-/// Rate of all that comes over the serial line in Hz.
+/// Rate in Hz of the sensors on the serial line.
 const SERIAL_RATE_HZ: f64 = 10_000.0;
-/// Sound samples of a 4.8 s drag in LMT108: the microphone stops a moment early.
+/// Sound samples for each second of a drag, as in LMT108: the microphone stops a moment early.
 const SOUND_FRAMES_A_SECOND: f64 = 211_611.0 / 4.8;
-/// Samples of a tap, as in LMT108.
+/// Sound samples of a tap, as in LMT108.
 const TAP_FRAMES: usize = 10_501;
-/// No drag is longer, in seconds.
+/// Longest drag, in seconds.
 const LONGEST_DRAG_S: f64 = 600.0;
 
 /// A scene as a library: for each surface `trials` trials by the expert, and trial u by user u.
-///
-/// Nothing is generated before an entry is loaded.
+/// A trial is generated only when its entry is loaded.
 pub fn library(parameters: &Parameters) -> Library {
     let scene = Scene::lmt108();
     let sources: Vec<SourceId> = scene.sources().map(|spec| spec.id.clone()).collect();
@@ -97,7 +96,7 @@ fn surface_name(index: usize) -> String {
     format!("Synth{:03}{}", index + 1, MATERIALS[index % MATERIALS.len()])
 }
 
-/// A trial that is made when asked for.
+/// A trial that is generated when it is loaded.
 #[derive(Debug)]
 struct Generated {
     shared: Arc<(Parameters, Scene)>,
@@ -127,10 +126,10 @@ impl LoadTrial for Generated {
     }
 }
 
-/// The shape of a source; `None` for a picture.
+/// Rate, channels and length of a source; `None` for a picture.
 fn outline(p: &Parameters, source: &str) -> Option<Outline> {
     let seconds = p.drag_seconds.clamp(0.0, LONGEST_DRAG_S);
-    // At least one frame: `max` passes over a NaN.
+    // At least one frame, even of NaN seconds: `max` ignores a NaN.
     let frames = |rate_hz: f64| (seconds * rate_hz).round().max(1.0) as usize;
     let (rate_hz, channels, frames) = match source {
         "ca1" | "ca2" => return None,
@@ -146,7 +145,7 @@ fn outline(p: &Parameters, source: &str) -> Option<Outline> {
 /// One source of one trial.
 ///
 /// # Errors
-/// If a number in [`Difficulty`] is so extreme that samples are not finite.
+/// If a number in [`Difficulty`] is so extreme that samples are infinite or NaN.
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
     let original = p.twins.filter(|twins| key.surface == surface_name(twins.twin));
     let original = original.map(|twins| (surface_name(twins.original), twins.distance));
@@ -164,7 +163,7 @@ fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, Sign
         "ac" => contact::acceleration(contact),
         "fr" => contact::friction(contact),
         "ir" => contact::reflectance(contact),
-        // The scene is LMT108's, so this is the eighth: `me`.
+        // The last of LMT108's eight sources, `me`.
         _ => contact::metal(contact, conducts(draws, d)),
     };
     Series::new(rate_hz, channels, samples).map(Signal::Series)
@@ -176,29 +175,29 @@ fn conducts(draws: &Draws<'_>, d: &Difficulty) -> bool {
         && draws.surface_uniform("metal", 0) < d.metal_fraction
 }
 
-/// Surfaces that the expert has recorded, or all but the last of them.
+/// Number of surfaces; the expert has recorded all but the last.
 const SURFACES: usize = 13;
 /// Two surfaces of one material that are almost alike.
 const TWINS: Twins = Twins { original: 1, twin: 10, distance: 0.05 };
 const UNKNOWN: usize = 12;
-/// The scan whose acceleration is a dead line.
+/// Surface (from 0) and user (from 1) of the scan whose accelerometer is dead.
 const DEAD: (usize, u32) = (5, 2);
 const DEAD_SOURCE: &str = "ac";
 
-/// The scene, and what to look for in it.
+/// The embedded scene, and what to look for in it.
 #[derive(Clone, Debug)]
 pub struct Embedded {
-    /// Four trials of each surface but one by the expert, to compare with, and a trial of every
+    /// The expert's four trials of each surface but one, to compare with, and a trial of every
     /// surface by each of three users, to be named.
     pub library: Library,
-    /// Its difficulties, a line each, to be shown.
+    /// Difficulties of the scene, a line each, for people.
     pub remarks: Vec<String>,
 }
 
-/// The scene that is played where no data are given.
+/// The scene that `replay` plays if no data are given.
 ///
-/// A dozen surfaces that are easy to distinguish, except for three things that stations meet: two of
-/// them are almost alike, the library lacks a thirteenth, and a sensor is dead in one scan.
+/// Its thirteen surfaces are easy to distinguish, except for three things that stations meet: two
+/// are almost alike, one is not in the library, and a sensor is dead in one scan.
 pub fn embedded() -> Embedded {
     let size = Parameters { surfaces: SURFACES, trials: 4, users: 3, ..Parameters::default() };
     let mut library = library(&Parameters { twins: Some(TWINS), ..size });
@@ -218,13 +217,13 @@ pub fn embedded() -> Embedded {
     Embedded { library, remarks }
 }
 
-/// The trial with its acceleration at rest.
+/// The trial with all samples of its acceleration set to 0.
 fn with_a_dead_line(mut trial: Trial) -> Trial {
     for (id, signal) in &mut trial.signals {
         if let (Signal::Series(series), true) = (&*signal, is_dead(id)) {
             let still = vec![0.0; series.samples().len()];
             let dead = Series::new(series.rate_hz(), series.channels(), still);
-            // As long as the series that was there, and as regular.
+            // `dead` has the length and the rate of `series`, which is valid.
             *signal = Signal::Series(dead.expect("zeros at a rate that was one"));
         }
     }

@@ -1,8 +1,7 @@
-//! Noise, the raw material of every signal: white, coloured by a spectrum, or with a correlation
-//! time.
+//! Noise, from which signals are made: white, with a given spectrum, or with a correlation time.
 //!
-//! Speed matters here and exact tails do not, so normal numbers are sums of four uniform ones
-//! (they end at 3.5 standard deviations).
+//! Speed matters here and exact tails do not. So nearly normal numbers are made as sums of four
+//! uniform ones, which never exceed 3.5 standard deviations.
 
 use std::cell::RefCell;
 
@@ -23,7 +22,7 @@ struct Transform {
     time: Vec<f32>,
 }
 
-/// Distance in Hz between the points at which a spectrum is evaluated; linear in between.
+/// Distance in Hz of the points at which a spectrum is evaluated; in between it is interpolated.
 const KNOT_HZ: f64 = 10.0;
 
 /// Fills `out` with nearly normal numbers of mean 0 and variance 1.
@@ -45,7 +44,7 @@ pub(super) fn fill_normal(rng: &mut impl Rng, out: &mut [f32]) {
 
 /// Stationary noise of `frames` samples with the given spectrum.
 ///
-/// `density` maps a frequency in Hz to an amplitude per √Hz; above `end_hz` there is nothing. The
+/// `density` maps a frequency in Hz to an amplitude per √Hz; above `end_hz` the spectrum is 0. The
 /// variance is the integral of the squared density.
 pub(super) fn coloured(
     rng: &mut impl Rng,
@@ -76,11 +75,11 @@ pub(super) fn coloured(
             t.bins.push(Complex::new(amplitude * pair[0], amplitude * pair[1]));
         }
         t.bins.resize(len / 2 + 1, Complex::default());
-        // Without an imaginary part at the last frequency the result is real.
+        // The transform requires that the bin at half the rate is real.
         t.bins[len / 2].im = 0.0;
         t.time.resize(len, 0.0);
         t.scratch.resize(plan.get_scratch_len(), Complex::default());
-        // The plan asks for len/2 + 1 bins, len samples and its own scratch: given just above.
+        // The plan needs len/2 + 1 bins, len samples and scratch space, all resized just above.
         plan.process_with_scratch(&mut t.bins, &mut t.time, &mut t.scratch)
             .expect("buffers have the lengths that the plan asks for");
         t.time[..frames].to_vec()
@@ -101,13 +100,13 @@ pub(super) fn correlated(rng: &mut impl Rng, frames: usize, time_frames: f64) ->
     noise
 }
 
-/// Rounds a value as a 16-bit converter does: 1 is its full scale.
+/// Rounds a value as a 16-bit converter does; 1 is full scale.
 pub(super) fn quantised(x: f32) -> f32 {
     // Between 256 and 512 an f32 has steps of 2^-15, so this sum rounds to 16 bits.
     ((x.clamp(-1.0, 1.0 - 1.0 / 32_768.0)) + 384.0) - 384.0
 }
 
-/// The smallest even length from `n` on that has no prime factor above 5.
+/// The smallest even number, at least `n`, that has no prime factor above 5.
 fn smooth_length(n: usize) -> usize {
     let smooth = |mut x: usize| {
         for p in [2, 3, 5] {

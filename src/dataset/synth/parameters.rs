@@ -1,18 +1,18 @@
-//! The numbers of the scene: how large it is, and how hard.
+//! The constants of the synthetic scene: its size and its difficulty.
 //!
-//! Calibration means changing numbers here and nothing else. None of them ranks a method: a scene
-//! made by a formula serves tests, demonstrations and stress.
+//! Calibration changes numbers here and nothing else. Such a scene serves tests, demonstrations and
+//! stress tests; it must not be used to rank methods.
 
 use super::effect::Effect;
 
 /// The scene to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
-    /// number of surfaces; surface k is the same however many there are
+    /// number of surfaces; surface k is the same for every number
     pub surfaces: usize,
     /// trials of each surface by the expert
     pub trials: u32,
-    /// users with one trial of each surface: trial u is by user u
+    /// number of users, each with one trial of every surface: trial u is by user u
     pub users: u32,
     /// the same seed gives the same scene
     pub seed: u64,
@@ -20,18 +20,18 @@ pub struct Parameters {
     pub drag_seconds: f64,
     /// two surfaces that are almost alike
     pub twins: Option<Twins>,
-    /// how well sources separate surfaces, and how much hands differ
+    /// how well sources separate surfaces, and how much users differ
     pub difficulty: Difficulty,
 }
 
-/// A surface that is almost like another.
+/// Two surfaces that are almost alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Twins {
-    /// the one, counted from 0
+    /// the first surface, counted from 0
     pub original: usize,
-    /// the other, counted from 0
+    /// the surface that resembles the first, counted from 0
     pub twin: usize,
-    /// how far the twin is from the original: 0 is the same surface, 1 another one
+    /// distance of the twin from the original: 0 is the same surface, 1 an unrelated one
     pub distance: f64,
 }
 
@@ -50,16 +50,16 @@ impl Default for Parameters {
     }
 }
 
-/// Every quantity of the scene, with what moves it.
+/// Every quantity of the scene, with its centre and its spreads.
 ///
-/// `ln` marks quantities that are kept as natural logarithms, so that a spread of 0.1 is about
-/// 10 %; `logit` marks those between 0 and 1. Levels are fractions of the converter's full scale.
+/// `ln` marks quantities given as natural logarithms, so that a spread of 0.1 is about 10 %;
+/// `logit` marks quantities between 0 and 1. Levels are fractions of the converter's full scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difficulty {
     // The hand, shared by all sources of a trial.
     /// ln of the pressing force; 0 is the expert's mean
     pub force: Effect,
-    /// ln of the speed; it stretches spectra and shortens correlation times
+    /// ln of the speed; a higher speed stretches spectra and shortens correlation times
     pub speed: Effect,
     /// spread of the ln of the force within one drag
     pub force_drift: f64,
@@ -75,7 +75,7 @@ pub struct Difficulty {
     pub sound_level: Effect,
     /// slope of the dragging sound's spectrum
     pub sound_slope: Effect,
-    /// ln of the height of each bump of that spectrum, over its slope
+    /// ln of the height of each bump of the dragging sound's spectrum, relative to its slope
     pub sound_bump: Effect,
     /// ln of the centre of each bump, in Hz
     pub sound_centre: Effect,
@@ -87,7 +87,7 @@ pub struct Difficulty {
     pub tap_frequency: Effect,
     /// ln of the time in which a resonance decays to 1/e, in s
     pub tap_decay: Effect,
-    /// ln of the relative strength of the click, broad in frequency
+    /// ln of the relative strength of the click, a short noise of all frequencies
     pub tap_click: Effect,
 
     // Vibration (ac).
@@ -97,7 +97,7 @@ pub struct Difficulty {
     pub acceleration_axis: Effect,
     /// slope of the acceleration's spectrum
     pub acceleration_slope: Effect,
-    /// ln of the height of each bump of that spectrum
+    /// ln of the height of each bump of the acceleration's spectrum
     pub acceleration_bump: Effect,
     /// ln of the centre of each bump, in Hz
     pub acceleration_centre: Effect,
@@ -107,9 +107,9 @@ pub struct Difficulty {
     pub friction_level: Effect,
     /// logit of the first resistor's share
     pub friction_share: Effect,
-    /// ln of the relative fluctuation that both see
+    /// ln of the relative fluctuation common to both resistors
     pub friction_common: Effect,
-    /// ln of the relative fluctuation that moves load from one to the other
+    /// ln of the relative fluctuation that moves load from one resistor to the other
     pub friction_swing: Effect,
     /// ln of the correlation time of the fluctuations, in s
     pub friction_correlation: Effect,
@@ -117,19 +117,19 @@ pub struct Difficulty {
     // Infrared reflectance (ir).
     /// logit of the mean reflectance
     pub reflectance_level: Effect,
-    /// ln of its standard deviation at middle reflectance; towards 0 and 1 it shrinks
+    /// ln of the reflectance's standard deviation at a mean of ½; less for means towards 0 and 1
     pub reflectance_width: Effect,
-    /// skewness of its distribution, 0 for none
+    /// skewness of the reflectance's distribution, 0 for none
     pub reflectance_skew: Effect,
-    /// ln of its correlation time, in s
+    /// ln of the reflectance's correlation time, in s
     pub reflectance_correlation: Effect,
 
     // Metal (me).
     /// share of the meshes and the glossy surfaces that conduct
     pub metal_fraction: f64,
-    /// logit of the share of the time in which a conductor is seen
+    /// logit of the share of the time in which the detector senses a conductor
     pub metal_contact: Effect,
-    /// correlation time of contact and gap, in s
+    /// correlation time of the detector's signal, in s
     pub metal_correlation_s: f64,
 
     // Pictures (ca1, ca2).
@@ -145,31 +145,32 @@ pub struct Difficulty {
     pub accent: Effect,
     /// ln of the wavelength of the texture, in pixels
     pub wavelength: Effect,
-    /// ln of the grain: noise of single pixels
+    /// ln of the strength of the grain, the noise of single pixels
     pub grain: Effect,
     /// logit of the glossiness: size and strength of the flash's reflection
     pub gloss: Effect,
-    /// ln of the light without flash
+    /// ln of the brightness of the light without flash
     pub light: Effect,
-    /// warmth of that light: red over blue, as a ln
+    /// warmth of the light without flash: ln of the ratio of red to blue
     pub warmth: Effect,
-    /// ln of the light with flash
+    /// ln of the brightness of the light with flash
     pub flash: Effect,
 }
 
 impl Difficulty {
     /// About as hard as LMT108, source by source.
     ///
-    /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: 108 of
-    /// these surfaces, the expert against users, come near the accuracies that the paper prints for
-    /// the method `reference` (table in `src/dataset/synth/mod.rs`). So this scene says nothing about
-    /// `reference`, ranks no method, and stands in no headline.
+    /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: on
+    /// 108 such surfaces, expert against users, the method `reference` comes near the accuracies in
+    /// the paper (table in `src/dataset/synth/mod.rs`). So this scene is no evidence for
+    /// `reference`, must not be used to rank methods, and yields no published results.
     ///
-    /// Weak sources are weak because surfaces are alike in them; a hand that merely made them
-    /// misleading would spoil the product of all sources. What the shift removes differs between
-    /// users more than between trials: gains, the load, and above all the mean reflectance, where a
-    /// user's offset is wider than what one surface spans. A flash bright enough to make pictures
-    /// white makes them identical, and a product of scores believes that above all else.
+    /// Weak sources are weak because surfaces resemble each other in them; large differences
+    /// between users would instead make them misleading and spoil the product over sources. Offsets
+    /// that the mean shift removes differ between users more than between trials: gains, the load,
+    /// and above all the mean reflectance, where users' offsets exceed the variation on one
+    /// surface. A flash so bright that pictures turn white would make them identical, and their
+    /// score near 0 would dominate the product.
     pub fn lmt108() -> Self {
         let e = Effect::new;
         Self {
@@ -209,7 +210,7 @@ impl Difficulty {
 }
 
 impl Default for Difficulty {
-    /// A scene to try things on: easier than LMT108.
+    /// A scene for demonstrations, easier than LMT108.
     fn default() -> Self {
         let e = Effect::new;
         Self {

@@ -1,6 +1,6 @@
 //! Pictures of a surface, without flash (ca1) and with flash (ca2).
 //!
-//! Two colours mixed by a few waves, grain, and the light of the room or of the flash.
+//! A picture is two colours mixed by a few waves, with grain, in the light of room or flash.
 
 use std::f64::consts::TAU;
 
@@ -14,7 +14,7 @@ use crate::trial::Image;
 const WAVES: usize = 5;
 /// Width in pixels of the flash's reflection on a mirror, and on a matt surface.
 const REFLECTION_PIXELS: (f64, f64) = (40.0, 160.0);
-/// The flash lights crevices too: contrast that it leaves.
+/// Factor on the contrast with flash, which also lights crevices.
 const FLASH_CONTRAST: f64 = 0.6;
 
 /// RGB bytes of a picture, row by row.
@@ -28,7 +28,7 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
     let accent = draws.value("accent", d.accent);
     let light = illumination(draws, d, flash);
 
-    // Middle colour, and what one unit of texture adds to it.
+    // Middle colour, and the colour that one unit of texture adds to it.
     let bright = from_hsv(hue, saturation, value * (1.0 + contrast));
     let dark = from_hsv(hue + accent, saturation, value * (1.0 - contrast).max(0.0));
     let to_bytes = |x: f64, channel: usize| (255.0 * light[channel] * x) as f32;
@@ -58,7 +58,7 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
     rgb
 }
 
-/// Light on red, green and blue; 1 is the expert's room.
+/// Brightness of the light in red, green and blue; 1 is the expert's room.
 fn illumination(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> [f64; 3] {
     let (light, warmth) = if flash {
         (draws.value("flash", d.flash), 0.0)
@@ -69,7 +69,7 @@ fn illumination(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> [f64; 3] {
     [light * (0.5 * warmth).exp(), light, light * (-0.5 * warmth).exp()]
 }
 
-/// The flash, mirrored: a white spot, a product of a column and a row.
+/// The reflection of the flash, a white spot: the product of a row profile and a column profile.
 struct Reflection {
     rows: Vec<f32>,
     cols: Vec<f32>,
@@ -89,18 +89,18 @@ impl Reflection {
     }
 }
 
-/// A sum of plane waves, of standard deviation 1/√2.
+/// A texture: a sum of plane waves, of standard deviation 1/√2.
 struct WaveTexture {
-    /// cos and sin of the phase at each column, the first times the wave's strength
+    /// for each wave, cos and sin of the phase at each column, times the wave's strength
     cols: [Vec<(f32, f32)>; WAVES],
-    /// phase that a row adds
+    /// phase that each row adds
     per_row: [f64; WAVES],
 }
 
 impl WaveTexture {
     fn draw(draws: &Draws<'_>, d: &Difficulty, rng: &mut impl Rng) -> Self {
         let wavelength = draws.value("wavelength", d.wavelength).exp().max(2.0);
-        // The picture shows any place, turned by any angle; the waves' arrangement is the surface's.
+        // The picture's place and angle are random; angles between waves belong to the surface.
         let turned = uniform(rng);
         let mut per_row = [0.0; WAVES];
         let cols = std::array::from_fn(|wave| {
@@ -121,7 +121,7 @@ impl WaveTexture {
         Self { cols, per_row }
     }
 
-    /// The field along one row.
+    /// The texture along one row.
     fn row(&self, row: usize, line: &mut [f32; Image::COLS]) {
         line.fill(0.0);
         for (cols, per_row) in self.cols.iter().zip(self.per_row) {

@@ -139,7 +139,7 @@ fn colour(trial: &Trial) -> Vec<f64> {
     (0..3).map(|c| mean(c) / (rgb.len() / 3) as f64).collect()
 }
 
-/// ln of the energy of a tap, early and late.
+/// ln of the energy in three parts of a tap: before and at the touch, just after, and the rest.
 fn tap(trial: &Trial) -> Vec<f64> {
     let samples = series(trial, "mi1").samples();
     let energy = |part: &[f32]| part.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().ln();
@@ -163,7 +163,7 @@ fn surfaces_differ_more_than_trials_of_one_surface() {
     }
 }
 
-/// Prints the time that a full scene takes. Run with
+/// Prints how long it takes to generate a full scene. Run with
 /// `cargo test --release --lib dataset::synth -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement, not a check"]
@@ -184,7 +184,7 @@ fn time_to_generate_a_full_scene() {
     );
 }
 
-/// Accuracy of `reference`, with few samples, on one source of a few surfaces.
+/// Accuracy of the method `reference`, with few samples, on one source of 20 surfaces.
 fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
     use crate::evaluate::{Evaluation, Protocol, folds};
     use crate::recognise::{Reference, ReferenceOptions};

@@ -57,7 +57,7 @@ impl Shutter {
 pub(super) enum FrameLight {
     Plain,
     Flash,
-    /// While the light changed; useless.
+    /// Taken while the light changed: useless.
     Between,
 }
 
@@ -65,7 +65,7 @@ pub(super) enum FrameLight {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FlashVerdict {
     pub light: FrameLight,
-    /// Switch the light now.
+    /// Whether to switch the light on or off now; `None` to leave it.
     pub switch: Option<bool>,
 }
 
@@ -113,7 +113,7 @@ impl Cycle {
         }
     }
 
-    /// The light could not be switched on: no frame shows it.
+    /// Notes that the light is off, or could not be switched on: no frame will show it.
     pub fn cancel(&mut self) {
         self.phase = FlashPhase::Off;
     }

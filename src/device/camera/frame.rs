@@ -8,14 +8,14 @@ use image::{ImageFormat, ImageReader, Limits};
 
 use crate::jpeg;
 
-/// A camera's frame has no longer side than this.
+/// Longest side of a frame that is accepted, in pixels.
 const MAX_SIDE: u32 = 1 << 13;
 const MAX_BYTES: u64 = 1 << 28;
 
 /// The coding of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFormat {
-    /// A JPEG file each, with or without its Huffman tables.
+    /// Each frame is a JPEG file, with or without its Huffman tables.
     Mjpeg,
     /// Two bytes a pixel: Y0 U Y1 V for two of them (BT.601, 16 to 235).
     Yuyv,
@@ -214,7 +214,8 @@ mod tests {
         bytes
     }
 
-    /// Without any of its Huffman tables, as a camera sends it. The encoder uses the standard ones.
+    /// A JPEG without its Huffman tables, which are the standard ones here, as many cameras send
+    /// it.
     fn without_tables(jpeg: &[u8]) -> Vec<u8> {
         let (mut out, mut at) = (jpeg[..2].to_vec(), 2);
         loop {

@@ -18,7 +18,7 @@ enum CameraAct {
 
 type CameraScript = dyn Fn(usize, usize) -> CameraAct + Send + Sync;
 
-/// A camera that follows a script: for the opening and the frame, both counted from 0.
+/// A camera whose script gives the act for each opening and frame, both counted from 0.
 struct ScriptedCamera {
     script: Arc<CameraScript>,
     openings: AtomicUsize,
@@ -49,7 +49,7 @@ impl Frames for Playing {
         self.2 += 1;
         match (self.0)(self.1, self.2 - 1) {
             CameraAct::Frame(mut frame) => {
-                // A lit camera sees red.
+                // With its light on, the camera gives red frames.
                 if self.3.lock().unwrap().last() == Some(&1) {
                     frame.bytes.iter_mut().step_by(3).for_each(|byte| *byte = 255);
                 }

@@ -42,7 +42,7 @@ impl Turn {
         })
     }
 
-    /// Whether width and height change places.
+    /// Whether the turn swaps width and height.
     pub fn swaps(self) -> bool {
         matches!(self, Self::Right | Self::Left)
     }
@@ -56,9 +56,9 @@ impl Turn {
     }
 }
 
-/// Width of the region that is compared, in heights.
+/// Width of the region that is compared, divided by its height.
 const ASPECT: f64 = Image::COLS as f64 / Image::ROWS as f64;
-/// Longer side of a picture that is only looked at, in pixels.
+/// Longer side of a picture that is shown to people only, in pixels.
 const LONGEST: usize = 480;
 
 /// Turns a picture, cuts the largest region of 2:3 (wide : high) out of its centre, and scales it
@@ -102,15 +102,15 @@ pub fn small(picture: &Rgb, turn: Turn) -> Option<Rgb> {
     Some(Rgb { width, height, bytes: cut(picture, whole, (width, height), turn) })
 }
 
-/// Scales a part (begin and extent, in x and in y) of a picture as it lies, and turns it: the result
-/// is `width` × `height` upright.
+/// Scales a part (begin and extent, in x and in y) of a picture before its turn, then turns it: the
+/// result is `width` × `height` upright.
 fn cut(
     picture: &Rgb,
     ((left, across), (top, down)): ((f64, f64), (f64, f64)),
     (width, height): (usize, usize),
     turn: Turn,
 ) -> Vec<u8> {
-    // In the picture as it lies, where the part is on its side if the turn swaps its sides.
+    // The size before the turn, which may swap width and height.
     let (cols, rows) = if turn.swaps() { (height, width) } else { (width, height) };
     let across = PixelShares::new(left, across, cols, picture.width);
     let down = PixelShares::new(top, down, rows, picture.height);
@@ -139,12 +139,12 @@ fn centre(width: f64, height: f64, aspect: f64) -> ((f64, f64), (f64, f64)) {
     (((width - w) / 2.0, w), ((height - h) / 2.0, h))
 }
 
-/// For each pixel along one side: the first one that it covers, and the share of it and of each
-/// that follows. The shares of a pixel add up to 1.
+/// For each pixel along one side of the result: the first input pixel that it covers, and the
+/// weights of this and of the following ones, which add up to 1.
 struct PixelShares(Vec<(usize, Vec<f32>)>);
 
 impl PixelShares {
-    /// `pixels` out of a stretch of `extent` from `begin` on, of a side that has `of`.
+    /// Divides `extent` input pixels from `begin` on, of a side of `of`, into `pixels` equal parts.
     fn new(begin: f64, extent: f64, pixels: usize, of: usize) -> Self {
         let step = extent / pixels as f64;
         let cover = |i: usize| {
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn each_turn_brings_the_corner_to_its_place() {
-        // A red left top corner of a landscape picture, then where it must be.
+        // A bright top left corner, and where it must be after each turn.
         let corner = |w, h| picture(w, h, |x, y| [if x < w / 4 && y < h / 4 { 255 } else { 0 }; 3]);
         let red = |image: &Image, row, col| image.pixel(row, col)[0] > 200;
         let places = [(Turn::None, (0, 0)), (Turn::Over, (479, 319))];

@@ -30,8 +30,8 @@ pub struct V4l {
 }
 
 impl V4l {
-    /// The camera with this name, as `surfaced devices` lists it. From the sizes that it offers the
-    /// one is taken that shows the upright region in full, after this turn, with the least data.
+    /// The camera with this name, as `surfaced devices` lists it. Of the sizes that it offers, the
+    /// smallest is taken that shows the upright region in full after this turn.
     pub fn new(id: impl Into<String>, turn: Turn) -> Self {
         Self { id: id.into(), turn }
     }
@@ -94,14 +94,14 @@ impl Frames for Reader {
 }
 
 fn open(number: u32, id: &str) -> Result<Nokhwa, OpenError> {
-    // Any format at first; which ones there are is known only of an open camera.
+    // Any format at first: only an open camera tells which formats it has.
     let any = RequestedFormat::with_formats(RequestedFormatType::None, &CODINGS);
     Nokhwa::with_backend(CameraIndex::Index(number), any, ApiBackend::Video4Linux)
         .map_err(|error| explain(number, id, &error))
 }
 
-/// The format that shows the region of 320 × 480 without having to enlarge it, and with the least
-/// data; if there is none, the largest. Of one size, the best coding, then the rate nearest to 30.
+/// The smallest format that shows the region of 320 × 480 without enlarging it; if there is none,
+/// the largest format. Among equal sizes, the best coding, then the rate closest to 30 Hz.
 fn choose(offers: &[CameraFormat], turn: Turn) -> Option<CameraFormat> {
     let cost = |offer: &&CameraFormat| {
         let (width, height) = (u64::from(offer.width()), u64::from(offer.height()));
@@ -149,7 +149,7 @@ pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
     Ok(numbers.into_iter().filter_map(|(number, name)| listed(number, name)).collect())
 }
 
-/// None for a node that is no camera: most cameras have another one for their metadata.
+/// None for a node that is no camera: most cameras have a second node for metadata.
 fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
     let stable = camera_alias(Path::new(DEV), &node);

@@ -46,18 +46,18 @@ struct Sight {
 }
 
 impl Viewfinder {
-    /// Nothing seen yet, by the camera whose pictures without flash are the stream `source`.
+    /// The viewfinder of a camera whose pictures without flash are the stream `source`.
     pub fn new(source: SourceId) -> Self {
         let sight = Sight { picture: None, flash: FlashState::None };
         Self { source, sight: Arc::new(Mutex::new(sight)) }
     }
 
     fn lock(&self) -> MutexGuard<'_, Sight> {
-        // Each change is one assignment.
+        // Each change is one assignment, so a panic leaves a usable state.
         self.sight.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Shows a picture as it lies, which `turn` makes upright.
+    /// Shows a picture as the camera gave it; `turn` makes it upright.
     pub fn show(&self, picture: Rgb, turn: Turn) {
         self.lock().picture = Some((Arc::new(picture), turn));
     }
@@ -66,7 +66,7 @@ impl Viewfinder {
         self.lock().flash = flash;
     }
 
-    /// The stream whose pictures it shows whole.
+    /// The stream of the camera's pictures without flash.
     pub fn source(&self) -> &SourceId {
         &self.source
     }
@@ -96,7 +96,7 @@ mod tests {
         assert_eq!((finder.view().region, finder.jpeg()), (None, None));
         let lying = || Rgb { width: 1280, height: 720, bytes: vec![90; 1280 * 720 * 3] };
         for (turn, wide, high, region) in [
-            // 480 of 1280 columns, as 720 rows are 2:3 of them.
+            // 480 of the 1280 columns are compared, since 480:720 is 2:3.
             (Turn::None, 480, 270, (0.3125, 0.0, 0.375, 1.0)),
             // Upright it is 720 wide and 1280 high, of which 1080 rows are compared.
             (Turn::Right, 270, 480, (0.0, 0.078_125, 1.0, 0.843_75)),

@@ -15,7 +15,7 @@ use super::{CallbackSink, RATE_HZ, Sound, StreamError};
 use crate::device::list::ListedDevice;
 use crate::device::open::OpenError;
 
-/// Frames a callback, if the device lets one choose: 12 ms.
+/// Frames per callback, if the device allows this size: 12 ms.
 const PERIOD: u32 = 512;
 /// The interval at which the thread of a stream checks that its device is still there.
 const POLL: Duration = Duration::from_millis(500);
@@ -39,8 +39,8 @@ pub struct Alsa {
 
 impl Alsa {
     /// The microphone with this name in ALSA, as `surfaced devices` lists it; the system's own
-    /// choice if it is `default`. Names with the number of a card (`hw:0,0`) work, but mean
-    /// another device once one more is plugged in.
+    /// choice if it is `default`. Names with the number of a card (`hw:0,0`) work, but may mean
+    /// another device after one more is plugged in.
     ///
     /// # Errors
     /// If it is ALSA's null device, which is no microphone.
@@ -132,7 +132,7 @@ fn callback(
     }
 }
 
-/// The rank of a format, the best one the highest; `None` if it is not supported.
+/// The rank of a format, highest for the best one; `None` if it is not supported.
 fn rank(format: SampleFormat) -> Option<u32> {
     use SampleFormat::{F32, F64, I8, I16, I24, I32, U8, U16, U24, U32};
     let order = [U8, I8, U16, I16, U24, I24, U32, F64, I32, F32];
@@ -163,8 +163,8 @@ fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
     ))
 }
 
-/// Keeps ALSA from writing on stderr on this thread: each look for a device that is absent is many
-/// lines, and what matters comes as an error as well.
+/// Keeps ALSA from writing to stderr on this thread: each search for an absent device writes many
+/// lines, and what matters is also returned as an error.
 fn hush() {
     // The text goes to a buffer, which the next call replaces.
     let _ = alsa::Output::local_error_handler();
@@ -227,8 +227,9 @@ fn problem(id: &str, device: &Device) -> Option<String> {
     }
 }
 
-/// ALSA lists every device many times, in the ways in which it may be opened. Of a card, only the
-/// one that converts rates and names the card, not its number; beside that, what has no card.
+/// Whether to list this one of ALSA's many names for a device: for a card, only the one that
+/// converts rates (`plughw`) and holds the card's name, not its number; else any name without a
+/// card.
 fn worth_listing(id: &str) -> bool {
     const OTHERS: [&str; 8] =
         ["null", "lavrate", "samplerate", "speexrate", "speex", "upmix", "vdownmix", "oss"];

@@ -1,15 +1,15 @@
-//! Takes samples from a sound system's callback: of any format, mixed to one channel.
+//! Takes samples of any format from a sound system's callback, and mixes them to one channel.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::ring::{SeriesSink, Waker};
 
-/// Room for a callback of the usual size; a larger one is mixed part by part.
+/// Frames mixed at a time: enough for a usual callback; a larger one is mixed part by part.
 const PART: usize = 4096;
 
-/// Takes samples from a callback: never waits, never allocates. What does not fit is counted as
-/// lost, in its place.
+/// Takes samples from a callback: never waits, never allocates. Samples that do not fit are counted
+/// as lost, in their place.
 pub struct CallbackSink {
     ring: SeriesSink,
     waker: Waker,
@@ -18,7 +18,7 @@ pub struct CallbackSink {
     broken: Broken,
 }
 
-/// Counts samples that were no numbers; clones share the count.
+/// Counts samples that were not numbers; clones share the count.
 #[derive(Clone, Debug, Default)]
 pub struct Broken(Arc<AtomicU64>);
 
@@ -34,7 +34,7 @@ impl CallbackSink {
         Self { ring, waker, pick, mono: Vec::with_capacity(PART), broken: Broken::default() }
     }
 
-    /// The samples that were no numbers, and became silence.
+    /// The count of samples that were not numbers and became silence.
     pub fn broken(&self) -> Broken {
         self.broken.clone()
     }
@@ -82,7 +82,7 @@ pcm! {
     f64, x => x as f32;
 }
 
-/// The channel of a device that is the microphone.
+/// Which channel of a device is the microphone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pick {
     /// The mean of all channels.

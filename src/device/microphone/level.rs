@@ -10,7 +10,7 @@ pub enum SoundLevel {
     Clipped,
 }
 
-/// A window in seconds. What fills a whole one is reported at its end, so at most two of them later.
+/// Length of a window, in seconds. A level is reported after the first window that it fills.
 const WINDOW_S: f64 = 0.4;
 /// The last bit of a 16-bit converter, with full scale ±1. Anything smaller is silence.
 const LAST_BIT: f32 = 1.0 / 32_768.0;
@@ -51,7 +51,7 @@ impl LevelWatch {
         self.level
     }
 
-    /// Takes samples; the new level if it changed.
+    /// Takes samples, and returns the new level if it changed.
     pub fn take(&mut self, samples: &[f32]) -> Option<SoundLevel> {
         let before = self.level;
         for &x in samples {

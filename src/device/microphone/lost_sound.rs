@@ -1,11 +1,11 @@
-//! Carries sound on from the callback's ring, and counts what never came or came twice, by the clock.
+//! Carries sound from the callback's ring to the session, and counts by the clock what was lost.
 
 use super::pace::Pace;
 use super::{LevelWatch, RATE_HZ, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
-/// After a pause of this length in seconds, sound may be missing although nobody has said so: a
-/// sound server that was held up passes over the time.
+/// After a pause of this length, in seconds, sound may be missing without a report of it: a sound
+/// server that was held up skips that time.
 const PAUSE_S: f64 = 0.2;
 /// The usual time after such a pause until late sound has arrived, in seconds.
 const CATCH_UP_S: f64 = 0.25;
@@ -31,7 +31,7 @@ enum Before {
     Loss,
 }
 
-/// The result of a look at the callback's ring.
+/// The result of reading the callback's ring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
     /// Whether sound was carried.
@@ -60,7 +60,7 @@ impl<'a> Listening<'a> {
         self.before = if self.received { Before::Loss } else { Before::Frames };
     }
 
-    /// Sound was lost before what will enter the ring from now on.
+    /// Notes that sound was lost before the next sound that enters the ring.
     pub fn overrun(&mut self) {
         self.before = Before::Loss;
     }
@@ -80,13 +80,13 @@ impl<'a> Listening<'a> {
         self.pace.unpaced(now_s, self.sink.position())
     }
 
-    /// Moves on all frames of the ring. After a pause it waits for late ones, unless this is
-    /// the `last` look at this ring.
+    /// Carries all frames of the ring to the session. After a pause it first waits for late ones,
+    /// unless this is the `last` call for this ring.
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
-        // Frames that the ring itself lost count like those that it holds.
+        // Frames that did not fit into the ring count like those in it.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
-        // The time is read only now: a delay of this thread then makes sound seem late, which can
-        // happen, and never early.
+        // The clock is read after the ring: a delay of this thread in between can make sound seem
+        // late, but never early.
         let now_s = clock();
         if held == 0 {
             return Carried::default();
@@ -142,18 +142,18 @@ mod tests {
     use super::*;
     use crate::ring::{Waker, series};
 
-    /// Of one step, in seconds and in frames.
+    /// Length of one step of a simulation, in seconds and in frames.
     const STEP_S: f64 = 0.02;
     const STEP: u64 = 882;
-    /// Of one callback, as ALSA calls it.
+    /// Frames of one callback, as ALSA calls it.
     const PERIOD: u64 = 512;
-    /// The callback's ring of these tests: too small for the sound that is held up, so that some is
-    /// lost.
+    /// Frames that the callback's ring holds here: too few for the sound that is held up, so that
+    /// some is lost.
     const RING: usize = 22_050;
-    /// The largest error of the account, in seconds: a delay that is not a loss, and one step.
+    /// The largest error of the frames counted, in seconds: a delay that is no loss, and 1.5 steps.
     const BOUND_S: f64 = 0.05 + 1.5 * STEP_S;
 
-    /// A sound server with its own clock, and the station that listens to it.
+    /// A simulated sound server with its own clock, and the callback's ring.
     struct Hall {
         steps: u64,
         now_s: f64,
@@ -163,13 +163,13 @@ mod tests {
 
     #[derive(Clone, Copy, Debug)]
     enum SinkAct {
-        /// For this number of steps.
+        /// Sound for this number of steps.
         Play(u64),
-        /// Nothing for `steps` steps, and this share of their sound never comes. The rest comes at
-        /// once, some steps after new sound, either in callbacks with a look after each, or all
-        /// before the next look.
+        /// Nothing for `steps` steps. The share `passed_over` of their sound never comes; the rest
+        /// comes at once, after `after` steps of new sound: if `piecewise`, the ring is read after
+        /// each callback, else only after all of it.
         Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
-        /// The same, but the stream is opened again.
+        /// Nothing for this number of steps, then the stream is opened again.
         Reopen(u64),
     }
 
@@ -224,8 +224,8 @@ mod tests {
             }
         }
 
-        /// Plays these acts with sound before, between and after them; by how much the account was
-        /// ahead of the clock and behind it after each, at worst, in seconds.
+        /// Plays these acts, with sound before and after each. Returns by how much the frames
+        /// counted were ahead of the clock, and behind it, at worst, in seconds.
         fn play(&mut self, acts: &[SinkAct]) -> (f64, f64) {
             let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
             let meter = tap.meter().clone();
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn time_that_was_counted_as_lost_is_not_counted_again_when_its_sound_comes_late() {
         for piecewise in [true, false] {
-            // Longer than is waited for, so that the clock has counted it as lost; twice.
+            // The sound comes after the wait for it has ended, so it was counted as lost.
             let stall = SinkAct::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
             account_holds(&[stall, stall]);
             account_holds(&[stall; 20]);
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn small_remains_do_not_add_up() {
-        // 40 ms come late each time: too little to be sure that they are.
+        // 40 ms come late each time: too little to be told from a mere delay.
         let stall = SinkAct::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
         account_holds(&[stall; 50]);
     }

@@ -3,24 +3,24 @@
 
 /// The largest drift between two clocks; usually it is far less.
 const DRIFT: f64 = 500e-6;
-/// A smaller difference is a delay and not a loss, in seconds.
+/// A difference smaller than this, in seconds, is a delay and not a loss.
 const DELAY_S: f64 = 0.05;
-/// The longest buffer that may be full when a stream begins, in seconds.
+/// The most sound that a stream may bring at once when it begins, in seconds.
 const BURST_S: f64 = 4.0;
 /// The time for which the pace of a new stream is watched, in seconds.
 const TRIAL_S: f64 = 5.0;
 
 /// Follows when frames arrive.
 ///
-/// A frame can come late but not early. So the earliest arrival, less the frame's own time, is the
-/// moment at which the stream seems to have begun; later than that by more than the usual delay
-/// means that frames are missing. Once they were counted by this clock, sound that seems to come
-/// early was not missing but late, and says nothing about the begin: a begin that followed it would
-/// count the same time again at each interruption.
+/// A frame can come late but not early. So the begin of the stream is estimated as the least
+/// difference between a frame's arrival and its own time; a difference that is larger by more than
+/// the usual delay means that frames are missing. After frames were counted as missing, a smaller
+/// difference means that they were only late. The estimate must not follow such late sound, or it
+/// would count the same time again at each interruption.
 #[derive(Clone, Debug)]
 pub struct Pace {
     rate_hz: f64,
-    /// The apparent begin in seconds, and when it was last looked at.
+    /// The estimated begin in seconds, and when it was last updated.
     begin: Option<(f64, f64)>,
     /// Moment and position of the first arrival.
     first: Option<(f64, u64)>,
@@ -54,9 +54,9 @@ impl Pace {
         self.first.get_or_insert((now_s, position));
     }
 
-    /// How many frames an interruption cost, once the first frames after it have arrived at
-    /// `now_s` and `position` does not yet count any as lost. An estimate: it is off by the delay
-    /// of that arrival, a few milliseconds.
+    /// How many frames an interruption cost, when the first frames after it have arrived at `now_s`
+    /// and `position` does not yet count any as lost. An estimate, off by the delay of that
+    /// arrival: a few milliseconds.
     pub fn missing(&self, now_s: f64, position: u64) -> u64 {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let late_s = now_s - position as f64 / self.rate_hz - begin - DRIFT * (now_s - at_s);
@@ -74,8 +74,8 @@ impl Pace {
         self.skipped += frames;
     }
 
-    /// How many of those frames have come after all, if what ends at `now_s` with number `position`
-    /// comes sooner than it can have been recorded.
+    /// How many of the frames counted as missing were only late: as many as explain why frames up
+    /// to number `position` arrive at `now_s`, before they can have been recorded.
     pub fn late(&self, now_s: f64, position: u64) -> u64 {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let early_s = begin - (now_s - position as f64 / self.rate_hz) - DRIFT * (now_s - at_s);
@@ -83,7 +83,7 @@ impl Pace {
         early.min(self.skipped)
     }
 
-    /// Frames that had been counted as missing were dropped, as they came late.
+    /// Notes that late frames, which had been counted as missing, were dropped.
     pub fn came_late(&mut self, frames: u64) {
         self.skipped = self.skipped.saturating_sub(frames);
     }

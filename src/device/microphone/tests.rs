@@ -12,7 +12,7 @@ use crate::ring::Stop;
 enum MicrophoneAct {
     /// 10 ms of this value (and its negative, in turn), in real time.
     Play(f32),
-    /// The same, but at once.
+    /// 10 ms of sound, at once.
     Rush,
     /// This many milliseconds of nothing.
     Pause(u64),
@@ -23,7 +23,7 @@ enum MicrophoneAct {
 
 type MicrophoneScript = fn(usize, usize) -> MicrophoneAct;
 
-/// Follows a script: for the opening and the step, both counted from 0.
+/// A sound system whose script gives the act for each opening and step, both counted from 0.
 struct ScriptedMicrophone {
     script: MicrophoneScript,
     openings: Arc<AtomicUsize>,
@@ -78,7 +78,7 @@ impl Sound for ScriptedMicrophone {
                         if matches!(act, MicrophoneAct::Play(_)) {
                             wait(10);
                         }
-                        // Mono, as if each value were a frame; two blocks are 20 ms.
+                        // The first 441 values, as mono sound: 10 ms.
                         sink.take(&block[..441], 1);
                     }
                 }
@@ -127,7 +127,7 @@ impl RunningMicrophone {
         }
     }
 
-    /// Frames (lost ones included), those lost, and the seconds that passed.
+    /// Frames pushed (lost ones included), frames lost, and the seconds that passed.
     fn end(mut self) -> (u64, u64, f64) {
         self.stop.request();
         self.thread.join().unwrap().unwrap();

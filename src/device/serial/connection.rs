@@ -71,7 +71,7 @@ pub(super) struct Connection<'a> {
     pub status: Option<Status>,
     pub refused: Option<String>,
     pub errors: LinkErrors,
-    /// When they were last reported.
+    /// When `errors` were last reported.
     pub reported_at: Instant,
 }
 
@@ -226,13 +226,13 @@ pub(super) struct LinkErrors {
     overflowed: u64,
     overruns: u64,
     dropped: u64,
-    /// Warnings about what the stylus introduced itself with, and the last of them.
+    /// Number of warnings about the stylus's hello messages, and the last of them.
     hellos: u64,
     last_hello: Option<String>,
 }
 
 impl LinkErrors {
-    /// Adds the losses that the stylus reports since its last status; its counts begin at its start.
+    /// Adds the losses since the last status; the stylus counts them from 0 at each of its starts.
     fn stylus(&mut self, old: Option<&Status>, new: &Status) {
         let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
         self.overruns += u64::from(new.overruns.checked_sub(overruns).unwrap_or(new.overruns));
@@ -244,7 +244,7 @@ impl LinkErrors {
         self.last_hello = Some(warning);
     }
 
-    /// Reports what there is, summed up.
+    /// Reports the errors so far, summed up, and forgets them.
     pub fn report(&mut self, link: &DeviceLink) {
         match (self.hellos, self.last_hello.take()) {
             (2.., Some(last)) => link.warn(format!("{last} (and {} more)", self.hellos - 1)),

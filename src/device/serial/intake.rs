@@ -8,7 +8,7 @@ use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
 
 use crate::scene::SourceId;
 
-/// A restart costs at least this much, in seconds: more than a scan bridges.
+/// A restart counts as a gap of at least this many seconds: more than a scan bridges.
 pub const LEAST_RESTART_S: f64 = 2e-3;
 /// A jump of the index may be longer than the silence before it by this much, in seconds, since
 /// what the system had buffered arrives late. Beyond, the index is not believed.
@@ -102,7 +102,7 @@ pub struct Intake {
     rate_hz: u32,
     decoder: Decoder,
     table: Option<Table>,
-    /// The table before it was lost, to see whether it changes.
+    /// The table of the last hello, to see whether the next one differs.
     last_table: Option<Table>,
     /// Index of the next sample; none before the first.
     next: Option<u64>,
@@ -142,19 +142,19 @@ impl Intake {
         self.table.is_some()
     }
 
-    /// The line was reopened: what comes next has to introduce itself.
+    /// Notes that the line was reopened: the stylus must introduce itself again.
     pub fn reopened(&mut self) {
         self.decoder.reset();
         self.table = None;
         self.reopened = true;
     }
 
-    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes `on`
-    /// what they hold, in order. Returns whether there were samples that are understood.
+    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes
+    /// what they hold to `on`, in order. Returns whether there were samples that are understood.
     pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(IntakeEvent<'_>)) -> bool {
         let mut any = false;
         let mut input = bytes;
-        // Taken out, so that a message that borrows from it leaves the rest usable.
+        // The decoder is taken out, so that a message that borrows from it leaves `self` usable.
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(result) = decoder.next(&mut input) {
             match result {

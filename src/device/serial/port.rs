@@ -10,7 +10,7 @@ use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
 use crate::device::OpenError;
 use crate::device::list::{available_ports, permission_hint};
 
-/// The stylus's line; where the port is a pseudo-terminal, the number means nothing.
+/// Rate of the stylus's line, in baud; a pseudo-terminal ignores it.
 pub const BAUD: u32 = 3_000_000;
 /// The longest that a read or a write waits.
 pub(in crate::device) const WAIT: Duration = Duration::from_millis(50);
@@ -161,7 +161,7 @@ impl Selector {
     }
 }
 
-/// The crate reports a locked port as `NoDevice`, and a missing one as several other errors.
+/// `serialport` reports a locked port as `NoDevice`, and a missing one as several other errors.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();

@@ -1,4 +1,4 @@
-//! Covariance of the features at two moments a lag apart, block by block: nearly all of the work.
+//! Covariance of the features at two times a lag apart, by blocks: nearly all the work of `pooled`.
 
 use std::ops::Range;
 
@@ -7,9 +7,9 @@ use multiversion::multiversion;
 use super::features::Features;
 use super::lags::Lag;
 
-/// Frames that are gone through at once, all features of which stay in the first cache.
+/// Frames processed at once: few enough that all their features stay in the first-level cache.
 const TILE: usize = 512;
-/// Fewest blocks that the trials are cut into together.
+/// Fewest blocks, in all trials together.
 const BLOCKS: usize = 20;
 
 /// Means of f(s)·f(s + t)ᵀ over the starts s of each block, for each lag t.
@@ -19,12 +19,11 @@ pub struct Covariances {
     pub features: usize,
     /// Number of blocks, at least 20.
     pub blocks: usize,
-    /// For each lag: entry (i, j) of block b at (b·F + i)·F + j, i the earlier one's feature.
+    /// For each lag: entry (i, j) of block b at (b·F + i)·F + j, i the feature at the earlier time.
     pub lags: Vec<Vec<f64>>,
 }
 
-/// The covariance at lag 0 over all trials, F × F, and the covariances at each lag, ⌈20/Q⌉ blocks of
-/// starts a trial.
+/// The covariance at lag 0 over all trials, F × F, and that at each lag, in ⌈20/Q⌉ blocks a trial.
 pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances) {
     let count = features.columns.len();
     let parts = BLOCKS.div_ceil(features.trials);
@@ -56,13 +55,13 @@ pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances)
 /// One block at one lag.
 struct Block<'a> {
     lag: usize,
-    /// Of its trial.
+    /// Frames of the trial's grid.
     starts: Range<usize>,
-    /// Receives the mean of f(s)·f(s + lag)ᵀ; zeros before.
+    /// Receives the mean of f(s)·f(s + lag)ᵀ; must be zeros before.
     mean: &'a mut [f64],
 }
 
-/// Every `stride`-th frame of each trial. Zeros at the end fill a register, as [`dots`] may read on.
+/// Every `stride`-th frame of each trial, padded with [`LANES`] zeros, which [`dots`] may read.
 struct Grid {
     stride: usize,
     frames: usize,
@@ -100,8 +99,8 @@ impl Grid {
         mean
     }
 
-    /// Fills blocks of one trial, a lag each: some frames at all lags and then the next ones, while
-    /// they are in the cache.
+    /// Fills blocks of one trial, each of another lag. It goes through the frames once, and handles
+    /// all lags of a few frames while they are in the cache.
     fn fill(&self, trial: usize, blocks: &mut [Block]) {
         let longest = blocks.iter().map(|block| block.starts.len()).max().unwrap_or(0);
         let mut lanes = vec![[0.0; LANES]; self.columns.len() * self.columns.len()];
@@ -120,7 +119,7 @@ impl Grid {
     }
 }
 
-/// Adds Σ f(earlier + s)·f(later + s)ᵀ over s < frames; `lanes` is for the sums on the way.
+/// Adds Σ f(earlier + s)·f(later + s)ᵀ over s < frames to `out`; `lanes` is scratch space.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 fn add_products(
     columns: &[Vec<f32>],
@@ -149,7 +148,7 @@ fn add_products(
     }
 }
 
-/// The sums of some columns, from column `first` on.
+/// The sums of all rows in the `B` columns from `first` on.
 #[inline(always)]
 fn rows<const B: usize>(
     columns: &[Vec<f32>],
@@ -175,15 +174,15 @@ fn rows<const B: usize>(
     }
 }
 
-// A trial's mean follows its own slow changes. Taken out, it lowers the covariance at every lag by
-// its own variance V, and long correlations look short. V follows from the covariance itself.
+// Slow changes move a trial's mean. Subtracting the mean therefore lowers the covariance at every
+// lag by the mean's variance V, so that long correlations look short.
 
 /// Variance of the trial mean, F × F:
 ///
 /// V = [Γ(0) + Σ_{t≤M} w·(1 − t/L)·(G(t) + G(t)ᵀ)] / (L − 1 − 2·Σ_{t≤M} w·(1 − t/L)),
 ///
-/// with G the mean covariance of the features at lag t, each trial's mean taken out, and w the
-/// number of lags that t stands for. The denominator is L less what G itself lacks: G = Γ − V.
+/// with G the mean covariance at lag t of the features, which are centred in each trial, and w the
+/// number of lags that t represents. The denominator is smaller than L because G = Γ − V.
 pub fn mean_variance(
     at_once: &[f64],
     covariances: &Covariances,
@@ -212,7 +211,7 @@ pub fn mean_variance(
         .collect()
 }
 
-/// (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) of every block and lag: correlations of what was not centred.
+/// (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) of every block and lag: correlations as without centring.
 pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariances {
     let count = covariances.features;
     let scale: Vec<f64> =
@@ -228,16 +227,16 @@ pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariance
     corrected
 }
 
-/// f32 in a register of AVX-512, in two of AVX2 and in four of NEON.
+/// Number of f32 in one register of AVX-512, two of AVX2, or four of NEON.
 pub(super) const LANES: usize = 16;
 pub(super) type F32Lanes = [f32; LANES];
 
-/// Rows of a tile of products that are made at once.
+/// Rows of products computed at once.
 pub(super) const ROWS: usize = 2;
-/// Its columns: with more of them, the sums would not fit into the registers of AVX2 and of NEON.
+/// Columns of products computed at once: with more, the sums exceed the registers of AVX2 and NEON.
 pub(super) const COLUMNS: usize = 3;
 
-/// Σ a·b, in four registers of sums, as an addition takes four cycles.
+/// Σ a·b, with four independent sums, since an addition takes four cycles.
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [[0.0f32; LANES]; 4];
     let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
@@ -256,7 +255,7 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
 /// The number of values in a sum, at least one.
 #[derive(Clone, Copy)]
 pub(super) struct Length {
-    /// Whole registers before the last one.
+    /// Number of registers before the last one; all their values count.
     last: usize,
     /// 1 for each value of the last register that counts, 0 for the others.
     counts: F32Lanes,
@@ -274,12 +273,12 @@ impl Length {
     }
 }
 
-/// Σ a·b of each of some a and each of some b over their first values, lane by lane: each value that
-/// is loaded serves several products. Of what lies behind, as much as fills the last register is
-/// read too, and does not count.
+/// Σ a·b over the first values, lane by lane, for each pair of one of the a and one of the b: a
+/// value loaded once serves several products. Reads on to the end of the last register; those
+/// values do not count.
 ///
 /// # Panics
-/// If a slice is shorter than that.
+/// If a slice ends before the last register does.
 #[inline(always)]
 pub(super) fn dots<const A: usize, const B: usize>(
     a: [&[f32]; A],
@@ -314,7 +313,7 @@ fn plus_products<const A: usize, const B: usize>(
     sums
 }
 
-/// Not fused, so that every machine gives the same bits.
+/// Multiplies and adds with two roundings, not fused, so that every machine gives the same bits.
 #[inline(always)]
 fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
     for lane in 0..LANES {
@@ -323,7 +322,7 @@ fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
     sum
 }
 
-/// The sum of the lanes, by halves: each step is one addition of registers.
+/// The sum of the lanes, by halves, so that each step is one addition of registers.
 #[inline(always)]
 pub(super) fn total(sum: &F32Lanes) -> f32 {
     let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
@@ -342,7 +341,7 @@ mod tests {
     use super::super::lags::lags;
     use super::*;
 
-    /// One block's entry by its definition.
+    /// One entry of a block, by its definition.
     fn plain(features: &Features, lag: Lag, block: usize, i: usize, j: usize) -> f64 {
         let parts = BLOCKS.div_ceil(features.trials);
         let (trial, part) = (block / parts, block % parts);
@@ -383,7 +382,7 @@ mod tests {
         }
     }
 
-    /// Covariance of an AR(1) process of correlation time τ whose trial means were taken out.
+    /// Covariance of an AR(1) process of correlation time τ, centred in each trial, and V.
     fn centred_ar1(tau: f64, frames: usize, lags: &[Lag]) -> (Covariances, f64) {
         let length = frames as f64;
         let rho = |t: f64| (-t / tau).exp();

@@ -1,31 +1,31 @@
-//! The lag at which the dependence falls below the threshold for good, and an upper bound of it.
+//! Finds the lag from which the dependence stays below the threshold, and an upper bound of it.
 
 use super::size::Size;
 
-/// One-sided 95 % of the normal distribution.
+/// The 95 % quantile of the standard normal distribution.
 const UPPER: f64 = 1.645;
-/// Standard errors by which a later bin must exceed the threshold to take T* with it. There are some
-/// sixty bins, so chance alone must hardly do it.
+/// A later bin moves T* behind it if it exceeds the threshold by this number of standard errors.
+/// Chance hardly ever does so, although there are about sixty bins.
 const SURE: f64 = 4.0;
-/// Standard errors by which dependence at the longest lags counts as there.
+/// Dependence at a long lag is lasting if above the threshold by this number of standard errors.
 const THERE: f64 = 2.0;
 
-/// Dependence of one channel on another over the lags.
+/// Dependence of one channel on another, against the lag.
 #[derive(Clone, Debug)]
 pub struct Curve {
     /// Centre of each bin, in frames.
     pub lags: Vec<f64>,
     pub sizes: Vec<Size>,
-    /// Its antitonic fit.
+    /// Fit of the sizes that never rises with the lag.
     pub fitted: Vec<f64>,
 }
 
 /// The lag at which a curve falls below a threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// The estimate, in frames; none if it stays above.
+    /// Lag at which the fit crosses the threshold, in frames; `None` if the fit stays above.
     pub estimate: Option<f64>,
-    /// By when the upper confidence bound has fallen below it too.
+    /// Lag at which the fit's upper confidence bound crosses the threshold, in frames.
     pub upper: Option<f64>,
 }
 
@@ -35,8 +35,8 @@ impl Curve {
         Self { lags, sizes, fitted }
     }
 
-    /// Standard error of √size near a threshold: by the jackknife of the size, and not below what
-    /// the largest entry's alone would give, since few blocks may by chance agree.
+    /// Standard error of √size near a threshold, from the jackknife of the size; at least the
+    /// largest standard error of an entry, since few blocks may agree by chance.
     pub fn root_error(&self, bin: usize, threshold: f64) -> f64 {
         let slope = 2.0 * threshold.sqrt();
         (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
@@ -46,8 +46,8 @@ impl Curve {
         self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
     }
 
-    /// The factor by which the data must grow for the upper bound of no dependence at the longer half of
-    /// the lags to be half of the threshold.
+    /// The factor by which the data must grow until, at the longer half of the lags, the upper
+    /// bound for independent samples is half the threshold (as a correlation).
     pub fn lacking(&self, threshold: f64) -> f64 {
         let bins = self.lags.len() / 2..self.lags.len();
         let mut errors: Vec<f64> = bins.map(|bin| self.root_error(bin, threshold)).collect();
@@ -56,13 +56,14 @@ impl Curve {
         (2.0 * UPPER * median / threshold.sqrt()).powi(2)
     }
 
-    /// Half the width of the 90 % interval of √size, where it is.
+    /// Half the width of the 90 % interval of √size at a bin.
     pub fn half_width(&self, bin: usize, threshold: f64) -> f64 {
         let slope = 2.0 * self.fitted[bin].max(threshold).sqrt();
         UPPER * (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
     }
 
-    /// The lags at which the fit and its upper bound cross a threshold of the size.
+    /// The lags at which the fit and its upper bound fall below a threshold of the size. A later
+    /// bin that is surely above the threshold moves both beyond it.
     pub fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();
         let fit = |bin: usize| self.fitted[bin].max(0.0).sqrt();
@@ -87,14 +88,14 @@ impl Curve {
         Crossing { estimate: Some(estimate), upper }
     }
 
-    /// Whether the dependence is surely above a threshold at a lag, and up to the longest one.
+    /// Whether the fit, which never rises, is surely above a threshold at a lag.
     pub fn stays_above(&self, threshold: f64, lag: f64) -> bool {
         let bin = self.lags.partition_point(|&l| l < lag).min(self.lags.len() - 1);
         self.fitted[bin] - THERE * self.sizes[bin].error >= threshold
     }
 
-    /// The lag at which a curve crosses `root` between the bin before and `bin`, straight in the
-    /// logarithm, as a decay is.
+    /// The lag between the previous bin and `bin` at which a curve crosses `root`, by linear
+    /// interpolation of the curve's logarithm, as for an exponential decay.
     fn between(&self, bin: usize, root: f64, curve: &dyn Fn(usize) -> f64) -> f64 {
         let Some(before) = bin.checked_sub(1) else { return self.lags[0] };
         let (high, low) = (curve(before), curve(bin).max(0.1 * root));
@@ -109,7 +110,7 @@ impl Curve {
 /// Least-squares fit of a sequence that never rises, by pooling adjacent violators (M. Ayer et al.,
 /// Ann. Math. Statist. 26, 1955).
 pub fn antitonic(values: &[f64]) -> Vec<f64> {
-    // Mean and length of each level stretch so far.
+    // Mean and length of each run of equal values so far.
     let mut levels: Vec<(f64, usize)> = Vec::new();
     for &value in values {
         let mut level = (value, 1);
@@ -171,7 +172,7 @@ mod tests {
         assert_eq!(got, Crossing { estimate: Some(1.0), upper: Some(1.0) });
     }
 
-    /// The minimax formula: max over later ends of min over earlier starts of the mean between.
+    /// The minimax formula: the least, over earlier starts, of the largest mean up to a later end.
     fn by_minimax(values: &[f64]) -> Vec<f64> {
         let mean = |a: usize, b: usize| values[a..=b].iter().sum::<f64>() / (b - a + 1) as f64;
         (0..values.len())

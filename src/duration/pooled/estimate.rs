@@ -1,14 +1,14 @@
-//! T* of recordings, at the rate that they need.
+//! T* of recordings, thinned as far as its precision allows.
 
 use super::features::Samples;
 use super::{PooledAnswer, pooled};
 use crate::trial::Series;
 
-/// The smallest dependence that counts: that of a Gaussian process with this correlation.
+/// Threshold: the dependence of a Gaussian process with this correlation is small enough.
 pub const CORRELATION: f64 = 0.1;
-/// Values of a channel that are looked at, over all trials: 10 trials of 4.8 s at 10 kHz.
+/// Most values of a channel that are used, over all trials: about 10 trials of 4.8 s at 10 kHz.
 pub const VALUES: usize = 500_000;
-/// T* is at least this many frames of what is looked at, unless every frame is.
+/// If T* is shorter than this number of thinned frames, frames are thinned less.
 const RESOLUTION: f64 = 32.0;
 
 /// Dependence of samples a lag apart.
@@ -18,30 +18,30 @@ pub struct PooledDependence {
     pub lag_samples: f64,
     /// Lag in seconds.
     pub lag_s: f64,
-    /// Correlation of a Gaussian process that depends as much on its past.
+    /// The measured dependence, as the correlation of a Gaussian process with as much dependence.
     pub dependence: f64,
-    /// The same of the fit that never rises, from which T* is read.
+    /// The monotone fit, which never rises with the lag, and from which T* is read.
     pub fitted: f64,
-    /// Lower end of its 90 % interval.
+    /// Lower end of the fit's 90 % interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of that interval.
     pub high: f64,
 }
 
-/// The result of `pooled`, in samples of the source.
+/// The result of `pooled`. Lags and lengths are in samples of the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PooledEstimate {
-    /// T*, or why there is none, in samples.
+    /// T*, or why there is none.
     pub answer: PooledAnswer,
-    /// Every how many samples one was looked at.
+    /// k, where every k-th sample was used.
     pub step: usize,
-    /// Longest T* that these trials can show, in samples.
+    /// Longest T* that these trials can show.
     pub range: f64,
-    /// Samples that are worth one independent sample.
+    /// Number of samples that together count as one independent sample.
     pub inflation: Option<f64>,
-    /// Share of the variance that differs between trials for good.
+    /// Share of the variance that is due to lasting differences between trials.
     pub lasting_share: Option<f64>,
-    /// Dependence over the lags, for the two channels that decide.
+    /// Dependence at each lag, for the pair of channels with the longest T*.
     pub curve: Vec<PooledDependence>,
 }
 
@@ -54,7 +54,7 @@ impl PooledEstimate {
         }
     }
 
-    /// Upper bound of T*, in samples: the time to use.
+    /// Upper bound of T*, in samples: the spacing to use.
     pub fn upper_samples(&self) -> Option<usize> {
         match self.answer {
             PooledAnswer::Found { upper, .. } => Some(upper.ceil() as usize),
@@ -62,20 +62,20 @@ impl PooledEstimate {
         }
     }
 
-    /// Independent samples that a stretch of `samples` samples is worth.
+    /// Effective number of independent samples among `samples` consecutive samples.
     pub fn effective_samples(&self, samples: usize) -> Option<f64> {
         self.inflation.map(|inflation| samples as f64 / inflation)
     }
 }
 
-/// T* of trials of one rate and shape, their first `frames` frames, for a threshold `correlation`;
-/// none if nothing changes in them.
+/// T* from the first `frames` frames of trials of one rate and number of channels, for a threshold
+/// `correlation`; `None` if nothing changes in the trials.
 ///
-/// At most `values` values of a channel are looked at, every k-th: how exact T* is depends on how
-/// many times it fits into the recordings, and hardly on how many samples lie within it. Where T*
-/// comes out below 32 of what was looked at, k was too large, and a smaller one follows from it;
-/// then the last `values`·k frames of all trials suffice. Frames are left out and not averaged,
-/// since the dependence of the samples as they are is what is measured.
+/// Uses every k-th frame, so that a channel has at most about `values` values: the error of T*
+/// depends on how often T* fits into the recordings, hardly on how many samples lie within T*. If
+/// T* is shorter than 32 thinned frames, k was too large; a smaller k is computed from T*, and the
+/// last `values`·k of all these frames are used. Frames are dropped, not averaged, since the
+/// dependence of the original samples is wanted.
 pub fn at_needed_rate(
     series: &[Series],
     frames: usize,

@@ -1,6 +1,6 @@
-//! The features whose covariance between two moments says how they depend on each other: Hermite
-//! polynomials of normal scores, a kernel of finite rank (Lancaster's expansion; H. O. Lancaster,
-//! "The structure of bivariate distributions", Ann. Math. Statist. 29, 1958).
+//! Features of samples: Hermite polynomials of normal scores. Their covariance between two times
+//! measures how samples at these times depend on each other, as a kernel of finite rank does
+//! (H. O. Lancaster, "The structure of bivariate distributions", Ann. Math. Statist. 29, 1958).
 
 use std::ops::Range;
 
@@ -8,32 +8,32 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::trial::Series;
 
-/// Share of its variance that a feature must keep when those before it are taken out.
+/// A feature must keep this share of its variance when projections on earlier ones are removed.
 const LEAST_KEPT: f64 = 0.05;
-/// Channels up to which each pair adds its product.
+/// Most channels with which products of pairs are added.
 const MOST_PAIRED: usize = 4;
 
-/// Features of all trials: each with mean 0 in every trial and variance 1 over all, those of one
-/// channel uncorrelated.
+/// Features of all trials. Each has mean 0 in every trial and variance 1 over all trials; the
+/// features of one channel are uncorrelated.
 #[derive(Clone, Debug)]
 pub struct Features {
-    /// Q.
+    /// Q, the number of trials.
     pub trials: usize,
-    /// L.
+    /// L, frames of each trial.
     pub frames: usize,
-    /// For each feature the trials one after the other.
+    /// For each feature, its values, one trial after another.
     pub columns: Vec<Vec<f32>>,
-    /// Columns of each channel, then of each product of two channels.
+    /// Range of columns of each channel, then of each product of two channels.
     pub channels: Vec<Range<usize>>,
-    /// For each feature the variance between the trials' means over the whole variance.
+    /// For each feature, the ratio of the variance between trial means to its whole variance.
     pub between: Vec<f64>,
 }
 
 /// z, (z² − 1)/√2 and (z³ − 3z)/√6 of each channel, and the products of two channels' z.
 ///
-/// A feature that keeps too little of its variance is left out (a channel of two values keeps one),
-/// and so is a constant channel. With more than four channels there are no products, whose
-/// number grows with the square.
+/// A constant channel is left out, and so is a feature that depends nearly linearly on earlier ones
+/// of its channel (a channel of two values keeps one feature). With more than four channels there
+/// are no products, whose number would grow with the square.
 pub fn features(samples: &Samples) -> Features {
     let mut features = Features {
         trials: samples.trials,
@@ -63,14 +63,14 @@ pub fn features(samples: &Samples) -> Features {
 }
 
 impl Features {
-    /// Adds a channel's features, made orthonormal one after the other.
+    /// Adds a channel's features, each made orthonormal to the ones before.
     fn add<const N: usize>(&mut self, raw: [Vec<f32>; N]) {
         let first = self.columns.len();
         for mut column in raw {
             let before = variance(&column);
             let between = self.centre(&mut column);
             let within = dot(&column, &column) / column.len() as f64;
-            // Rounding leaves a hair of variance in what is constant.
+            // Rounding can leave a little variance in a feature that is constant.
             if within <= 1e-9 * before.max(1.0) {
                 continue;
             }
@@ -92,7 +92,7 @@ impl Features {
         }
     }
 
-    /// Takes each trial's mean out; gives the variance between those means.
+    /// Subtracts each trial's mean; returns the variance between those means.
     fn centre(&self, column: &mut [f32]) -> f64 {
         let means: Vec<f64> = (column.chunks_exact_mut(self.frames))
             .map(|trial| {
@@ -120,19 +120,18 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 /// Q trials of L frames of each channel.
 #[derive(Clone, Debug)]
 pub struct Samples {
-    /// Q.
+    /// Q, the number of trials.
     pub trials: usize,
     /// L, frames of each trial.
     pub frames: usize,
-    /// For each channel the trials one after the other: frame i of trial q at q·L + i.
+    /// For each channel, one trial after another: frame i of trial q at q·L + i.
     pub channels: Vec<Vec<f32>>,
 }
 
 impl Samples {
-    /// Frames `range` of each trial, of which every `step`-th is kept.
+    /// Every `step`-th frame of the frames `range` of each trial.
     ///
-    /// Frames are left out, not averaged: the dependence of two samples at a lag that is kept is
-    /// then what it was, only lags in between are no longer seen.
+    /// Frames are dropped, not averaged, so the dependence at the remaining lags is unchanged.
     ///
     /// # Panics
     /// If a trial is shorter than `range`, or has fewer channels than the first.
@@ -155,8 +154,8 @@ impl Samples {
     }
 }
 
-/// Φ⁻¹((r − ½)/N) of each value's midrank r among all N, over their standard deviation: mean 0,
-/// variance 1, equal values equal. None where all values are equal.
+/// Normal scores Φ⁻¹((r − ½)/N) of the midranks r of N values, scaled to mean 0 and variance 1.
+/// Equal values get equal scores. `None` if all values are equal.
 ///
 /// # Panics
 /// If there are 2³² values or more.
@@ -172,7 +171,7 @@ pub fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
     while first < count {
         let value = order[first] >> 32;
         let ties = order[first..].iter().take_while(|&&o| o >> 32 == value).count();
-        // The midrank of places first + 1 to first + ties, less a half.
+        // The midrank of ranks first + 1 to first + ties, minus ½, is first + ties/2.
         let score = normal.inverse_cdf((first as f64 + 0.5 * ties as f64) / count as f64);
         for &o in &order[first..first + ties] {
             scores[(o & 0xffff_ffff) as usize] = score as f32;
@@ -191,7 +190,7 @@ pub fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
     Some(scores)
 }
 
-/// A number that orders as the value does; the two zeros are one.
+/// An integer that sorts like the value; −0 and 0 give the same.
 fn ordered(x: f32) -> u32 {
     let bits = (x + 0.0).to_bits();
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
@@ -242,7 +241,7 @@ mod tests {
         assert!(features(&samples(1, noise)).between[0] < 0.02);
     }
 
-    /// Midranks by counting.
+    /// Normal scores from midranks by counting.
     fn by_counting(values: &[f32]) -> Vec<f64> {
         let n = values.len() as f64;
         let normal = Normal::standard();

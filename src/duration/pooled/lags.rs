@@ -1,14 +1,14 @@
-//! The lags that are looked at: each up to eight, then bins that grow with the lag.
+//! The lags at which dependence is measured: each up to eight, then bins that grow with the lag.
 
-/// Lags up to here have a bin of their own.
+/// Each lag up to this one has a bin of its own.
 const SINGLE: usize = 8;
-/// Ratio of a bin's upper edge to its lower one.
+/// Ratio of a bin's upper edge to its lower edge.
 const RATIO: f64 = 1.15;
-/// Longest lag, as a share of a trial.
+/// The longest lag is a trial's length divided by this.
 const LONGEST: usize = 4;
-/// A lag is this many times the distance of starts at least: they lie close against it.
+/// A lag is at least this many times the distance between starts, so that starts lie dense.
 const STARTS_A_LAG: usize = 128;
-/// Starts that are enough for one lag, over all trials.
+/// Enough starts for one lag, in all trials together.
 const STARTS: usize = 20_000;
 
 /// One lag, in frames.
@@ -16,22 +16,22 @@ const STARTS: usize = 20_000;
 pub struct Lag {
     /// The lag, a multiple of `stride`.
     pub frames: usize,
-    /// Distance of one start to the next, a power of two.
+    /// Distance from one start to the next, a power of two.
     pub stride: usize,
-    /// The number of lags it stands for: half of the way to its neighbours.
+    /// Number of lags that this sampled lag represents: half the distance between its neighbours.
     pub weight: f64,
 }
 
-/// Lags that are averaged.
+/// Lags whose dependence is averaged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bin {
-    /// Its lags, at places of [`Lags::all`].
+    /// Indices of the bin's lags in [`Lags::all`].
     pub lags: std::ops::Range<usize>,
-    /// Their geometric mean.
+    /// Geometric mean of the bin's lags.
     pub centre: f64,
 }
 
-/// All lags, upwards, and their bins.
+/// All lags, the shortest first, and their bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lags {
     pub all: Vec<Lag>,
@@ -40,14 +40,14 @@ pub struct Lags {
 
 /// Lags for `trials` trials of `frames` frames, up to a quarter of a trial.
 ///
-/// From one start to the next it is a power of two, at most t/128 and at most what leaves 20,000
-/// starts; it never falls, and a lag is a multiple of it: then starts and partners both lie on one
-/// grid, which only grows coarser.
+/// The stride of a lag t is the largest power of two that is at most t/128 and leaves 20,000
+/// starts. Strides never fall, and a lag is a multiple of its stride. So starts, and the samples a
+/// lag after them, lie on one grid, which only grows coarser.
 pub fn lags(trials: usize, frames: usize) -> Lags {
     let longest = frames / LONGEST;
     let stride = |t: usize| {
         let most = (t / STARTS_A_LAG).min(trials * (frames - longest) / STARTS).max(1);
-        // The largest power of two that is not above it.
+        // The largest power of two not above `most`.
         1 << most.ilog2()
     };
     let mut lags = Lags { all: Vec::new(), bins: Vec::new() };
@@ -56,7 +56,7 @@ pub fn lags(trials: usize, frames: usize) -> Lags {
     }
     let (mut lower, mut last) = (SINGLE as f64 + 0.5, SINGLE);
     while lower * RATIO <= longest as f64 + 1.0 {
-        // The middles of a bin's thirds.
+        // Three lags, in the middles of the bin's thirds.
         let mut bin = Vec::with_capacity(3);
         for third in [1.0, 3.0, 5.0] {
             let t = lower * RATIO.powf(third / 6.0);

@@ -1,16 +1,15 @@
-//! The rule `pooled`: how *large* the dependence of two samples is, from all pairs of all trials.
+//! The rule `pooled`: measures how *large* dependence is, from all pairs of samples of all trials.
 //!
 //! ```text
-//! samples ─► normal_scores ─► features ─► covariance (at lags) ─► correction ─► size ─► crossing
-//!                                 └► echo                              └► effective
+//! samples ─► features ─► covariance (at lags) ─► size ─► crossing
+//!                └► echo
 //! ```
 //!
-//! [`normal_scores`] makes values Gaussian by their ranks, `features` takes Hermite polynomials of
-//! them, [`covariance`] their covariance at two moments for each of the `lags`, [`correction`]
-//! undoes what centring each trial did, [`size`] measures it without bias, and [`crossing`] says
-//! where it falls below the threshold for good ([`antitonic`]). [`echo`] looks at single lags,
-//! [`effective`] at what a scan is worth, and [`estimate`] chooses the rate that a source is looked
-//! at and speaks of its samples and seconds.
+//! `features` makes values Gaussian by their ranks and computes Hermite polynomials of them.
+//! [`covariance`] computes their covariance at each of the `lags` and undoes the effect of centring
+//! each trial, [`size`] measures it without bias, and [`crossing`] finds the lag from which it
+//! stays below the threshold. [`echo`] tests single lags. [`estimate`] chooses how far a source is
+//! thinned and converts to its samples and seconds.
 
 mod covariance;
 mod crossing;
@@ -27,9 +26,9 @@ pub use features::Samples;
 use features::{Features, features};
 use lags::{Lags, lags};
 
-/// The answer must be shorter than the longest lag by this factor, or what lies beyond is not seen.
+/// The longest lag must exceed T* by this factor, to show that dependence does not return.
 const BEYOND: f64 = 1.5;
-/// Repetitions of the correction for the trials' means: it needs T*, and T* needs it.
+/// Repetitions of the correction for the trials' means, since it and T* depend on each other.
 const CORRECTIONS: usize = 3;
 
 /// T* in samples, or why there is none.
@@ -39,23 +38,23 @@ pub enum PooledAnswer {
     Found {
         /// the estimate
         t_star: f64,
-        /// one-sided 95 % upper bound: the time to use
+        /// one-sided 95 % upper bound: the spacing to use
         upper: f64,
     },
-    /// Dependence does not fall below the threshold within the longest lag: a periodic signal, or
-    /// one that drifts.
+    /// Dependence stays above the threshold up to the longest lag: the signal repeats or drifts.
     Never,
-    /// It falls below it too late for the trials to show that it stays there.
+    /// Dependence falls below the threshold too late for the trials to show that it stays there.
     NotWithinRange,
-    /// The trials hold too little to say.
+    /// The trials hold too little data to tell.
     TooLittleData {
-        /// about how many more trials like these would do
+        /// about how many more trials like these would suffice
         more_trials: usize,
     },
 }
 
-/// T* of trials of which every `step`-th sample is looked at, for a threshold on the correlation of a
-/// Gaussian process; none if nothing changes in any of them, or if they are too short for a lag.
+/// T* from `samples`, which hold every `step`-th sample of the trials. The threshold is the
+/// dependence of a Gaussian process of this `correlation`. `None` if nothing changes in any trial,
+/// or if trials are too short.
 fn pooled(
     samples: &Samples,
     correlation: f64,
@@ -77,7 +76,7 @@ fn pooled(
     let mut summed = None;
     for _ in 0..CORRECTIONS {
         let reach = found.reach(longest);
-        // Over the same lags the same comes out again.
+        // Summing over the same lags again would change nothing.
         let lags_within = lags.all.iter().filter(|lag| lag.frames as f64 <= reach).count();
         if summed.replace(lags_within) == Some(lags_within) {
             break;
@@ -117,10 +116,10 @@ fn pooled(
     })
 }
 
-/// The curves of all ordered pairs of channels, and the worst crossing.
+/// The curves of all ordered pairs of channels, and the latest of their crossings.
 struct PairCurves {
     curves: Vec<Curve>,
-    /// The curve that decides.
+    /// Index of the curve that crosses last.
     worst: usize,
     estimate: Option<f64>,
     upper: Option<f64>,
@@ -150,7 +149,7 @@ impl PairCurves {
         Self { curves, worst, estimate, upper, corrected: None }
     }
 
-    /// Lags up to which correlation is summed: twice T*, or all.
+    /// The lag up to which correlation is summed: twice T*, or the longest lag.
     fn reach(&self, longest: usize) -> f64 {
         self.estimate.map_or(longest as f64, |t| (2.0 * t).min(longest as f64))
     }
@@ -165,7 +164,8 @@ impl PairCurves {
         }
     }
 
-    /// Trials that are lacking for an error that leaves the dependence half of the threshold's room.
+    /// How many more trials would make the error so small that independent samples have an upper
+    /// bound of half the threshold.
     fn more_trials(&self, threshold: f64, trials: usize) -> usize {
         let needed = self.curves.iter().map(|curve| curve.lacking(threshold)).fold(1.0, f64::max);
         ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
@@ -191,8 +191,8 @@ impl PairCurves {
     }
 }
 
-/// Variance between the trials' means that their own slow changes do not explain, for the channel
-/// that has the most of it.
+/// Share of the variance that lies between the trials' means and that slow changes within trials do
+/// not explain, for the channel with the largest share.
 fn lasting(features: &Features, mean_variance: &[f64]) -> Option<f64> {
     if features.trials < 2 {
         return None;

@@ -1,5 +1,5 @@
-//! The size of the dependence at a lag: the Hilbert–Schmidt norm of the cross-covariance, squared
-//! (HSIC of a kernel of finite rank), without the bias that squaring noise gives.
+//! The size of the dependence at a lag: the squared Hilbert–Schmidt norm of the cross-covariance
+//! (HSIC of a kernel of finite rank), without the bias from squaring noise.
 
 use std::ops::Range;
 
@@ -10,16 +10,16 @@ use super::lags::{Bin, Lag};
 /// Size of the dependence over the lags of one bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// ‖C‖², unbiased: chance can make it negative.
+    /// Unbiased estimate of ‖C‖²; noise can make it negative.
     pub value: f64,
-    /// Its standard error, by the block jackknife (B. Efron, "The jackknife, the bootstrap and other
-    /// resampling plans", SIAM 1982, chapter 3).
+    /// Standard error of `value`, by the block jackknife (B. Efron, "The jackknife, the bootstrap
+    /// and other resampling plans", SIAM 1982, chapter 3).
     pub error: f64,
     /// Largest standard error of an entry of C.
     pub entry_error: f64,
 }
 
-/// ‖C‖² of a Gaussian process with correlation ρ: each Hermite feature has its power of ρ.
+/// ‖C‖² of a Gaussian process with correlation ρ: the k-th Hermite feature has correlation ρᵏ.
 pub fn of_correlation(rho: f64) -> f64 {
     let square = rho * rho;
     square + square * square + square * square * square
@@ -39,8 +39,8 @@ pub fn as_correlation(size: f64) -> f64 {
     high
 }
 
-/// Dependence of the channel with the features `later` on the one with the features `earlier`:
-/// U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)), averaged over each bin's lags.
+/// Size of the dependence in each bin, of the channel with the features `later` on the one with the
+/// features `earlier`: U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)), averaged over the bin's lags.
 pub fn sizes(
     covariances: &Covariances,
     bins: &[Bin],
@@ -61,10 +61,10 @@ fn size(
     let share = 1.0 / bin.lags.len() as f64;
     let entries = earlier.len() * later.len();
     let mut value = 0.0;
-    // U without each block, and each entry's mean over the lags in each block.
+    // For each block, U without it, and the mean of its entries over the lags.
     let mut without = vec![0.0; blocks];
     let mut of_block = vec![0.0; blocks * entries];
-    // The entries of one lag, block by block and side by side, and their sum over the blocks.
+    // The entries of one lag, one block after another, and their sum over the blocks.
     let mut of_lag = Vec::with_capacity(blocks * entries);
     let mut total = vec![0.0; entries];
     for lag in &covariances.lags[bin.lags.clone()] {
@@ -106,11 +106,11 @@ fn deviation(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
     (values.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
 }
 
-/// Largest variance inflation over the features of one channel: the variance of a mean of many
-/// samples over what it would be if they were independent. 2τ for an Ornstein–Uhlenbeck process.
+/// Largest variance inflation over all channels, at least 1: the ratio of the variance of a mean of
+/// many samples to that of independent samples. 2τ for an Ornstein–Uhlenbeck process.
 ///
-/// It is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), Γ the corrected covariance. Each
-/// channel has its own, and the worst counts. At least 1.
+/// For a channel it is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), with Γ the corrected
+/// covariance of the channel's features and w the weight of a lag.
 pub fn inflation(
     covariances: &Covariances,
     features: &Features,
@@ -142,8 +142,8 @@ pub fn inflation(
         .fold(1.0, f64::max)
 }
 
-/// Largest eigenvalue of a small symmetric matrix, by power iteration; shifted by its norm, which
-/// makes the largest one the largest in size too.
+/// Largest eigenvalue of a small symmetric matrix, by power iteration. Adding the norm to all
+/// eigenvalues makes the largest one also the largest in magnitude.
 fn largest_eigenvalue(matrix: &[f64], size: usize) -> f64 {
     let shift = matrix.iter().map(|x| x * x).sum::<f64>().sqrt();
     let mut vector: Vec<f64> = (0..size).map(|i| 1.0 + 0.1 * i as f64).collect();
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
     use crate::duration::simulate::normal;
 
-    /// Blocks of a 2 × 2 covariance: truth plus noise.
+    /// Blocks of a 2 × 2 covariance: `truth` plus noise.
     fn blocks(truth: [f64; 4], noise: f64, count: usize, seed: u64) -> Covariances {
         let mut rng = crate::seed::rng(seed, &[b"size"]);
         let lag = (0..count).flat_map(|_| truth.map(|c| c + noise * normal(&mut rng))).collect();

@@ -14,23 +14,21 @@ use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
 use crate::trial::{Series, Signal};
 pub use rows::{ByRule, Estimator, PooledRow, PooledSettings, SceneDuration, SourceDuration};
 
-/// The part of a library that T* is computed for, and the way.
+/// The surfaces and sources for which T* is computed, and how.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// Sources. If none is named: by `pooled` all that are recorded while dragging, by Algorithm 1
-    /// those of domain `time`.
+    /// Sources. If empty, `pooled` uses all of the drag, Algorithm 1 those of domain `time`.
     pub sources: Vec<SourceId>,
-    /// Surfaces; all if none is named.
+    /// Surfaces; if empty, all.
     pub surfaces: Vec<String>,
-    /// Whose trials; for each surface those of the user with the most, if nobody is named. Trials
-    /// of several hands differ in level, and what differs between trials stays dependent for ever.
+    /// The user whose trials are used; if `None`, for each surface the user with the most trials.
+    /// Trials of several users differ in level, which would look like dependence without end.
     pub user: Option<String>,
-    /// Let Algorithm 1 take the named sources as series in time, whatever their domain is; `pooled`
-    /// always does.
+    /// Makes Algorithm 1 treat the named sources as series in time, as `pooled` always does.
     pub as_time: bool,
-    /// n, the samples that a scan must yield.
+    /// n, the number of samples that a scan must yield.
     pub samples: usize,
-    /// The way T* is computed.
+    /// How T* is computed.
     pub estimator: Estimator,
 }
 
@@ -47,61 +45,61 @@ impl Default for Question {
     }
 }
 
-/// The answer.
+/// T* and scan durations of a library.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct DurationReport {
     /// The library's name.
     pub library: String,
-    /// Made by a generator, not recorded.
+    /// Whether the trials were generated, not recorded.
     pub synthetic: bool,
-    /// n, the samples that a scan must yield.
+    /// n, the number of samples that a scan must yield.
     pub samples: usize,
-    /// Start t₀ of the sampling.
+    /// Start t₀ of the sampling in a scan, in seconds.
     pub start_s: Second,
-    /// The way T* was computed.
+    /// How T* was computed.
     pub settings: Estimator,
-    /// For each surface and source.
+    /// T* and scan duration of each surface and source.
     pub durations: Vec<SourceDuration>,
-    /// For each source, the longest over the surfaces.
+    /// For each source, the longest scan duration over the surfaces.
     pub scene: Vec<SceneDuration>,
-    /// The longest over all sources; none if nothing has a T*.
+    /// The longest scan duration over all sources; `None` if no source has a T*.
     pub scan_s: Option<Second>,
 }
 
-/// Why a library gives no answer.
+/// The reason why there is no report on a library.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// a trial that cannot be read
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// settings that cannot work
+    /// settings that are not possible
     #[error(transparent)]
     Duration(#[from] DurationError),
-    /// a source that there is not
+    /// a source that the scene does not have
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Algorithm 1, and no source that it is meant for
+    /// Algorithm 1 with a library that has no source of domain `time`
     #[error(
         "this library has no source of domain `time`, and Algorithm 1 means nothing for spectra and \
          images"
     )]
     NoTimeSource,
-    /// Algorithm 1, and a source that is compared by its spectrum
+    /// Algorithm 1 with a source that is compared by its spectrum
     #[error(
         "`{0}` is not of domain `time`: it is compared by the bins of its spectrum, for which \
          Algorithm 1 means nothing"
     )]
     NotOfTime(SourceId),
-    /// nothing to compute
+    /// no such surface or source, or no trial with it
     #[error("{0}")]
     Nothing(String),
 }
 
-/// T* and scan durations of a library; `progress` gets the surfaces done and their number.
+/// T* and scan durations of a library; `progress` gets the numbers of surfaces done and in total.
 ///
 /// # Errors
 /// If a trial cannot be read, the settings are not possible, or the library has no such surface or
-/// no source that this rule takes. What is wrong with one source of one surface is said in its row.
+/// no source for this rule. Why one source of one surface has no T* is said in its row instead.
 pub fn report(
     library: &Library,
     question: &Question,
@@ -120,7 +118,7 @@ pub fn report(
         )));
     }
     let mut durations = Vec::new();
-    // No other source is read.
+    // Other sources are not read.
     let wanted = library.scene.clone().only(&sources)?;
     for (done, surface) in surfaces.iter().enumerate() {
         progress(done, surfaces.len());
@@ -162,11 +160,11 @@ fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, Repo
     let takes = |spec: &SourceSpec| match spec.domain {
         Domain::Time { .. } => true,
         Domain::Spectrum { .. } => is_pooled || question.as_time,
-        // Images of a trial are no series, whatever they are taken as.
+        // An image is never a series, not even with `as_time`.
         Domain::Image => false,
     };
     if question.sources.is_empty() {
-        // A tap is over before it repeats itself: only a drag has a T*.
+        // A tap is too short to have a T*: only a drag has one.
         let dragged = |spec: &SourceSpec| spec.phase == Phase::Drag || !is_pooled;
         let found: Vec<_> = (library.scene.sources())
             .filter(|spec| takes(spec) && dragged(spec))
@@ -197,7 +195,7 @@ fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, Repo
     Ok(question.sources.clone())
 }
 
-/// Trials of one surface by one user: the one named, or the one with the most.
+/// Trials of one surface by `user`, or by the user with the most trials of it.
 fn entries<'a>(library: &'a Library, surface: &str, user: Option<&str>) -> Vec<&'a Entry> {
     let mut of_user: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
     for entry in library.entries.iter().filter(|e| e.key.surface == surface) {
@@ -205,7 +203,7 @@ fn entries<'a>(library: &'a Library, surface: &str, user: Option<&str>) -> Vec<&
     }
     match user {
         Some(user) => of_user.remove(user).unwrap_or_default(),
-        // Of several with as many, the first by name.
+        // Of several users with equally many, the first by name: `max_by_key` takes the last.
         None => of_user.into_values().rev().max_by_key(Vec::len).unwrap_or_default(),
     }
 }
@@ -282,7 +280,7 @@ fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDurat
     })
 }
 
-/// A row of one source, for tests of what is made of rows.
+/// A row of one source, for the tests of modules that use rows.
 #[cfg(test)]
 pub(super) fn row_of(surface: &str, series: Vec<Series>, estimator: Estimator) -> SourceDuration {
     let question = Question { estimator, ..Question::default() };

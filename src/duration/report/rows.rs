@@ -1,4 +1,4 @@
-//! The answer's rows: T* of each surface and source, and the longest scan of a scene.
+//! The rows of a report: T* of each surface and source, and the longest scan of each source.
 
 use crate::duration::algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Rule, SearchOutcome};
 use crate::duration::need::{ScanNeed, Second, worth};
@@ -6,11 +6,11 @@ use crate::duration::pooled::{PooledAnswer, PooledDependence, PooledEstimate};
 use crate::duration::trials::Trials;
 use crate::scene::SourceId;
 
-/// The way T* is computed.
+/// How T* is computed.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(untagged)]
 pub enum Estimator {
-    /// The size of the dependence, from all pairs of all trials.
+    /// The rule `pooled`: the size of the dependence, from all pairs of samples of all trials.
     Pooled(PooledSettings),
     /// The paper's Algorithm 1, by one of its two rules.
     Algorithm1(Algorithm1Settings),
@@ -20,7 +20,7 @@ pub enum Estimator {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(tag = "rule", rename = "pooled")]
 pub struct PooledSettings {
-    /// Correlation of a Gaussian process whose dependence is small enough, between 0 and 1.
+    /// Threshold: a Gaussian process of this correlation, from 0 to 1, depends little enough.
     pub dependence: f64,
 }
 
@@ -33,62 +33,62 @@ pub struct SourceDuration {
     pub source: SourceId,
     /// Q, the number of trials.
     pub trials: usize,
-    /// T* in samples; none where there is none, and `reason` says why.
+    /// T* in samples; if `None`, `reason` says why.
     pub t_star_samples: Option<usize>,
     /// T* in seconds.
     pub t_star_s: Option<Second>,
-    /// The length of a scan that holds n samples that are T* apart, by the upper bound of T* where there
-    /// is one.
+    /// Length of a scan that holds n samples T* apart, computed with the upper bound of T* if the
+    /// rule has one.
     pub scan_s: Option<Second>,
-    /// Why there is no T*.
+    /// The reason why there is no T*.
     pub reason: Option<String>,
-    /// The limit of the answer.
+    /// Remarks on how far T* can be trusted, a line each.
     pub remarks: Vec<String>,
     /// Samples a second.
     pub rate_hz: Option<f64>,
-    /// Results of this rule alone.
+    /// Results that only the chosen rule has.
     #[serde(flatten)]
     pub by_rule: ByRule,
 }
 
-/// Results of a rule beside T*.
+/// Results of a rule other than T*.
 #[derive(Clone, Debug, serde::Serialize)]
 #[serde(untagged)]
 pub enum ByRule {
     /// Algorithm 1.
     Algorithm1 {
-        /// The upper bound CB+.
+        /// The rule for the upper bound CB+.
         rule: Rule,
         /// The latest start t₁,max that was used, in samples.
         latest_start: Option<usize>,
-        /// HSIC, its bounds and κ at each lag that was looked at.
+        /// HSIC, the bounds of HSIC, and κ at each lag that was tested.
         curve: Vec<CurvePoint>,
     },
     /// The rule `pooled`.
     Pooled(PooledRow),
 }
 
-/// Results of `pooled` beside T*.
+/// Results of `pooled` other than T*.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 #[serde(tag = "rule", rename = "pooled")]
 pub struct PooledRow {
-    /// Upper bound of T* in samples: the time to use.
+    /// Upper bound of T* in samples: the spacing to use.
     pub t_star_upper_samples: Option<usize>,
-    /// The same in seconds.
+    /// Upper bound of T* in seconds.
     pub t_star_upper_s: Option<Second>,
     /// Length of the shortest trial.
     pub trial_s: Option<Second>,
-    /// Independent samples that a trial of that length is worth.
+    /// Effective number of independent samples in the shortest trial.
     pub effective_samples: Option<f64>,
-    /// The worth of n samples drawn from such a trial, for a method that compares n.
+    /// Effective number of independent samples among n samples spread over the shortest trial.
     pub effective_of_n: Option<f64>,
-    /// Share of the variance that differs between trials for good.
+    /// Share of the variance that is due to lasting differences between trials.
     pub lasting_share: Option<f64>,
-    /// Trials like these that are lacking for an answer, about.
+    /// About how many more trials like these are needed to find T*.
     pub more_trials: Option<usize>,
-    /// Dependence, as a correlation, below which two moments count as independent.
+    /// Dependence, as a correlation, below which two samples count as independent.
     pub threshold: f64,
-    /// Dependence over the lags.
+    /// Dependence at each lag.
     pub dependence: Vec<PooledDependence>,
 }
 
@@ -97,19 +97,18 @@ pub struct PooledRow {
 pub struct SceneDuration {
     /// The source.
     pub source: SourceId,
-    /// The longest scan that any surface needs; none if no surface has a T*.
+    /// The longest scan that any surface needs; `None` if no surface has a T*.
     pub scan_s: Option<Second>,
-    /// T* of that surface.
+    /// T* of the surface that needs the longest scan.
     pub t_star_s: Option<Second>,
-    /// That surface.
+    /// The surface that needs the longest scan.
     pub surface: Option<String>,
-    /// Surfaces without a T*: for them no scan is known to be long enough.
+    /// Surfaces without a T*, whose scan duration is unknown.
     pub without: Vec<String>,
 }
 
 impl SourceDuration {
-    /// The time between samples that a scan should be planned with: the upper bound of T* where the
-    /// rule has one, else T*.
+    /// The time between samples for planning scans: the upper bound of T* if there is one, else T*.
     pub(crate) fn spacing_s(&self) -> Option<Second> {
         match &self.by_rule {
             ByRule::Pooled(row) => row.t_star_upper_s,
@@ -117,7 +116,7 @@ impl SourceDuration {
         }
     }
 
-    /// The result of Algorithm 1.
+    /// Fills in the result of Algorithm 1, for scans of n = `samples` samples.
     pub(super) fn set_algorithm1(&mut self, estimate: Estimate, samples: usize) {
         self.t_star_samples = estimate.t_star();
         self.t_star_s = estimate.t_star_s();
@@ -131,7 +130,7 @@ impl SourceDuration {
         };
     }
 
-    /// The result of `pooled` on `trials`, for a method that compares n samples.
+    /// Fills in the result of `pooled` on `trials`, for scans of n samples.
     pub(super) fn set_pooled(&mut self, estimate: PooledEstimate, trials: &Trials, n: usize) {
         let rate_hz = trials.rate_hz();
         let seconds = |samples: usize| samples as f64 / rate_hz;

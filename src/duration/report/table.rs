@@ -1,4 +1,4 @@
-//! The answer as a table, and in a sentence a source.
+//! Shows T* and scan durations as a table, and as one sentence for each source.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use crate::printable::table;
 use crate::scene::SourceId;
 
 impl DurationReport {
-    /// The answer as a table.
+    /// The report as a table.
     pub fn table(&self) -> String {
         let columns: Vec<Column> = match self.settings {
             Estimator::Pooled(_) => {
@@ -37,8 +37,8 @@ impl DurationReport {
         table(&head, &self.durations.iter().map(row).collect::<Vec<_>>())
     }
 
-    /// T* by `pooled` in words, a line for each source: how far apart two moments must lie, and how
-    /// many of them a scan of `scan_s` seconds and a whole trial hold. Nothing for the published rules.
+    /// The result of `pooled` in words, a line for each source: how far apart independent samples
+    /// are, and how many a scan of `scan_s` seconds and a whole trial hold. Empty for Algorithm 1.
     pub(crate) fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
@@ -137,7 +137,7 @@ impl DurationReport {
 }
 
 struct Column {
-    /// As [`table`] takes it.
+    /// Head of the column, as [`table`] expects it.
     head: &'static str,
     cell: fn(&SourceDuration) -> Option<String>,
 }
@@ -170,7 +170,7 @@ fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
     }
 }
 
-/// Milliseconds with the digits that matter to a person.
+/// Formats seconds as milliseconds, rounded for people.
 fn ms(seconds: Second) -> String {
     let ms = 1e3 * seconds;
     match ms {
@@ -180,7 +180,7 @@ fn ms(seconds: Second) -> String {
     }
 }
 
-/// The surface with this spacing.
+/// Name of the surface with this spacing.
 fn named<'a>(
     mut rows: impl Iterator<Item = (&'a SourceDuration, &'a PooledRow)>,
     spacing_s: Second,

@@ -1,4 +1,4 @@
-//! The chart as a picture: accuracy against latency and against scan time.
+//! Draws the chart: accuracy against latency and against scan time.
 
 use std::collections::BTreeMap;
 
@@ -17,8 +17,9 @@ const LINE: i32 = 20;
 const MARGIN: i32 = 24;
 
 /// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
-/// right. Bars are 95 % intervals, ticks are users, the thick line is the Pareto front, whose points are
-/// numbered and listed below, dashed lines with letters are negative controls, and hollow points use only some of the sources.
+/// right. Bars are 95 % intervals and ticks are users. The thick line is the Pareto front, whose
+/// points are numbered and listed below. Dashed lines with letters are negative controls. Hollow
+/// points use only some of the sources.
 ///
 /// # Errors
 /// If there are no points.
@@ -66,7 +67,7 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     })
 }
 
-/// A line about a point.
+/// Describes a point in a line of text.
 fn line(chart: &Chart, point: &ChartPoint) -> String {
     let name = if point.control { point.setting.clone() } else { point.name() };
     let some = !point.control && chart.is_subset(point);
@@ -118,7 +119,7 @@ const GREY: RGBColor = RGBColor(120, 120, 120);
 
 type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
-/// Methods in their order in the chart, each with its colour.
+/// The colour of each method, assigned in the order of the chart.
 fn colours(chart: &Chart) -> Colours<'_> {
     let mut methods: Vec<&str> = Vec::new();
     for point in chart.methods() {
@@ -129,7 +130,7 @@ fn colours(chart: &Chart) -> Colours<'_> {
     methods.into_iter().zip(COLOURS.into_iter().cycle()).collect()
 }
 
-/// The controls, each with the letter of its line.
+/// The controls, each with the letter that marks its line.
 fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
     ('a'..='z').map(String::from).zip(chart.controls())
 }
@@ -140,7 +141,7 @@ fn mark(area: &Area<'_>, at: (i32, i32), colour: RGBColor, hollow: bool) -> Draw
     Ok(area.draw(&Circle::new(at, 5, style))?)
 }
 
-/// A row that names the marks, with its upper left corner at `(x, top)`.
+/// Draws a row that explains the marks, with its upper left corner at `(x, top)`.
 fn legend(
     area: &Area<'_>,
     chart: &Chart,
@@ -164,14 +165,14 @@ fn legend(
 
 type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
-/// The accuracies that an axis shows, controls included.
+/// The range of accuracies of an axis, including the controls.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> std::ops::Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
     (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
 }
 
-/// Accuracy against median latency, on a logarithmic axis.
+/// Draws accuracy against median latency, on a logarithmic axis.
 fn latency_panel(
     area: &Area<'_>,
     chart: &Chart,
@@ -229,7 +230,7 @@ fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// The place of a value in an area.
+/// The pixel of a value in an area.
 fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
@@ -240,7 +241,7 @@ fn place<X: Ranged<ValueType = f64>>(
     (at.0 - left, at.1 - top)
 }
 
-/// Dashed lines, each with its letter.
+/// Draws the negative controls as dashed lines, each with its letter.
 fn controls<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
@@ -258,7 +259,7 @@ fn controls<X: Ranged<ValueType = f64>>(
     Ok(())
 }
 
-/// A point's interval, and a tick for each user's share.
+/// Draws a point's interval, and a tick at each user's accuracy.
 fn bar<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
@@ -297,7 +298,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in front.iter().enumerate() {
         let at = place(area, panel, x(point), point.accuracy_high);
-        // Numbers of points that lie close together stand one above the other.
+        // Numbers of points close together are put one above the other.
         let top = if at.0 - before.0 < 18 { (at.1 - 16).min(before.1 - 13) } else { at.1 - 16 };
         before = (at.0, top);
         put(area, (number + 1).to_string(), (at.0 - 4, top), 13)?;

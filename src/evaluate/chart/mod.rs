@@ -1,4 +1,4 @@
-//! Accuracy against latency and against scan time, method by method.
+//! Measures accuracy against latency and against scan time, for each method.
 //!
 //! ```text
 //! charted (settings, subsets of sources, controls) ─► measure ─► Chart of points ─► figure
@@ -32,8 +32,8 @@ pub struct Charting<'a> {
     pub folds: &'a [Fold],
 }
 
-/// The points of one run, a point for each scan time; `name` is what the chart calls its setting.
-/// None for loudness where no source has a spectrum. With them, the sources that were left out.
+/// Measures one run: returns a point for each scan time, and the sources that were left out. `name`
+/// is the setting as the chart shows it. No points for loudness if no source has a spectrum.
 ///
 /// # Errors
 /// If a trial cannot be read or compared.
@@ -63,7 +63,7 @@ pub fn measure(
     Ok((points, left_out))
 }
 
-/// The longest drag of the first trial that has one, in seconds.
+/// Length in seconds of the longest drag source in the first trial that has one.
 ///
 /// # Errors
 /// If that trial cannot be read.

@@ -1,5 +1,4 @@
-//! Accuracy against latency and against scan time: measured points, and which of them no other
-//! point beats.
+//! The measured points of a chart, and which of them no other point beats.
 
 use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_over_users};
 use crate::scene::SourceId;
@@ -8,26 +7,27 @@ use crate::scene::SourceId;
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ChartPoint {
     pub method: String,
-    /// The options that give this point again.
+    /// The command-line options that reproduce this point, or the name of a control.
     pub setting: String,
     pub sources: Vec<String>,
-    /// The part of each query's drag that was used, in seconds; none for all of it.
+    /// The part of each query's drag that was used, in seconds; `None` for all of it.
     pub query_seconds: Option<f64>,
-    /// Share of queries named right.
+    /// Share of queries named correctly.
     pub accuracy: f64,
-    /// Lower end of its 95 % interval, over users where there are five or more, else over queries.
+    /// Lower end of the 95 % interval, over users if there are five or more, else over queries.
     pub accuracy_low: f64,
     pub accuracy_high: f64,
-    /// Each user's share, where queries and library are split by user.
+    /// Accuracy of each user, if queries and library are split by user.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub users: Vec<FoldAccuracy>,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
     pub query_ms_p99: f64,
     pub queries: usize,
-    /// False: only points that `tools/peers` adds to the JSON are programs of others.
+    /// Whether another program was measured. False here: `tools/peers` adds such points to the
+    /// JSON.
     pub peer: bool,
-    /// Not a method but a negative control: what a room and a session give away.
+    /// Whether this is no method but a negative control of what room and session reveal.
     pub control: bool,
 }
 
@@ -61,7 +61,7 @@ impl ChartPoint {
         }
     }
 
-    /// The method, with its options where the setting says more than its name.
+    /// Name of the method, followed by its options, if the setting has any.
     pub fn name(&self) -> String {
         let options = self.setting.trim_start_matches("--method ");
         let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
@@ -92,23 +92,23 @@ pub(super) fn front<'a>(
     front
 }
 
-/// A whole chart, as JSON holds it.
+/// A whole chart, as in the JSON file.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Chart {
     pub data: String,
-    /// Made by a generator, not recorded.
+    /// Whether the data were generated, not recorded.
     pub synthetic: bool,
     /// The protocol that split queries and library.
     pub protocol: String,
-    /// Sources that a method is given, unless its point says otherwise.
+    /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
     /// Surfaces that could be the answer.
     pub surfaces: usize,
     /// Trials in the library of a fold.
     pub library_trials: usize,
-    /// Threads that a query had.
+    /// Number of threads for a query.
     pub threads: usize,
-    /// Length of a whole drag in seconds, where one is.
+    /// Length of a whole drag in seconds, if there is one.
     pub drag_s: Option<f64>,
     pub points: Vec<ChartPoint>,
 }
@@ -123,7 +123,7 @@ impl Chart {
         self.points.iter().filter(|point| point.control)
     }
 
-    /// Settings that were measured on several scan times.
+    /// Points of settings that were measured at several scan times.
     pub fn timed(&self) -> Vec<&ChartPoint> {
         let same = |a: &ChartPoint, b: &ChartPoint| {
             (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
@@ -134,12 +134,12 @@ impl Chart {
         self.methods().filter(has_others).collect()
     }
 
-    /// Whether its points know each user's share.
+    /// Whether some point has the accuracy of each user.
     pub(super) fn has_users(&self) -> bool {
         self.points.iter().any(|point| !point.users.is_empty())
     }
 
-    /// The kind of interval that its bars show.
+    /// The kind of interval that the bars show, for the legend.
     pub(super) fn bars(&self) -> &'static str {
         if self.points.iter().any(|point| is_over_users(&point.users)) {
             "95 % interval over users"
@@ -153,7 +153,7 @@ impl Chart {
         point.sources.len() < self.sources.len()
     }
 
-    /// Scan time of a point: the part of the drag that it used.
+    /// Scan time of a point in seconds: the part of the drag that was used.
     pub fn scan_s(&self, point: &ChartPoint) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
     }

@@ -1,14 +1,14 @@
-//! The measurements of a chart: settings of methods, subsets of the sources, negative controls.
+//! What a chart measures: settings of methods, subsets of the sources, and negative controls.
 
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 
-/// Scan times, in seconds, besides the whole.
+/// Scan times in seconds, besides whole drags.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
-/// Upper end of the band of a negative control: hum and rumble, of room and session.
+/// Upper end of the band of a negative control, which holds hum and rumble of room and session.
 const CONTROL_HZ: f64 = 80.0;
 
-/// Settings that are charted; the flagged ones on the first seconds of a drag, too.
+/// Settings in a chart; those with `true` are also measured on the first seconds of drags.
 pub fn settings() -> [(MethodSpec, bool); 8] {
     [
         (reference(100, 1, false), false),
@@ -28,13 +28,13 @@ fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
     MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
 }
 
-/// Settings of a brief chart, the cheapest useful one of each method.
+/// Settings in a brief chart: the cheapest useful one of each method.
 fn few_settings() -> [MethodSpec; 4] {
     let [svm, forest] = [MethodName::Svm, MethodName::RandomForest].map(MethodSpec::from);
     [reference(400, 1, false), on_subsets(), svm, forest]
 }
 
-/// The setting by which subsets of the sources, and the control below, are charted.
+/// The method for subsets of the sources and for the control of low frequencies.
 fn on_subsets() -> MethodSpec {
     MethodName::Embedding.into()
 }
@@ -44,18 +44,18 @@ fn on_subsets() -> MethodSpec {
 pub struct Charted {
     pub what: Comparer,
     pub scene: Scene,
-    /// The part of each query's drag that is used, in seconds; `None` for all of it.
+    /// The first seconds of each query's drag to use, for each measurement; `None` for all of it.
     pub seconds: Vec<Option<f64>>,
 }
 
 /// A method or a control.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Comparer {
-    /// A method that a person may choose.
+    /// A method that users can choose.
     Method(MethodSpec),
-    /// A negative control: a method on what should say little, and what that is.
+    /// A negative control: a method on data that should tell little, and a name of these data.
     Control(MethodSpec, String),
-    /// A negative control: loudness alone, and of what.
+    /// A negative control: loudness alone, and a name of the control, which lists the sources.
     Loudness(String),
 }
 
@@ -69,13 +69,13 @@ fn whole(what: Comparer, scene: &Scene) -> Charted {
     Charted { what, scene: scene.clone(), seconds: vec![None] }
 }
 
-/// One setting of each method on whole drags with all sources, and the negative controls.
+/// The runs of a brief chart: each method once, on whole drags with all sources, and the controls.
 pub fn brief(scene: &Scene) -> Vec<Charted> {
     let settings = few_settings().into_iter().map(|method| whole(Comparer::Method(method), scene));
     settings.chain(controls(scene)).collect()
 }
 
-/// All that is measured on a scene whose drags last this long, in seconds.
+/// The runs of a full chart of a scene whose drags last `drag_s` seconds.
 pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
@@ -91,8 +91,8 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     all
 }
 
-/// Controls for what a room and a session give away: the lowest band of spectra that reach far beyond it, and
-/// loudness.
+/// Negative controls, which show how much room and session alone reveal: the lowest band of spectra
+/// that extend far above it, and loudness.
 fn controls(scene: &Scene) -> Vec<Charted> {
     let named =
         |scene: &Scene| scene.sources().map(|spec| spec.id.as_str()).collect::<Vec<_>>().join(", ");
@@ -112,7 +112,7 @@ fn controls(scene: &Scene) -> Vec<Charted> {
     band.into_iter().chain(loudness).collect()
 }
 
-/// Each source alone, and all of one domain, where that is not all there is.
+/// Each source alone, and all sources of each domain, except the whole scene.
 fn subsets(scene: &Scene) -> Vec<Scene> {
     let all = scene.sources().len();
     let single = |spec: &SourceSpec| scene.clone().only(std::slice::from_ref(&spec.id)).ok();
@@ -146,7 +146,7 @@ mod tests {
         let control_count = |all: &[Charted]| all.iter().filter(|one| one.is_control()).count();
         let all = charted(&scene, Some(4.8));
         assert_eq!(control_count(&all), 2);
-        // Eight sources alone, three spectra, three series, two pictures.
+        // Eight single sources; together three spectra, three series, and two pictures.
         assert_eq!(all.len(), settings().len() + 8 + 3 + 2);
         let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
         let alone = charted(&mi2, Some(0.8));

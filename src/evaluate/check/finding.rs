@@ -1,5 +1,4 @@
-//! Faults of a library: a line for each source and kind of fault, the worst first, and the
-//! command that mends it.
+//! Faults of a library: a line for each source and kind of fault, with the command that fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -11,50 +10,50 @@ use crate::printable::quoted;
 use crate::scene::SourceId;
 use crate::trial::Flaw;
 
-/// ln of the ratio to its surface's level that makes a trial loud or quiet: 20 dB.
+/// A trial is loud or quiet if its level, as ln, is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
-/// ln of the ratio to its source's level below which a trial is silent: 40 dB.
+/// A trial is silent if its level, as ln, is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
-/// A trial is short below this share of the usual length.
+/// A trial is short below this share of the median length.
 const SHORT: f64 = 1.0 / 3.0;
-/// Trials that it takes to know what is usual.
+/// Fewest trials for a median.
 const FEWEST: usize = 3;
-/// Names that are shown of a finding.
+/// Most trials that a finding names.
 const SHOWN: usize = 3;
 
-/// A kind of fault, the worst first.
+/// Kinds of faults, the worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FaultKind {
-    /// It cannot be read.
+    /// A recording cannot be read.
     Unreadable,
-    /// Another trial has the same samples.
+    /// A series has the same samples as in another trial.
     Copy,
-    /// It never changes, or is 40 dB below the other trials.
+    /// A series never changes, or is 40 dB below the other trials.
     Silent,
-    /// It is shorter than a third of the usual.
+    /// A series is shorter than a third of the usual length.
     Short,
-    /// It runs into its limits.
+    /// A channel is saturated.
     Clipped,
-    /// A channel is stuck, or a picture of one colour.
+    /// A channel is stuck, or a picture is of one colour.
     Stuck,
-    /// It is named another surface, clearly.
+    /// A trial is clearly named another surface.
     Mislabelled,
-    /// It is 20 dB above or below the other trials of its surface.
+    /// A series is 20 dB above or below the other trials of its surface.
     Level,
 }
 
-/// Trials of a library with one kind of fault.
+/// A fault of one kind, and the trials of a library that have it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Finding {
     pub kind: FaultKind,
-    /// The source, where it is about one.
+    /// The source, if the fault concerns one.
     pub source: Option<SourceId>,
-    /// The trials, as `surfaced library` takes them.
+    /// The trials, named as in `surfaced library`.
     pub trials: Vec<String>,
     /// The fault in a line.
     pub text: String,
-    /// The command that mends it, where one can.
+    /// The command that fixes the fault, if there is one.
     pub command: Option<String>,
 }
 
@@ -62,17 +61,17 @@ pub struct Finding {
 struct Fault {
     kind: FaultKind,
     source: Option<SourceId>,
-    /// The fault, without the source and the trial.
+    /// The fault in words, without the source and the trial.
     what: &'static str,
     trial: String,
-    /// Numbers of this trial, for the line.
+    /// Details of this trial to show, such as its length.
     detail: String,
 }
 
-/// The names of trials in a library that may be edited.
+/// Names trials of a library, in texts and in commands that edit it.
 pub(super) struct Names<'a> {
     pub root: &'a Path,
-    /// Whether `surfaced library` can edit it.
+    /// Whether `surfaced library` can edit the library.
     pub editable: bool,
 }
 
@@ -100,7 +99,7 @@ impl Names<'_> {
         is_editable.then(|| format!("surfaced library {edit} {dashes}{library} {names}"))
     }
 
-    /// The trial that a file belongs to, and why it cannot be used.
+    /// The trial to which the file of an error belongs, and why the file cannot be used.
     fn unreadable(&self, error: &LibraryError) -> (Option<String>, String) {
         let Some(path) = error.path() else { return (None, error.to_string()) };
         let within = path.strip_prefix(self.root).unwrap_or(path);
@@ -145,7 +144,7 @@ pub(super) fn unreadable(
     found
 }
 
-/// The faults of the signals: findings, and advice where most trials have the same.
+/// The faults of the signals: findings, and advice on faults that half of the trials or more have.
 pub(super) fn of_signals(
     inspected: &[Inspected],
     names: &Names<'_>,
@@ -188,7 +187,7 @@ pub(super) fn of_signals(
             } else if above(of_surface, LOUD) || below(of_surface, LOUD) {
                 let db = 20.0 / std::f64::consts::LN_10 * (of.level - of_surface.unwrap_or(0.0));
                 let detail = format!("{db:+.0} dB");
-                add(FaultKind::Level, id, "has not the level of its surface", detail);
+                add(FaultKind::Level, id, "is too loud or too quiet for its surface", detail);
             }
         }
         for (id, flaw) in &one.flaws {
@@ -211,7 +210,7 @@ pub(super) fn of_signals(
     grouped(faults, inspected.len(), names)
 }
 
-/// Trials that look mislabelled: the trial, and the surface that it is named.
+/// Findings on trials that look mislabelled, given as (trial, surface that it was named).
 pub(super) fn mislabelled(found: &[(String, String)], names: &Names<'_>) -> Vec<Finding> {
     let mut by_label: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (trial, named) in found {
@@ -227,7 +226,7 @@ pub(super) fn mislabelled(found: &[(String, String)], names: &Names<'_>) -> Vec<
     by_label.into_iter().map(finding).collect()
 }
 
-/// `1 trial looks (a)`, `4 trials look (a, b, c and 1 more)`.
+/// `a looks`, `2 trials (a, b) look`, `4 trials (a, b, c and 1 more) look`.
 fn listed(trials: &[String], verb: &str) -> String {
     let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     match trials.len() {
@@ -237,8 +236,8 @@ fn listed(trials: &[String], verb: &str) -> String {
     }
 }
 
-/// A finding for each source and kind, the worst first; a trial has one fault a source. A kind that
-/// half of `all` trials have is no fault of trials, and becomes advice.
+/// Makes a finding for each source and kind, the worst first. Of each source of a trial only the
+/// worst fault counts. A fault that half of `all` trials have becomes advice on the sensor.
 fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Finding>, Vec<String>) {
     faults.sort_by(|a, b| (a.kind, &a.source).cmp(&(b.kind, &b.source)));
     let mut seen = BTreeSet::new();
@@ -273,7 +272,7 @@ fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Findin
     (findings, advice)
 }
 
-/// Trials with a series that another one has.
+/// Trials with a series that an earlier trial has too.
 fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
     let mut first: BTreeMap<(&SourceId, u64), &Entry> = BTreeMap::new();
     let mut faults = Vec::new();
@@ -295,7 +294,7 @@ fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
     faults
 }
 
-/// Channels that rest in half of the trials or more: that is how they are.
+/// Channels that are constant in half of the trials or more, which is taken as normal for them.
 pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
     let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
     for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
@@ -307,7 +306,7 @@ pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
     counts.into_keys().collect()
 }
 
-/// The median; none of fewer than [`FEWEST`] values.
+/// The median; `None` if there are fewer than [`FEWEST`] values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     (values.len() >= FEWEST).then(|| values[values.len() / 2])

@@ -1,4 +1,4 @@
-//! Reads every recording of a library once, and measures what may be wrong with it.
+//! Reads every recording of a library once, and looks for flaws in it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,31 +13,31 @@ use crate::library::audit::Unreadable;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 
-/// Most bytes of samples that are kept in memory, so that they need not be read again.
+/// Most bytes of samples that are kept in memory, to save reading them again.
 const MOST_KEPT: usize = 1 << 30;
 
-/// One trial, as far as it can be read.
+/// One trial, with the sources that can be read.
 pub(super) struct Inspected {
-    /// The trial; in memory, where there is room.
+    /// The trial; kept in memory if there is room.
     pub entry: Entry,
-    /// Flaws of its channels.
+    /// Flaws of the trial's channels.
     pub flaws: Vec<(SourceId, Flaw)>,
     /// Sources whose picture is of one colour.
     pub plain: Vec<SourceId>,
-    /// Each series that is no switch.
+    /// Each series, except those of switches such as the metal detector.
     pub series: BTreeMap<SourceId, Measured>,
 }
 
-/// Measures of a series.
+/// What is measured of a series.
 pub(super) struct Measured {
     pub seconds: f64,
     /// ln of the root mean square about the mean.
     pub level: f64,
-    /// Stands for its samples; none where they are all alike.
+    /// Hash of the samples, to find copies; `None` for a constant series.
     pub hash: Option<u64>,
 }
 
-/// Reads all trials: those of which anything can be read, and the sources that cannot be.
+/// Reads all trials. Returns those with a readable source, and the sources that cannot be read.
 pub(super) fn inspect(
     entries: Vec<Entry>,
     scene: &Scene,

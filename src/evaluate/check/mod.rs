@@ -1,5 +1,5 @@
-//! The audit of a library: which trials are named right when they are left out, which look
-//! mislabelled, what is damaged, and what to record next.
+//! The audit of a library: which trials are named correctly when left out, which look mislabelled,
+//! what is damaged, and what to record next.
 
 mod finding;
 mod inspect;
@@ -22,32 +22,32 @@ use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, TrialKey};
 
-/// Most folds: more trials of a surface are left out several at a time.
+/// Most folds; of surfaces with more trials, several are left out at a time.
 const MOST_FOLDS: usize = 10;
-/// Trials of a surface that are worth having.
+/// Trials of a surface that one should have.
 const ENOUGH: usize = 5;
-/// Left-out trials that it takes to reject unknown surfaces at 1 % false rejections.
+/// Fewest left-out trials with which unknown surfaces can be rejected at 1 % false rejections.
 const FOR_UNKNOWN: usize = 99;
 
 /// The audit of a library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
-    /// Trials that could be used.
+    /// Number of trials that could be used.
     pub trials: usize,
-    /// Trials that were left out, and those named right; `None` where none could be left out.
+    /// Trials that were left out, if any could be, and how many of them were named correctly.
     #[serde(flatten, serialize_with = "left_out_share")]
     pub share: Option<Share>,
-    /// Surface by surface, sorted.
+    /// The audit of each surface, sorted by name.
     pub surfaces: Vec<SurfaceCheck>,
-    /// Truth against answer.
+    /// Confusion matrix of the left-out trials: truth against answer.
     pub confusion: Option<Confusion>,
-    /// Trial by trial, sorted.
+    /// The audit of each trial.
     pub each: Vec<TrialCheck>,
-    /// Accuracy once all findings are mended, a fraction; none where there are none.
+    /// Accuracy once all findings are fixed, a fraction; `None` if there are no findings.
     pub accuracy_mended: Option<f64>,
     /// Things to fix, the worst first.
     pub findings: Vec<Finding>,
-    /// The same, a line each.
+    /// The findings as text, a line each.
     pub mend: Vec<String>,
     /// Things to record next, and other advice, a line each.
     pub advice: Vec<String>,
@@ -56,15 +56,15 @@ pub struct CheckReport {
 /// The audit of a surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SurfaceCheck {
-    /// The label.
+    /// The surface's label.
     pub surface: String,
     pub trials: usize,
-    /// The people who dragged.
+    /// Number of people who made the trials.
     pub users: usize,
-    /// Those that were left out, and those named right.
+    /// Trials that were left out, and how many of them were named correctly.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
-    /// The surfaces it was taken for, the most frequent first.
+    /// The surfaces with which its trials were confused, and how often, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
 
@@ -72,11 +72,11 @@ pub struct SurfaceCheck {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TrialVerdict {
-    /// Its surface.
+    /// The trial's surface.
     Right,
-    /// Another one.
+    /// Another surface.
     Wrong,
-    /// It was not left out: it is the only trial of its surface.
+    /// None: the trial was not left out, for example as the only one of its surface.
     Untested,
 }
 
@@ -85,19 +85,19 @@ pub enum TrialVerdict {
 pub struct TrialCheck {
     #[serde(flatten)]
     pub key: TrialKey,
-    /// The answer when it was left out.
+    /// Whether the trial was named correctly when it was left out.
     pub verdict: TrialVerdict,
-    /// The surface that it was named, if it was.
+    /// The surface that the trial was named when it was left out, if any.
     pub named: Option<String>,
-    /// ln of the ratio by which the answer was ahead of the next.
+    /// ln of the ratio of the second surface's score to the answer's.
     pub margin: Option<f64>,
-    /// It is named another surface more clearly than most trials of that surface are.
+    /// Whether the trial was named another surface, more clearly than most trials of that surface.
     pub mislabelled: bool,
-    /// Flaws of its signals, a line each.
+    /// Flaws of the trial's signals, a line each.
     pub flaws: Vec<String>,
 }
 
-// The signatures are serde's.
+// serde prescribes the signatures.
 #[allow(clippy::ref_option)]
 fn left_out_share<S: Serializer>(share: &Option<Share>, to: S) -> Result<S::Ok, S::Error> {
     Share::write(*share, None, "accuracy", to)
@@ -116,21 +116,21 @@ fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Err
 
 /// A library to be audited.
 pub struct Audited<'a> {
-    /// Its folder.
+    /// The library's folder.
     pub root: &'a Path,
-    /// Whether `surfaced library` can edit it.
+    /// Whether `surfaced library` can edit the library.
     pub editable: bool,
     /// The sources to compare.
     pub scene: &'a Scene,
-    /// The way to compare.
+    /// How trials are compared.
     pub method: &'a dyn Method,
-    /// The folder of prepared trials, if they are kept.
+    /// The library's folder, whose cache of prepared trials is used; `None` for no cache.
     pub cache: Option<&'a Path>,
 }
 
-/// Audits a library: its trials are left out, with their whole person where there are several, and
-/// named by the others. Files that cannot be read are listed and do without. Each recording is read
-/// once, as far as memory goes.
+/// Audits a library: trials are left out, if there are several people all trials of a person at
+/// once, and named by the others. Files that cannot be read are listed and skipped. Each recording
+/// is read once, as far as memory allows.
 pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) -> CheckReport {
     let names = Names { root: audited.root, editable: audited.editable };
     let entries = opened.library.entries.into_iter().map(|entry| entry.within(audited.scene));
@@ -153,7 +153,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
             (Vec::new(), None)
         }
     };
-    // Damaged trials mislead the others: labels are judged without them.
+    // Damaged trials would mislead the others, so labels are judged without them.
     let damaged: BTreeSet<String> = (findings.iter())
         .filter(|finding| finding.kind < FaultKind::Mislabelled)
         .flat_map(|finding| finding.trials.clone())
@@ -202,7 +202,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     }
 }
 
-/// The entry under the label that it was named, if it looks mislabelled, with a number of its own.
+/// The entry; if it looks mislabelled, with the surface that it was named and an unused number.
 fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
     let Some(label) = suspects.get(&entry.key) else { return entry.clone() };
     let key = TrialKey {
@@ -213,8 +213,8 @@ fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
     entry.clone().renamed(key)
 }
 
-/// The folds: every person in turn, where there are several; trials of surfaces that one person alone
-/// has, and of a single person, k-th by k-th.
+/// The folds. If there are several people, each in turn. Then the trials not in these folds, such
+/// as those of surfaces that only one person recorded: fold k leaves out the k-th of each surface.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
     let people: BTreeSet<&str> = keys.iter().map(|key| key.user.as_str()).collect();
     let mut folds = Vec::new();
@@ -238,7 +238,7 @@ fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
     folds
 }
 
-/// Fold k leaves out the k-th trial of every surface that has another one.
+/// Fold k leaves out the k-th trial of every surface that has several.
 fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     let mut of_surface: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {
@@ -286,14 +286,14 @@ fn measure(
     Ok((measured.predictions, measured.outcome, better))
 }
 
-/// The trials that are named another surface more clearly than most trials of that surface are, and
-/// that surface.
+/// The trials that look mislabelled, each with the surface that it was named: another surface than
+/// its label, and more clearly than most trials of that surface are.
 fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
     let right = predictions.iter().filter(|p| p.is_correct());
     let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
     margins.values_mut().for_each(|margins| margins.sort_by(f64::total_cmp));
-    // If most are wrong, nothing is clear.
+    // If most answers are wrong, they prove nothing about labels.
     let mostly_right = margins.values().map(Vec::len).sum::<usize>() * 2 > predictions.len();
     let is_clear = |p: &&Prediction| {
         let usual = margins.get(&*p.surface).map(|margins| margins[margins.len() / 2]);
@@ -433,7 +433,7 @@ mod tests {
         for user in people {
             keys.extend(["a", "b"].map(|surface| TrialKey::new(surface, user, 1)));
         }
-        // Only one person has this one.
+        // Only anna has trials of c.
         keys.extend((1..=2).map(|n| TrialKey::new("c", "anna", n)));
         let folds = left_out(&keys);
         let names: Vec<&str> = folds.iter().map(|fold| &*fold.name).collect();

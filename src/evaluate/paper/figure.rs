@@ -1,4 +1,4 @@
-//! The paper's two figures of results: bars, and the confusion of surfaces grouped by material.
+//! Draws the paper's two figures of results: bars of accuracy, and the confusion of surfaces.
 
 use plotters::prelude::*;
 
@@ -26,8 +26,8 @@ const MATERIALS: [&str; 9] = [
     "textiles",
 ];
 
-/// Accuracies of all settings that were run, ours (bars) and the paper's (marks), with standard
-/// deviations over folds, as SVG.
+/// An SVG with the accuracies of all settings that were run, ours (bars) and the paper's (marks),
+/// with standard deviations over folds.
 ///
 /// # Errors
 /// If the drawing fails.
@@ -81,7 +81,7 @@ fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Dr
     put(area, format!("{ours:.1}"), (WIDTH as i32 - RIGHT + 10, top + 2), 12)
 }
 
-/// The material of a surface: the digit after the G that opens LMT108's names.
+/// Index of a surface's material, from the digit after the G with which LMT108's names begin.
 fn material(surface: &str) -> usize {
     let digit = surface.strip_prefix('G').and_then(|rest| rest.bytes().next());
     match digit {
@@ -90,14 +90,14 @@ fn material(surface: &str) -> usize {
     }
 }
 
-/// Truth against answer, surfaces grouped by material, as SVG.
+/// An SVG of truth against answer, surfaces grouped by material.
 ///
 /// # Errors
 /// If the drawing fails.
 pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
-    // All of LMT108 in about 860 pixels; few surfaces larger, but no larger than they need.
+    // LMT108's 108 surfaces take 864 pixels; with fewer surfaces, cells grow up to 22 pixels.
     let cell = (864 / order.len().max(1) as i32).clamp(8, 22);
     let (left, top) = (340, 190);
     let side = cell * order.len() as i32;
@@ -127,7 +127,7 @@ pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     })
 }
 
-/// Lines between materials, and their names.
+/// Draws lines between materials, and their names.
 fn groups(
     area: &Area<'_>,
     order: &[usize],

@@ -1,12 +1,15 @@
-//! The paper's evaluation: its Tables I and II and the figures in its text, each beside ours.
+//! Repeats the paper's evaluation, Tables I and II and the numbers in its text, and compares.
+//!
+//! A *stream* is a source sampled in one of several ways, such as in time or in the spectrum. A
+//! *shard* is a part of the queries, for runs on several machines.
 //!
 //! ```text
 //! rows (settings, published figures) ─► work (scores of each stream, once) ─► part
 //! parts of a run split by query ─► merge ─► report (products of sources), figures
 //! ```
 //!
-//! `work` does one shard; `merge` joins shards. A run in one piece is a single shard, so both
-//! ways give the same report, byte for byte: it holds no timings.
+//! `work` processes one shard, `merge` joins shards. A report holds no timings, so it is the same,
+//! byte for byte, from one shard or from many.
 
 mod figure;
 mod part;

@@ -1,11 +1,11 @@
-//! The result of a shard of the evaluation, and how shards are joined.
+//! The result of a shard of the paper's evaluation, and how shards are joined.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A part of the queries: every `of`-th, from the `number`-th on, counted from 1.
+/// A part of the queries: every `of`-th query from the `number`-th on, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Shard {
     pub number: usize,
@@ -15,12 +15,12 @@ pub struct Shard {
 impl Shard {
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
-    /// Whether a query, by index, belongs to it.
+    /// Whether the query of this index belongs to the shard.
     pub fn has(self, query: usize) -> bool {
         query % self.of == self.number - 1
     }
 
-    /// Name of the file that holds its result.
+    /// Name of the file that holds the shard's result.
     pub fn file_name(self) -> String {
         format!("shard-{:04}-of-{:04}.json", self.number, self.of)
     }
@@ -45,7 +45,7 @@ impl FromStr for Shard {
     }
 }
 
-/// Answers of one setting. Trials are named by index into [`PaperPart::trials`].
+/// Answers in one setting. Trials are given by their indices in [`PaperPart::trials`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowPart {
@@ -53,21 +53,21 @@ pub struct RowPart {
     pub setting: String,
     /// Sources that the data lack.
     pub missing: Vec<String>,
-    /// Why it could not be run.
+    /// The reason why the setting could not be run.
     pub not_run: Option<String>,
     pub folds: Vec<String>,
     /// Trials in the library of the largest fold.
     pub library_trials: usize,
     pub labels: Vec<String>,
-    /// Fold, query, nearest library trial; ascending.
+    /// Fold, query and nearest library trial of each answer, sorted.
     pub answers: Vec<(usize, usize, usize)>,
 }
 
-/// The result of a shard, or of all of them joined.
+/// The result of a shard, or of all shards joined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperPart {
-    /// 1.
+    /// Version of this format, 1.
     pub format: u32,
     pub data: String,
     pub synthetic: bool,
@@ -76,12 +76,12 @@ pub struct PaperPart {
     pub shard: Shard,
     /// Surface, user and number of every trial.
     pub trials: Vec<(String, String, u32)>,
-    /// Setting by setting, in the order of `rows`.
+    /// The answers in each setting, in the order of `rows`.
     pub rows: Vec<RowPart>,
 }
 
 impl PaperPart {
-    /// Whether this is a shard of the same run as another.
+    /// Whether the two are shards of the same run.
     pub fn is_of_run(&self, other: &Self) -> bool {
         let head = |part: &Self| {
             let settings: Vec<_> = part.rows.iter().map(|row| row.setting.clone()).collect();
@@ -91,14 +91,14 @@ impl PaperPart {
     }
 }
 
-/// Why shards cannot be joined.
+/// The reason why shards cannot be joined.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum MergeError {
     #[error("no shards to join")]
     Nothing,
     #[error("shard {0} is of another run than shard {1}: other data or settings")]
     Different(Shard, Shard),
-    #[error("shard {0} is there twice")]
+    #[error("shard {0} was given twice")]
     Twice(Shard),
     #[error("of {of} shards these are not there yet: {missing}")]
     Missing { of: usize, missing: String },
@@ -106,10 +106,10 @@ pub enum MergeError {
     Damaged(Shard),
 }
 
-/// Joins the shards of a run, in whatever order they come.
+/// Joins the shards of a run, given in any order.
 ///
 /// # Errors
-/// If one is missing, there twice, damaged, or of another run.
+/// If a shard is missing, given twice, damaged, or of another run.
 pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, MergeError> {
     parts.sort_by_key(|part| part.shard);
     for part in &parts {

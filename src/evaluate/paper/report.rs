@@ -1,4 +1,4 @@
-//! The figures of a whole run beside the paper's.
+//! The results of a whole run, compared with the paper's.
 
 use super::part::{PaperPart, RowPart};
 use super::rows::{ALL, Published, Row, rows};
@@ -6,11 +6,10 @@ use crate::evaluate::{Confusion, Outcome, Prediction, Protocol};
 use crate::recognise::{log_discrepancy, medians};
 use crate::trial::TrialKey;
 
-/// One setting. Accuracies of ours are fractions from 0 to 1, the paper's are percentages, as
-/// printed.
+/// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ReportRow {
-    /// The table of the paper; `beside` if it has none.
+    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; else `beside`.
     pub place: &'static str,
     pub name: String,
     pub protocol: &'static str,
@@ -41,7 +40,7 @@ pub struct PaperReport {
     pub synthetic: bool,
     pub settings: String,
     pub rows: Vec<ReportRow>,
-    /// Truth against answer with all sources, expert against users.
+    /// Confusion matrix (truth against answer) with all sources, by `expert-vs-users`.
     pub confusion: Option<Confusion>,
 }
 
@@ -85,7 +84,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     sources.dedup();
     sources.retain(|source| !part.missing.iter().any(|missing| missing == source));
     let difference = |outcome: &Outcome| {
-        // Without all of its sources, it is another setting than the paper's.
+        // If a source is missing, the setting is not the paper's.
         let published = row.published.filter(|_| part.missing.is_empty())?;
         Some(outcome.accuracy_mean * 100.0 - published.accuracy)
     };
@@ -109,15 +108,15 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     }
 }
 
-// The score of one source between two trials does not depend on which other sources are used. It is
-// computed once, and every row of the paper's tables is a sum of logarithms.
+// The score of one source between two trials does not depend on the other sources used. So it is
+// computed once, and each row of the paper's tables only adds logarithms of scores.
 
 /// ln of the scores of one query in one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogScores {
-    /// Library trials by index, ascending.
+    /// Indices of the library trials, ascending.
     pub library: std::sync::Arc<[usize]>,
-    /// ln of the score of each; NaN where one side lacks the source.
+    /// ln of the score of each library trial; NaN if query or trial lacks the source.
     pub values: Vec<f64>,
 }
 
@@ -128,11 +127,11 @@ impl LogScores {
     }
 }
 
-/// The library trial that is nearest to a query (Eq. 9, 1-NN), by index.
+/// Index of the library trial that is nearest to a query (Eq. 9, 1-NN).
 ///
-/// `terms` are weights and scores. As in the method `reference`, a source that a library trial
-/// lacks counts as the median of the others, trials without any are left out, and a tie goes to the
-/// smaller key: `keys` must ascend. `None` if no trial has a score.
+/// `terms` are weights and scores of streams. As in the method `reference`, a missing score of a
+/// library trial is replaced by the stream's median over the others, trials without any score are
+/// left out, and a tie goes to the smaller key; `keys` must ascend. `None` if no trial has a score.
 pub fn nearest(library: &[usize], terms: &[(f64, &LogScores)], keys: &[TrialKey]) -> Option<usize> {
     debug_assert!(keys.is_sorted());
     let scores_of = |&trial: &usize| terms.iter().map(|(_, scores)| scores.of(trial)).collect();

@@ -1,28 +1,28 @@
-//! The figures of the paper's tables and text, and the settings that they are of.
+//! The numbers in the paper's tables and text, and the settings in which they were measured.
 
 use crate::evaluate::Protocol;
 use crate::library::Entry;
 use crate::scene::{Colour, Domain, Scene};
 use crate::trial::Signal;
 
-/// A figure that the paper prints, in percent.
+/// A result that the paper prints, in percent.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Published {
     pub accuracy: f64,
-    /// Its standard deviation over folds, if that is printed.
+    /// Standard deviation of the accuracy over folds, if it is printed.
     pub std: Option<f64>,
     pub precision: Option<f64>,
 }
 
-/// One setting.
+/// One setting, a row of the report.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// The table or text of the paper that has it.
+    /// Where the paper reports the setting.
     pub place: &'static str,
     /// Unique together with the protocol and the place.
     pub name: String,
     pub protocol: Protocol,
-    /// Weights and streams.
+    /// The streams and the weight of each.
     pub terms: Vec<(f64, SampledSource)>,
     pub published: Option<Published>,
 }
@@ -67,8 +67,7 @@ impl Rows {
     }
 }
 
-/// All settings that are run, in the order in which they are shown. The first `Table I` row named
-/// [`ALL`] is the paper's main result.
+/// All settings, in the order shown. The `Table I` row named [`ALL`] is the paper's main result.
 pub fn rows() -> Vec<Row> {
     let mut rows = Rows(Vec::new());
     table_1(&mut rows);
@@ -168,8 +167,8 @@ fn text(rows: &mut Rows) {
     rows.add(OURS, trials, "all, without the shift", unshifted, None);
 }
 
-/// A row of Table II for each protocol: mean and deviation of (no shift, shift) × (time, spectrum),
-/// for images × (RGB, HSV).
+/// Cells of Table II for one source and protocol, each a mean and a standard deviation: (no shift,
+/// shift) × (time, spectrum), for images × (RGB, HSV).
 type Cells = [[(f64, f64); 2]; 2];
 
 #[rustfmt::skip]
@@ -215,7 +214,7 @@ fn table_2(rows: &mut Rows) {
     }
 }
 
-/// Of the pairs, the paper prints one number; the others stand in its figure alone.
+/// All pairs of sources. The paper prints the number of one pair; it only draws the others.
 fn pairs(rows: &mut Rows) {
     for (at, a) in AS_USED.iter().enumerate() {
         for b in &AS_USED[at + 1..] {
@@ -232,8 +231,8 @@ fn pairs(rows: &mut Rows) {
 pub enum SampleView {
     /// Equidistant in time.
     Time,
-    /// The same at the positions of the 10 kHz series, whatever the source's own rate: of a drag
-    /// sound only the first 1.1 s is seen (the quirk of the DFT ablation, method.md §2).
+    /// At the sample numbers of the 10 kHz series, whatever the source's own rate, so that of a
+    /// drag sound only the first 1.1 s is used (a quirk of the paper's DFT ablation, method.md §2).
     TimeOfSerial,
     /// Bins of the amplitude spectrum, in the source's band or from 0 to 1000 Hz.
     Spectrum,
@@ -242,15 +241,15 @@ pub enum SampleView {
 
 /// Frames of the 10 kHz series in LMT108.
 const SERIAL_FRAMES: usize = 48_000;
-/// The band of sources that are not sampled in the spectrum otherwise: that of the haptic ones.
+/// The band for spectra of sources that are normally sampled in time: that of the acceleration.
 const BAND_HZ: (f64, f64) = (0.0, 1000.0);
 
-/// A source, how it is sampled, and whether the query's mean is shifted (Eq. 8).
+/// A stream: a source, how it is sampled, and whether the query's mean is shifted (Eq. 8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SampledSource {
     pub source: &'static str,
     pub view: SampleView,
-    /// Whether the shift is done.
+    /// Whether the query's mean is shifted.
     pub align: bool,
 }
 
@@ -271,7 +270,7 @@ impl SampledSource {
         Self { source, view, align }
     }
 
-    /// The stream as the paper uses the source.
+    /// The stream by which the paper uses a source.
     ///
     /// # Panics
     /// If the paper has no such source.
@@ -280,7 +279,7 @@ impl SampledSource {
         *found.expect("one of the paper's eight sources")
     }
 
-    /// The scene with this source alone, in this way; `None` if the scene does not know the source.
+    /// The scene with this stream alone; `None` if the scene does not have the source.
     pub fn scene(&self, base: &Scene) -> Option<Scene> {
         let id = base.get(self.source)?.id.clone();
         let scene = base.clone().only(&[id]).ok()?;
@@ -298,7 +297,7 @@ impl SampledSource {
         }))
     }
 
-    /// The entry with this source alone, of the length that this way sees.
+    /// The entry with this stream alone, cropped if the stream uses only a part of it.
     pub fn entry(&self, entry: &Entry, scene: &Scene) -> Entry {
         let entry = entry.clone().within(scene);
         if self.view != SampleView::TimeOfSerial {

@@ -1,4 +1,4 @@
-//! The work of a shard: scores of each stream once, then the answers of every setting.
+//! Processes a shard: computes the scores of each stream once, then the answers in every setting.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,13 +13,12 @@ use crate::trial::TrialKey;
 
 /// Names the queries of a shard in all settings of the paper.
 ///
-/// Each stream is prepared, compared and forgotten before the next; what stays in memory are its
-/// scores, 8 bytes for each query of the shard, library trial and stream (about 0.8 GB where all of
-/// LMT108 is one shard).
+/// Streams are prepared and compared one after the other. Only the scores stay in memory: 8 bytes
+/// for each query of the shard, library trial and stream, about 0.8 GB if all of LMT108 is one
+/// shard.
 ///
 /// # Errors
-/// If a trial cannot be read or compared. Data that a setting lacks are no error: the setting says
-/// so.
+/// If a trial cannot be read or compared. Missing data are no error: a setting's result says so.
 pub fn work(
     library: &Library,
     options: &ReferenceOptions,
@@ -32,7 +31,7 @@ pub fn work(
     let streams: BTreeSet<SampledSource> =
         plans.iter().flat_map(|plan| plan.terms.iter().map(|(_, stream)| *stream)).collect();
     let mut scores: BTreeMap<SampledSource, BTreeMap<usize, LogScores>> = BTreeMap::new();
-    // Every score is needed, so nothing may be left out early.
+    // Every score is needed, so no candidate may be dropped early.
     let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
     for (done, stream) in streams.iter().enumerate() {
         progress("comparing source by source", done, streams.len());
@@ -44,14 +43,14 @@ pub fn work(
     Ok(part(library, &options, shard, keys, &plans, &scores))
 }
 
-/// The result of [`work`] without the answers: enough to recognise a shard of the same run.
+/// The result of [`work`] without the answers, to recognise shards of the same run.
 pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> PaperPart {
     let entries = in_order(library);
     let keys = entries.iter().map(|entry| entry.key.clone()).collect();
     part(library, options, shard, keys, &plans(library, &entries), &BTreeMap::new())
 }
 
-/// Entries in the order that ties go by.
+/// Entries sorted by key, which decides ties.
 fn in_order(library: &Library) -> Vec<Entry> {
     let mut entries = library.entries.clone();
     entries.sort_by(|a, b| a.key.cmp(&b.key));
@@ -87,7 +86,7 @@ fn part(
     }
 }
 
-/// A setting on these data: what of it can be done.
+/// A setting, with the streams and folds that these data allow.
 struct PaperPlan {
     row: Row,
     terms: Vec<(f64, SampledSource)>,
@@ -164,8 +163,8 @@ impl PaperPlan {
     }
 }
 
-/// The scores of a stream that the settings need: for each query the protocols in which it is one,
-/// for each protocol its library.
+/// The scores of a stream that the settings need: for each query, the protocols in which it is a
+/// query; for each protocol, the trials of its libraries.
 #[derive(Default)]
 struct WantedScores {
     queries: BTreeMap<usize, BTreeSet<&'static str>>,
@@ -188,7 +187,8 @@ impl WantedScores {
         wanted
     }
 
-    /// Queries that are compared with the same library, and that library, as far as `has` keeps them.
+    /// Groups of queries that are compared with the same library, with that library; only trials
+    /// for which `has` is true.
     fn folds(&self, has: impl Fn(&usize) -> bool) -> Vec<Fold> {
         let mut groups: BTreeMap<&BTreeSet<&'static str>, Vec<usize>> = BTreeMap::new();
         for (query, protocols) in &self.queries {
@@ -208,7 +208,7 @@ impl WantedScores {
     }
 }
 
-/// ln of the scores of one stream, by query.
+/// ln of the scores of one stream, for each query.
 fn score(
     stream: SampledSource,
     library: &Library,
@@ -227,7 +227,7 @@ fn score(
         let any: Arc<dyn Model> = model.clone();
         let library: Arc<[usize]> = fold.library.clone().into();
         for &query in &fold.queries {
-            // A scene of one source: a dead one is compared, since nothing else would be left.
+            // The scene has one source, which is compared even if dead: nothing else would be left.
             let values = model.log_scores(&run.query(&any, query, None)?.prepared)?;
             let values = values.into_iter().map(|score| score.unwrap_or(f64::NAN)).collect();
             scores.insert(query, LogScores { library: Arc::clone(&library), values });

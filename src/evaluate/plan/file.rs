@@ -1,4 +1,4 @@
-//! `plan.toml`: a plan as people and programs read it.
+//! Reads and writes plans as `plan.toml`.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 use crate::recognise::{MOST_COUNT, MethodName, MethodSpec, ReferenceOptions};
 use crate::scene::{Scene, SceneError, SourceId};
 
-/// Why a plan cannot be used.
+/// The reason why a plan cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
-    /// the file system said no
+    /// the file cannot be read
     #[error("{path}: {error}")]
     Io {
         /// the file
         path: String,
-        /// what it said
+        /// the error of the file system
         error: std::io::Error,
     },
-    /// not TOML, an unknown key, a missing one, a wrong type, or an impossible value
+    /// not TOML, an unknown or a missing key, a wrong type, or an impossible value
     #[error("{path}: {problem}; `surfaced plan` writes such a file")]
     File {
         /// the file
@@ -27,26 +27,26 @@ pub enum PlanError {
         /// what is wrong, and where
         problem: String,
     },
-    /// sources that the data do not describe
-    #[error("the plan asks for what the data do not have: {0}")]
+    /// sources that the data do not have
+    #[error("the plan needs sources that the data do not have: {0}")]
     Sources(#[from] SceneError),
 }
 
-/// The promise of a plan. Shares are fractions from 0 to 1.
+/// What to expect of a plan. Shares are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expected {
     /// The accuracy to reach.
     pub target: f64,
-    /// Whether whole scans reach it in cross-validation.
+    /// Whether whole scans reach the target in cross-validation.
     pub reached: bool,
-    /// Whether the interval of the accuracy does, too.
+    /// Whether the lower end of the accuracy's interval reaches the target too.
     pub shown: bool,
     /// Cross-validated accuracy: share of all queries.
     pub accuracy: f64,
-    /// Lower end of its 95 % Wilson interval.
+    /// Lower end of the accuracy's 95 % Wilson interval.
     pub accuracy_low: f64,
-    /// Upper end of that interval.
+    /// Upper end of the accuracy's 95 % Wilson interval.
     pub accuracy_high: f64,
     /// Number of queries.
     pub queries: usize,
@@ -54,31 +54,31 @@ pub struct Expected {
     pub surfaces: usize,
     /// The protocol that split queries and library.
     pub protocol: String,
-    /// From raw samples to the answer, in milliseconds: the median on the machine that planned.
+    /// Median time from raw samples to the answer, in milliseconds, on the machine that planned.
     pub latency_ms: f64,
-    /// How long a scan lasts, in seconds; 0 where pictures alone are compared.
+    /// How long a scan lasts, in seconds; 0 if only pictures are compared.
     pub scan_s: f64,
 }
 
-/// The setting of a scene.
+/// A plan: the setting to use for a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// The library that it was made for.
+    /// Name of the library for which the plan was made.
     pub library: String,
-    /// That library was made by a generator, not recorded.
+    /// Whether that library was generated, not recorded.
     pub synthetic: bool,
-    /// The sources to compare; no other is needed.
+    /// The sources to compare; no others are needed.
     pub sources: Vec<SourceId>,
     /// How trials are compared.
     #[serde(flatten)]
     pub method: MethodSpec,
-    /// Seconds of the drag that are used; all of it, if none.
+    /// Seconds of the drag that are used; `None` for all of it.
     pub scan_s: Option<f64>,
-    /// The accuracy and cost that it was found to have.
+    /// Accuracy and cost found in cross-validation.
     pub expected: Expected,
 }
 
-/// The keys of the file.
+/// The keys of a plan file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
@@ -95,7 +95,7 @@ struct PlanFile {
 }
 
 impl Expected {
-    /// That the target is reached and not shown, if that is so.
+    /// A warning if the target is reached, but too few queries show it.
     pub(crate) fn doubt(&self) -> Option<String> {
         let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         (self.reached && !self.shown).then(|| {
@@ -113,8 +113,7 @@ impl Plan {
     /// Reads a plan.
     ///
     /// # Errors
-    /// With line and column, if the file cannot be read, is not TOML, has an unknown key, or says
-    /// what cannot be.
+    /// With the place in the file, if it cannot be read, is not TOML, or has wrong keys or values.
     pub fn read(path: &Path) -> Result<Self, PlanError> {
         let shown = || path.display().to_string();
         let text = std::fs::read_to_string(path)
@@ -170,7 +169,7 @@ impl Plan {
         let sources: Vec<String> = self.sources.iter().map(|id| quoted(id.as_str())).collect();
         let mut out = String::new();
         let mut line = |text: String| {
-            // Writing to a string cannot fail.
+            // Writing to a String cannot fail.
             let _ = writeln!(out, "{text}");
         };
         line(format!(
@@ -204,7 +203,7 @@ impl Plan {
             percent(e.accuracy_low),
             percent(e.accuracy_high)
         ));
-        // Plain numbers, text and booleans: nothing here that TOML cannot express.
+        // Plain numbers, text and booleans, all of which TOML can express.
         let expected = toml::to_string(e).expect("plain values");
         line(format!("[expected]\n{}", expected.trim_end()));
         out
@@ -213,7 +212,7 @@ impl Plan {
     /// The scene with only the sources of the plan.
     ///
     /// # Errors
-    /// If the scene lacks one.
+    /// If the scene lacks one of them.
     pub fn narrow(&self, scene: Scene) -> Result<Scene, PlanError> {
         Ok(scene.only(&self.sources)?)
     }

@@ -17,28 +17,28 @@ use crate::trial::TrialKey;
 pub struct PlanOptions {
     /// The accuracy that whole scans of the chosen sources must reach, a fraction.
     pub target: f64,
-    /// The accuracy to reach by the scan time; without one, it loses at most a point against whole
-    /// scans.
+    /// The accuracy that scans of the planned time must reach; if `None`, they may lose at most one
+    /// percentage point against whole scans.
     pub accuracy: Option<f64>,
-    /// The way queries and library are split.
+    /// How trials are split into queries and library.
     pub protocol: Protocol,
 }
 
-/// One source, what it costs and what it can do alone.
+/// One source, with its cost and its accuracy alone.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceCost {
     pub source: SourceId,
-    /// Time to compare it alone with the library by `embedding`, in milliseconds (median).
+    /// Median time to compare this source alone with the library by `embedding`, in milliseconds.
     pub latency_ms: f64,
-    /// How long a scan lasts that records all of it, in seconds.
+    /// Length of a whole recording, in seconds.
     pub scan_s: f64,
-    /// Values to work through in that time.
+    /// Number of values in a whole recording.
     pub values: f64,
-    /// Share of queries that it names right alone, by `embedding`.
+    /// Share of queries that this source alone names correctly, by `embedding`.
     pub accuracy: f64,
 }
 
-/// A plan, and what was seen on the way.
+/// A plan, and how it was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Planned {
     pub plan: Plan,
@@ -48,7 +48,7 @@ pub struct Planned {
     pub steps: Vec<String>,
 }
 
-/// Sources, by their places in the study, and the queries that their whole scans name right.
+/// Indices of sources in the study, and how many queries their whole scans name correctly.
 #[derive(Clone, Debug, PartialEq)]
 struct SourceChoice {
     sources: Vec<usize>,
@@ -58,9 +58,9 @@ struct SourceChoice {
 struct PlanSearch<'a> {
     study: &'a Study,
     target: f64,
-    /// How long sources must be dragged.
+    /// The scan time that some sources need.
     scan_time: &'a dyn Fn(&[usize]) -> Option<ScanTime>,
-    /// Places of the sources, the cheapest first.
+    /// Indices of the sources, the cheapest first.
     by_cost: Vec<usize>,
     steps: Vec<String>,
 }
@@ -99,7 +99,7 @@ pub fn search(
     search.steps.extend(found.as_ref().map(ScanTime::line));
     search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
     let mut expected = search.expected(&outcome, &choice, scan_s, options.protocol);
-    // An accuracy that no scan time has is not reached, even if these folds should reach it.
+    // If no scan time has the requested accuracy, the target is missed, whatever these folds say.
     expected.reached &= found.is_none_or(|found| found.scan_s().is_some());
     let plan = Plan {
         library: library.name.clone(),
@@ -141,7 +141,7 @@ impl Trying<'_> {
         Ok(evaluation.prepare(&*method)?.measure()?.outcome)
     }
 
-    /// How long scans must last, by the left-out trials of the whole library.
+    /// How long scans must last, from leaving out trials of the whole library.
     fn scan_time(self, accuracy: Option<f64>, progress: ProgressFn<'_>) -> Option<ScanTime> {
         let within = self.entries.iter().map(|entry| entry.clone().within(self.scene));
         let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
@@ -193,8 +193,8 @@ impl<'a> PlanSearch<'a> {
         self.prune(grown, least)
     }
 
-    /// Of the sources that reach the target alone, the one with the least scan time, then the least
-    /// work.
+    /// Of the sources that reach the target alone, the one with the least scan time, then with the
+    /// fewest values to process.
     fn cheapest_single(&self) -> Option<SourceChoice> {
         let all = self.by_cost.iter().map(|&s| self.choice(&[s]));
         let enough = all.filter(|choice| self.reaches(choice.right));
@@ -210,8 +210,9 @@ impl<'a> PlanSearch<'a> {
         costs.into_iter().min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
     }
 
-    /// Adds, one at a time, the source that helps most (of equals the cheapest), until the target
-    /// is reached or none helps; all sources together if they do better than that.
+    /// Adds the source that helps most (of equals the cheapest), one after another, until the
+    /// target is reached or none helps. If the target is missed, takes all sources if they do
+    /// better.
     fn grow(&mut self) -> SourceChoice {
         let mut chosen = SourceChoice { sources: Vec::new(), right: 0 };
         while !self.reaches(chosen.right) {
@@ -225,7 +226,7 @@ impl<'a> PlanSearch<'a> {
                 }
             }
             match best {
-                // One there must be, even where none names anything.
+                // A plan has at least one source, even if none names a query correctly.
                 Some(better) if better.right > chosen.right || chosen.sources.is_empty() => {
                     self.note(&better, "added the source that helps most:");
                     chosen = better;
@@ -243,7 +244,7 @@ impl<'a> PlanSearch<'a> {
         chosen
     }
 
-    /// Leaves out sources that are not needed, the most expensive first.
+    /// Removes sources that are not needed, trying the most expensive first.
     fn prune(&mut self, mut chosen: SourceChoice, least: Option<usize>) -> SourceChoice {
         for s in self.by_cost.clone().into_iter().rev() {
             let others: Vec<usize> = chosen.sources.iter().copied().filter(|o| *o != s).collect();
@@ -259,7 +260,7 @@ impl<'a> PlanSearch<'a> {
         chosen
     }
 
-    /// Reaches the target or, where nothing does, is no worse than the best.
+    /// Whether the target is reached or, if `least` is given, at least that many queries are right.
     fn is_enough(&self, right: usize, least: Option<usize>) -> bool {
         least.map_or_else(|| self.reaches(right), |least| right >= least)
     }
@@ -314,7 +315,7 @@ impl<'a> PlanSearch<'a> {
     }
 }
 
-/// Least scan time, then least work.
+/// Orders (scan time, values to process) by scan time first.
 fn compare(a: (f64, f64), b: (f64, f64)) -> std::cmp::Ordering {
     a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
 }

@@ -1,5 +1,4 @@
-//! Every query of every fold, ready to be named by any subset of its sources, without embedding a
-//! trial again.
+//! Embeds every query of every fold once, so that any subset of its sources can then name it.
 
 use std::sync::Arc;
 
@@ -11,24 +10,24 @@ use crate::recognise::{MethodName, MethodSpec, Model, QueryVector, RecogniseErro
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial};
 
-/// Queries that a source's latency is the median of, at most.
+/// Most queries for the median latency of a source.
 const TIMED: usize = 15;
 
-/// One source, as far as its cost goes.
+/// The cost of one source.
 #[derive(Clone, Debug)]
 pub(super) struct StudiedSource {
     pub id: SourceId,
     pub phase: Phase,
     /// Length of a whole recording in seconds; 0 for pictures.
     pub whole_s: f64,
-    /// Values of a whole recording.
+    /// Number of values in a whole recording.
     pub values: f64,
-    /// Time to compare it alone, in milliseconds.
+    /// Median time to compare this source alone, in milliseconds.
     pub latency_ms: f64,
 }
 
 impl StudiedSource {
-    /// How long a scan must last for it, in seconds.
+    /// How long a scan must last to record this source, in seconds; `time` limits the drag.
     pub fn scan_s(&self, time: Option<f64>) -> f64 {
         match (self.phase, time) {
             (Phase::Drag, Some(time)) => time.min(self.whole_s),
@@ -36,7 +35,7 @@ impl StudiedSource {
         }
     }
 
-    /// Values to work through.
+    /// Number of values to process.
     pub fn work(&self, time: Option<f64>) -> f64 {
         if self.whole_s > 0.0 {
             self.values * self.scan_s(time) / self.whole_s
@@ -46,8 +45,7 @@ impl StudiedSource {
     }
 }
 
-/// One query: what it is, and what names it by some of its sources; none for one with too little in
-/// it.
+/// One query: its true surface, and its embedding by source; `None` if it holds too little.
 struct StudyQuery {
     truth: String,
     by_sources: Option<QueryVector>,
@@ -70,7 +68,7 @@ impl StudyQuery {
     }
 }
 
-/// See the module.
+/// The costs of all sources, and all queries.
 pub(super) struct Study {
     pub sources: Vec<StudiedSource>,
     queries: Vec<StudyQuery>,
@@ -115,8 +113,8 @@ impl Study {
         self.queries.len()
     }
 
-    /// How many queries some sources, by their places, name right by their whole scans: as
-    /// `embedding` does with these sources alone.
+    /// How many queries some sources, given by index, name correctly from whole scans: as many as
+    /// `embedding` with these sources alone.
     pub fn right(&self, sources: &[usize]) -> usize {
         let ids: Vec<&SourceId> = sources.iter().map(|&s| &self.sources[s].id).collect();
         let is_right = |query: &&StudyQuery| {
@@ -127,7 +125,7 @@ impl Study {
     }
 }
 
-/// Milliseconds from the raw samples of one source to its answer.
+/// Milliseconds from the raw samples of one source to the answer of this source alone.
 fn time_alone(
     run: &Run<'_, '_>,
     model: &Arc<dyn Model>,
@@ -141,7 +139,7 @@ fn time_alone(
     Some(query.started.elapsed().as_secs_f64() * 1e3)
 }
 
-/// The sources that some trial has, by the first such trial.
+/// The sources that some trial has, each measured on the first such trial.
 fn studied(scene: &Scene, entries: &[Entry]) -> Result<Vec<StudiedSource>, RecogniseError> {
     let mut sources = Vec::new();
     for spec in scene.sources() {
@@ -149,7 +147,7 @@ fn studied(scene: &Scene, entries: &[Entry]) -> Result<Vec<StudiedSource>, Recog
             continue;
         };
         let alone = scene.clone().only(std::slice::from_ref(&spec.id));
-        // The scene gave the name itself.
+        // The scene has this source, so this always succeeds.
         let Ok(alone) = alone else { continue };
         let trial = entry.clone().within(&alone).load()?;
         let (whole_s, values) = match trial.signals.get(&spec.id) {

@@ -1,4 +1,4 @@
-//! The stress chart: a small panel a disturbance, a line a method.
+//! Draws the stress chart: a small panel for each disturbance, a line for each method.
 
 use plotters::prelude::*;
 
@@ -35,7 +35,7 @@ impl Measure {
     }
 }
 
-/// An SVG with a panel for each disturbance: one measure against severity, undisturbed at the left.
+/// An SVG with a panel for each disturbance: a measure against severity, undisturbed at the left.
 ///
 /// # Errors
 /// If nothing was run, or no method has the measure.
@@ -46,7 +46,7 @@ pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureE
     if panels == 0 {
         return Err(FigureError(format!("there is nothing to draw of: {}", measure.title())));
     }
-    // One more for the legend.
+    // One more panel holds the legend.
     let rows = (panels + 1).div_ceil(COLUMNS);
     let size = (PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32 + TITLE);
     svg(size, |root| {
@@ -98,7 +98,7 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
         .y_label_formatter(&|y| format!("{:.0} %", 100.0 * y))
         .label_style(("sans-serif", 11))
         .draw()?;
-    // The first of the legend is drawn last, so that it is seen if lines coincide.
+    // The legend's first method is drawn last, so that it stays visible where lines coincide.
     for (index, method) in shown.iter().rev() {
         let cells = method.disturbances[at].levels.iter().map(|level| &level.cell);
         let line: Vec<(f64, f64)> = std::iter::once(&method.clean)

@@ -1,32 +1,32 @@
-//! Stress: how each method copes with disturbances, from none to absurd.
+//! Measures how each method copes with disturbances, from none to absurd.
 //!
 //! ```text
 //! disturb (Trial ─► Trial, seeded) ─► run (method × disturbance × level) ─► report ─► figure
 //! ```
 //!
-//! Queries are disturbed and the library stays clean, except for the disturbances of the library. At every level there is
+//! Queries are disturbed and the library stays clean, except in the disturbances of the library.
+//! At each level are measured
 //! - the accuracy,
-//! - how many queries of surfaces that the library lacks would be rejected, if what is less sure
-//!   than all but one in twenty of the undisturbed answers is rejected; every fourth surface is
-//!   taken out of the library for it,
-//! - for methods that state a probability, its expected calibration error.
+//! - the share of queries of unknown surfaces that would be rejected by a threshold on the margin
+//!   that rejects 5 % of the undisturbed answers; for this, every fourth surface is left out of the
+//!   library,
+//! - the expected calibration error, for methods that state a probability.
 //!
-//! An unknown surface is no disturbance of its own: it has no severity, and a look at unknown surfaces
-//! at each level of all others shows more than one more panel would. Whether the stated rate of false
-//! rejections holds is measured by [`crate::evaluate::UnknownOutcome`].
+//! Unknown surfaces are no disturbance of their own, since they have no severity. Whether the
+//! stated rate of false rejections holds is measured by [`crate::evaluate::UnknownOutcome`].
 //!
-//! # What it showed of `embedding`, and what was mended
-//! The first runs found offsets, held gaps, hum and a room's noise to cost most; charts before and
-//! after are in `tools/charts`.
+//! # What was found and fixed in `embedding`
+//! In the first runs, offsets, gaps with held values, hum and room noise cost most accuracy; charts
+//! before and after the fixes are in `tools/charts`.
 //!
-//! - A frame loses its mean, so that a sensor's offset stays out of the lowest bands.
+//! - The mean of each frame is subtracted, so that a sensor's offset stays out of the lowest bands.
 //! - Frames far quieter than the rest are left out: they shifted the level of all others.
 //! - Among several sources, one that is far from every surface no longer overrules the others.
-//!   There a change of light alone cost more than all other sources could make up for.
+//!   Before, a change of light alone cost more than all other sources could make up for.
 //! - Guesses while dragging leave out dead and stuck sensors, as the final answer does.
 //!
-//! Accuracy is still lost by samples lost one by one and a wrong clock, which shift the pitch; noise
-//! of a tenth of the sound's power; scans of half a second and less.
+//! Still costly are single lost samples and a wrong clock, which both shift the pitch; noise of a
+//! tenth of the sound's power; and scans of half a second or less.
 
 pub(crate) mod disturb;
 mod figure;

@@ -4,21 +4,20 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-/// A loss of accuracy that counts, in fractions.
+/// The loss of accuracy, as a fraction, from which on a method counts as failing.
 const LOSS: f64 = 0.05;
 
-/// One method under one disturbance at one level. Shares are from 0 to 1.
+/// Results of one method under one disturbance at one level. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StressCell {
     pub accuracy: f64,
     /// Share of queries of known surfaces that would be rejected.
     pub known_rejected: f64,
-    /// Share of queries of unknown surfaces that would be rejected; none where the library is too
-    /// small to take surfaces out.
+    /// Share of queries of unknown surfaces that would be rejected; `None` if there are none.
     pub unknown_rejected: Option<f64>,
     /// Expected calibration error of the stated probability, for methods that state one.
     pub calibration_error: Option<f64>,
-    /// Queries that could not be compared at all; they count as named wrong.
+    /// Number of queries that could not be compared at all; they count as named wrong.
     pub refused: usize,
 }
 
@@ -35,19 +34,19 @@ pub struct DisturbanceSeries {
     /// The quantity and unit of the levels.
     pub axis: String,
     pub levels: Vec<DisturbanceLevel>,
-    /// The first level from which on 5 points or more are lost, if any.
+    /// The first level that costs 5 points of accuracy or more, if any.
     pub loses_5_points_at: Option<f64>,
 }
 
 impl DisturbanceSeries {
-    /// With the place where 5 points are lost against `clean`.
+    /// A series of levels, compared with the undisturbed accuracy `clean`.
     pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: f64) -> Self {
         let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean - LOSS + 1e-9;
         let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
 
-    /// The place on the axis at which 5 points are lost, counted from 0.
+    /// Index of the first level that costs 5 points of accuracy.
     fn breaks_at(&self) -> Option<usize> {
         self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
     }
@@ -61,7 +60,7 @@ pub struct MethodReport {
 }
 
 impl MethodReport {
-    /// The disturbances that cost 5 points at the mildest place on any axis.
+    /// The disturbances that cost 5 points earliest, counted in levels from the mildest.
     pub fn fails_first(&self) -> Vec<&str> {
         let Some(first) = self.disturbances.iter().filter_map(DisturbanceSeries::breaks_at).min()
         else {
@@ -80,18 +79,18 @@ pub struct StressReport {
     pub protocol: String,
     pub sources: Vec<String>,
     pub queries: usize,
-    /// Number of those that were also compared with a library without their surface.
+    /// Number of queries that were also compared with a library without their surface.
     pub unknown_queries: usize,
-    /// Whether sources with a dead or stuck sensor were compared all the same.
+    /// Whether sources with a dead or stuck sensor were compared nevertheless.
     pub keep_flawed: bool,
     pub methods: Vec<MethodReport>,
 }
 
 impl StressReport {
-    /// Adds the methods of another run of the same queries, as `NAME (whose)`.
+    /// Adds the methods of another run of the same queries, named `NAME (whose)`.
     ///
     /// # Errors
-    /// If it ran on other recordings, sources, queries or disturbances; the message says on which.
+    /// If that run had other recordings, sources, queries or disturbances; the message says which.
     pub fn join(&mut self, other: Self, whose: &str) -> Result<(), String> {
         let what_ran = |r: &Self| {
             [
@@ -112,7 +111,7 @@ impl StressReport {
         Ok(())
     }
 
-    /// Disturbances with their levels.
+    /// The disturbances and their levels in words.
     fn axes(&self) -> String {
         let axis = |series: &DisturbanceSeries| {
             let levels: Vec<_> = series.levels.iter().map(|l| l.level.to_string()).collect();
@@ -122,12 +121,12 @@ impl StressReport {
         first.iter().map(axis).collect::<Vec<_>>().join(", ")
     }
 
-    /// For each disturbance and method the level at which 5 points are lost, and for each method
-    /// what it fails at first; a table in Markdown.
+    /// A table in Markdown: for each disturbance and method the first level that costs 5 points,
+    /// and for each method the disturbances at which it fails first.
     pub fn markdown(&self) -> String {
         let mut text = String::new();
         let mut line = |cells: Vec<String>| {
-            // Writing to a string does not fail.
+            // Writing to a String cannot fail.
             let _ = writeln!(text, "| {} |", cells.join(" | "));
         };
         let of_methods = |cell: &dyn Fn(&MethodReport) -> String| {

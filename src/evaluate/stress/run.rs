@@ -1,4 +1,4 @@
-//! Runs a method through disturbances.
+//! Runs a method on disturbed queries and libraries.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -14,11 +14,11 @@ use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
 
-/// One in this number of surfaces is taken out of the library for the unknown queries.
+/// One in this number of surfaces is left out of the library, so that its queries are unknown.
 const UNKNOWN_SHARE: usize = 4;
-/// Share of undisturbed answers that may be rejected.
+/// Share of undisturbed answers that the threshold on the margin rejects.
 const REJECTED: f64 = 0.05;
-/// Bins of the calibration error.
+/// Number of bins of stated probability for the calibration error.
 const BINS: usize = 10;
 
 pub struct StressPlan<'a> {
@@ -28,7 +28,7 @@ pub struct StressPlan<'a> {
     pub folds: &'a [Fold],
     pub disturbances: &'a [Disturbance],
     pub seed: u64,
-    /// Compare sources with a dead or stuck sensor all the same.
+    /// Compare sources with a dead or stuck sensor, instead of leaving them out.
     pub keep_flawed: bool,
 }
 
@@ -38,7 +38,7 @@ impl StressPlan<'_> {
         Evaluation { keep_dead_sources, ..Evaluation::new(self.scene, entries, folds) }
     }
 
-    /// The first folds that hold this number of queries; the last is thinned out to fit.
+    /// The first folds that hold this number of queries; the last one is thinned to fit.
     pub fn limited(folds: Vec<Fold>, queries: usize) -> Vec<Fold> {
         let mut left = queries;
         let mut kept = Vec::new();
@@ -54,7 +54,7 @@ impl StressPlan<'_> {
         kept
     }
 
-    /// Whether a query is also compared with a library without its surface.
+    /// Whether a query, given by index, is also compared with a library without its surface.
     pub fn is_unknown(&self, query: usize) -> bool {
         let surfaces: BTreeSet<&str> =
             self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();
@@ -64,10 +64,10 @@ impl StressPlan<'_> {
     }
 }
 
-/// A query's answer, and that of a library without its surface.
+/// A query's answer from the whole library, and from a library without its surface, if asked for.
 #[derive(Clone, Copy, Debug, Default)]
 struct StressAnswer {
-    /// Nothing if it could not be compared.
+    /// `None` if the query could not be compared.
     known: Option<NamedQuery>,
     unknown: Option<Option<NamedQuery>>,
 }
@@ -101,8 +101,7 @@ pub fn run(
         let queries = fold.queries.par_iter().map(load);
         let queries: Vec<(usize, Trial)> = queries.collect::<Result<_, RecogniseError>>()?;
         clean.extend(answers(&run, plan, &models, &queries, Trial::clone));
-        // Level by level, so that a library that has to be cut to the length of disturbed queries
-        // is cut once for all of them.
+        // All queries of a level together: a library cut to their length is cut once for all.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
                 of_level.extend(match d.kind {
@@ -140,7 +139,7 @@ pub fn run(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The library's answers to some queries, each with its index, after a change.
+/// The answers to some queries, given with their indices, after a change of each.
 fn answers(
     run: &Run<'_, '_>,
     plan: &StressPlan<'_>,
@@ -152,15 +151,15 @@ fn answers(
     queries.par_iter().map(answer).collect()
 }
 
-/// A model of the library, and one without the surfaces that are to be unknown.
+/// A model of the whole library, and one without the surfaces whose queries are to be unknown.
 struct Models {
     all: Arc<dyn Model>,
     without: Option<Arc<dyn Model>>,
 }
 
 impl Models {
-    /// `places` are those of the fold's trials in the prepared library. A library that was changed
-    /// in size has no unknown surfaces.
+    /// Fits both models; `places` are indices of the fold's library trials in the prepared library.
+    /// If a disturbance changed the library's size, there is only the model of all.
     fn fit(
         run: &Run<'_, '_>,
         plan: &StressPlan<'_>,
@@ -184,7 +183,7 @@ impl Models {
         trial: Trial,
     ) -> StressAnswer {
         let truth = &plan.entries[query].key.surface;
-        // The two libraries have one shape.
+        // Both models share one shape, so the query is prepared once.
         let Ok(disturbed) = run.query_of(&self.all, trial, None) else {
             return StressAnswer::default();
         };
@@ -224,7 +223,7 @@ fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
     let unknown: Vec<Option<NamedQuery>> = answers.iter().filter_map(|a| a.unknown).collect();
     let rejected = |named: &NamedQuery| named.margin < threshold;
     let share = |count: usize, of: usize| count as f64 / of.max(1) as f64;
-    // Queries that cannot be compared at all are rejected, too.
+    // Queries that cannot be compared at all count as rejected.
     let unknown_rejected =
         unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
     let refused = answers.len() - known.len();
@@ -240,8 +239,9 @@ fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
     }
 }
 
-/// Mean over answers of how far, within a tenth of stated probability, the share of right ones is
-/// from the mean statement (Guo et al. 2017).
+/// Expected calibration error (Guo et al. 2017): the difference between the share of right answers
+/// and the mean stated probability within each tenth of probability, averaged over answers. `None`
+/// if an answer states no probability.
 fn calibration_error(answers: &[NamedQuery]) -> Option<f64> {
     let mut bins = [(0.0, 0.0); BINS];
     for named in answers {

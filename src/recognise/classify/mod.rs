@@ -5,9 +5,9 @@
 //! trial ─► FeatureVector ─► standardised on the library alone ─► Classifier ─► scores ─► rank
 //! ```
 //!
-//! Trees and the class statistics of naive Bayes are smartcore's. Its support vector machine
-//! borrows the data that it was trained on and can so not be kept, hence [`Svm`]'s own solver;
-//! Mahalanobis neighbours and AdaBoost it lacks.
+//! The trees and the class statistics of naive Bayes come from the crate smartcore. Its support
+//! vector machine borrows its training data and so cannot be kept in a model; hence [`Svm`] has a
+//! solver of its own. Smartcore has neither Mahalanobis neighbours nor AdaBoost.
 
 mod naive_bayes;
 mod neighbours;
@@ -36,21 +36,21 @@ use crate::scene::{Scene, SourceId};
 use crate::seed;
 use crate::trial::{Trial, TrialKey};
 
-/// Standardised features lie no farther than this from 0: what is farther is a broken sensor, and
-/// must not drown all others.
+/// Standardised features are clipped at this distance from 0: a larger value comes from a broken
+/// sensor and must not outweigh all others.
 const FARTHEST: f64 = 10.0;
-/// A feature that spreads less than this share of its magnitude says nothing.
+/// A feature whose deviation is below this share of 1 + |mean| counts as constant.
 const CONSTANT: f64 = 1e-9;
 
-/// How unlike a query is, as logarithms; smaller is more alike.
+/// How unlike a query is, as logarithms; smaller means more alike.
 pub enum Scores {
-    /// To each surface, in the order of [`TrainingSet::surfaces`].
+    /// One score for each surface, in the order of [`TrainingSet::surfaces`].
     Surfaces(Vec<f64>),
-    /// To each trial of the library, of which the `k` nearest vote.
+    /// One score for each trial of the library; the `k` nearest trials vote.
     Trials {
         /// in the order of [`TrainingSet::keys`]
         log_scores: Vec<f64>,
-        /// number of voters
+        /// number of nearest trials that vote
         k: usize,
     },
 }
@@ -63,7 +63,7 @@ pub trait Classifier: Clone + Send + Sync + 'static {
     /// Learns from a library.
     fn train(&self, training: &TrainingSet) -> Self::Model;
 
-    /// Scores of one query, of as many features as the library's trials have.
+    /// Scores a query, which has as many features as the library's trials.
     fn scores(
         &self,
         model: &Self::Model,
@@ -71,13 +71,13 @@ pub trait Classifier: Clone + Send + Sync + 'static {
         query: ArrayView1<'_, f64>,
     ) -> Scores;
 
-    /// Whether the inverse of a surface's score is a probability that the classifier states.
+    /// Whether the inverse of a surface's score is a probability.
     fn states_probabilities(&self) -> bool {
         false
     }
 }
 
-/// A library as classifiers see it.
+/// A library in the form that classifiers learn from.
 #[derive(Clone, Debug)]
 pub struct TrainingSet {
     /// Standardised features, shape (trials, features).
@@ -91,8 +91,8 @@ pub struct TrainingSet {
 }
 
 impl TrainingSet {
-    /// Splits the trials of every surface into `parts`, in turn: for each, whether a trial belongs
-    /// to it. For choosing settings within a library.
+    /// Deals the trials of every surface into `parts` folds, for cross-validation within a library.
+    /// For each fold: whether each trial belongs to it.
     pub fn parts(&self, parts: usize) -> Vec<Vec<bool>> {
         let mut seen = vec![0; self.surfaces.len()];
         let part_of: Vec<usize> = (self.class.iter())
@@ -105,7 +105,7 @@ impl TrainingSet {
     }
 }
 
-/// A comparison classifier as a method.
+/// A comparison classifier, made a [`Method`].
 #[derive(Clone, Debug)]
 pub struct OnFeatures<C> {
     name: &'static str,
@@ -120,20 +120,20 @@ impl<C: Classifier> OnFeatures<C> {
     }
 }
 
-/// Place of a source's features among all, and their standardisation.
+/// Where a source's features stand among all features, and how they are standardised.
 #[derive(Clone, Debug)]
 struct Columns {
     first: usize,
-    /// Features of the source, used or not.
+    /// Number of the source's features, used or not.
     width: usize,
-    /// Index, mean and spread of those that are not the same in all trials.
+    /// Index, mean and standard deviation of the features that differ between trials.
     used: Vec<(usize, f64, f64)>,
     rate_hz: f64,
-    /// A library trial that has the source.
+    /// A library trial that has the source, for messages.
     like: TrialKey,
 }
 
-/// A library, standardised and learnt.
+/// A standardised library, and what was learnt from it.
 pub struct FeatureModel<C: Classifier> {
     method: OnFeatures<C>,
     columns: BTreeMap<SourceId, Columns>,
@@ -141,7 +141,7 @@ pub struct FeatureModel<C: Classifier> {
     learnt: C::Model,
 }
 
-/// Places and scales of all features of a library.
+/// Position and standardisation of all features of a library.
 fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>, RecogniseError> {
     let ids: BTreeSet<&SourceId> = library.iter().flat_map(|v| v.sources.keys()).collect();
     let mut columns = BTreeMap::new();
@@ -149,7 +149,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
     for id in ids {
         let having: Vec<_> =
             library.iter().filter_map(|v| Some((v.sources.get(id)?, &v.key))).collect();
-        // Its name comes from a trial that has it.
+        // The id comes from these trials, so at least one has the source.
         let (like, key) = having[0];
         let (width, rate_hz) = (like.values.len(), like.rate_hz);
         let mut of_source =
@@ -173,7 +173,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
 }
 
 impl Columns {
-    /// Checks that features are the library's: a rate too low for a band leaves bands out.
+    /// Checks that there are as many features as in the library: a lower rate gives fewer bands.
     fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<(), RecogniseError> {
         if values.len() == self.width {
             return Ok(());
@@ -187,12 +187,12 @@ impl Columns {
     }
 }
 
-/// Number of features that are used; one that is always 0 where none says anything.
+/// Number of features used. At least 1: a column of zeros where no feature varies.
 fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
     columns.values().map(|c| c.used.len()).sum::<usize>().max(1)
 }
 
-/// The standardised features of a trial. A source that it lacks counts as the library's mean.
+/// The standardised features of a trial; 0, the library's mean, for a source that it lacks.
 fn standardised(
     columns: &BTreeMap<SourceId, Columns>,
     vector: &FeatureVector,
@@ -282,7 +282,7 @@ impl<C: Classifier> Model for FeatureModel<C> {
             }
             Scores::Surfaces(log_scores) => (by_surface(training, &log_scores, row.view()), 1),
         };
-        // A library has trials, and each is a candidate or its surface has one.
+        // A library has trials, and each of them, or each of its surfaces, is a candidate.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
         ranking.confidence =
             classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
@@ -290,7 +290,7 @@ impl<C: Classifier> Model for FeatureModel<C> {
     }
 }
 
-/// One candidate a surface: its trial that is nearest to the query.
+/// One candidate for each surface: the surface's trial nearest to the query.
 fn by_surface(
     training: &TrainingSet,
     log_scores: &[f64],
@@ -315,7 +315,7 @@ fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// ln of probabilities that are proportional to exp of these, turned to smaller-is-more-alike.
+/// −ln softmax of `logits`: smaller means more alike.
 fn negative_log_softmax(logits: &[f64]) -> Vec<f64> {
     let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;

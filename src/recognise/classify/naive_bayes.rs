@@ -1,4 +1,4 @@
-//! Gaussian naive Bayes: each feature of each surface is normal by itself.
+//! Gaussian naive Bayes: given the surface, features are independent and normally distributed.
 
 use ndarray::ArrayView1;
 use smartcore::linalg::basic::matrix::DenseMatrix;
@@ -6,11 +6,11 @@ use smartcore::naive_bayes::gaussian::{GaussianNB, GaussianNBParameters};
 
 use super::{Classifier, Scores, TrainingSet, negative_log_softmax};
 
-/// Added to every variance, in units of the library's own: scikit-learn adds 1e-9, which a handful
-/// of trials a surface does not survive.
+/// Added to every variance, in units of the library's variance. scikit-learn adds 1e-9, too little
+/// where a surface has only a handful of trials.
 const SMOOTHING: f64 = 1e-2;
 
-/// Gaussian naive Bayes with equal priors. The inverse of a score is the posterior.
+/// Gaussian naive Bayes with equal priors. The inverse of a score is the posterior probability.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NaiveBayes;
 
@@ -26,7 +26,7 @@ pub(super) fn matrix(training: &TrainingSet) -> (DenseMatrix<f64>, Vec<u32>) {
     let values = training.features.iter().copied().collect();
     let matrix = DenseMatrix::new(rows, columns, values, false);
     let classes = training.class.iter().map(|&class| class as u32).collect();
-    // Its one error is a number of values that is not rows × columns.
+    // Fails only if the number of values is not rows × columns.
     (matrix.expect("as many values as places"), classes)
 }
 
@@ -35,7 +35,7 @@ impl Classifier for NaiveBayes {
 
     fn train(&self, training: &TrainingSet) -> ClassMoments {
         let (x, y) = matrix(training);
-        // Its errors are an empty library and rows without a class; a library has two surfaces.
+        // Fails only for an empty library or rows without a class; a library has two surfaces.
         let fitted = GaussianNB::fit(&x, &y, GaussianNBParameters::default())
             .expect("a row for every class and a class for every row");
         ClassMoments { mean: fitted.theta().clone(), variance: fitted.var().clone() }

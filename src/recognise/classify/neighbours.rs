@@ -5,20 +5,20 @@ use ndarray::{Array1, Array2, ArrayView1, Axis};
 use super::super::embedding::linear::{cholesky, solve_lower};
 use super::{Classifier, Scores, TrainingSet, squared_distance};
 
-/// Numbers of neighbours that are tried within the library.
+/// Values of k that are tried, by naming each library trial by the others.
 const NEIGHBOURS: [usize; 4] = [1, 3, 5, 7];
-/// Share of the identity in the covariance: there are more features than trials often.
+/// Weight of the identity in the covariance: often there are more features than trials.
 const SHRINKAGE: f64 = 0.1;
 /// Keeps the logarithm of a distance finite.
 const FLOOR: f64 = 1e-12;
 
-/// The distance of two trials.
+/// How the distance between two trials is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Distance {
-    /// Of standardised features.
+    /// Between standardised features.
     Euclidean,
-    /// Of features made uncorrelated by the library's covariance, shrunk towards the identity
-    /// by a tenth.
+    /// Between features decorrelated by the library's covariance, which is shrunk towards the
+    /// identity by a tenth.
     Mahalanobis,
 }
 
@@ -28,10 +28,10 @@ pub struct Neighbours {
     pub distance: Distance,
 }
 
-/// The library in the space where distances are Euclidean.
+/// The features of a library in the space where distances are Euclidean.
 pub struct NeighboursModel {
     features: Array2<f64>,
-    /// Lower Cholesky factor of the covariance, if features are made uncorrelated.
+    /// Lower Cholesky factor of the covariance, if features are decorrelated.
     factor: Option<Array2<f64>>,
     k: usize,
 }
@@ -76,7 +76,7 @@ impl Classifier for Neighbours {
     }
 }
 
-/// Covariance of standardised features, shrunk.
+/// Shrunk covariance of standardised features.
 fn covariance(features: &Array2<f64>) -> Array2<f64> {
     let mut covariance = features.t().dot(features) / features.nrows() as f64;
     covariance *= 1.0 - SHRINKAGE;
@@ -84,7 +84,7 @@ fn covariance(features: &Array2<f64>) -> Array2<f64> {
     covariance
 }
 
-/// The k that names most trials of the library by the others; the smallest of equal ones.
+/// The k with which most library trials are named right by the others; the smallest in a tie.
 fn best_k(features: &Array2<f64>, class: &[usize]) -> usize {
     let classes = class.iter().max().map_or(0, |most| most + 1);
     let mut right = [0usize; NEIGHBOURS.len()];

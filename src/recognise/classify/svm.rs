@@ -1,22 +1,21 @@
-//! A support vector machine with RBF kernel, one against one.
+//! Support vector machines with RBF kernel, one for each pair of surfaces.
 //!
-//! Each pair of surfaces has a machine of its own (C-SVC), solved by sequential minimal
-//! optimisation with second-order working sets (Fan, Chen & Lin 2005, "Working set selection using
-//! second order information"). C and the kernel's width are chosen by cross-validation within the
-//! library.
+//! Each machine (C-SVC) is solved by sequential minimal optimisation with second-order working sets
+//! (Fan, Chen & Lin 2005, "Working set selection using second order information"). C and the
+//! kernel's width γ are chosen by cross-validation within the library.
 
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
 use super::{Classifier, Scores, TrainingSet, squared_distance};
 
-/// C that are tried.
+/// Values of C that are tried.
 const COSTS: [f64; 3] = [1.0, 10.0, 100.0];
-/// Widths γ that are tried, over the number of features.
+/// Values of γ that are tried, before division by the number of features.
 const WIDTHS: [f64; 3] = [0.25, 1.0, 4.0];
-/// Parts of the cross-validation.
+/// Folds of the cross-validation.
 const PARTS: usize = 3;
-/// Violation of the optimality conditions that is let pass, as libsvm's.
+/// Tolerated violation of the optimality conditions, as in libsvm.
 const TOLERANCE: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -38,7 +37,7 @@ struct Pair {
 }
 
 impl Pair {
-    /// Value of the decision function; `kernel` is of the query with each trial.
+    /// Value of the decision function; `kernel` holds the kernel of the query and each trial.
     fn decide(&self, kernel: &[f64]) -> f64 {
         self.bias + self.support.iter().map(|&(i, weight)| weight * kernel[i]).sum::<f64>()
     }
@@ -70,7 +69,7 @@ impl Classifier for Svm {
     }
 }
 
-/// Pairs that each surface wins; decision values, squeezed to below half a vote, settle ties.
+/// Pairs that each surface wins. Decision values, scaled to below a third of a vote, settle ties.
 fn votes(model: &SvmModel, surfaces: usize, kernel: &[f64]) -> Vec<f64> {
     let (mut won, mut sure) = (vec![0.0; surfaces], vec![0.0; surfaces]);
     for pair in &model.pairs {
@@ -92,7 +91,7 @@ fn distances(training: &TrainingSet) -> Array2<f64> {
     d2
 }
 
-/// C and γ that name most left-out trials of the library; the smallest of equal ones.
+/// The C and γ that name most left-out trials right; the smallest in a tie.
 fn choose(training: &TrainingSet, distances: &Array2<f64>) -> (f64, f64) {
     let features = training.features.ncols().max(1) as f64;
     let parts = training.parts(PARTS);
@@ -119,7 +118,7 @@ fn choose(training: &TrainingSet, distances: &Array2<f64>) -> (f64, f64) {
     settings[best]
 }
 
-/// One machine a pair of surfaces that have trials among `rows`.
+/// Trains one machine for each pair of surfaces with trials among `rows`.
 fn machines(
     training: &TrainingSet,
     rows: &[usize],
@@ -156,7 +155,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     let mut alpha = vec![0.0; n];
     // Gradient of the negated objective.
     let mut gradient = vec![-1.0; n];
-    // Each step gains a finite amount; the bound is for kernels that rounding has spoilt.
+    // Every step improves the objective; the limit is for kernels spoilt by rounding.
     for _ in 0..1000 * n {
         let up = |t: usize| if signs[t] > 0.0 { alpha[t] < cost } else { alpha[t] > 0.0 };
         let down = |t: usize| if signs[t] > 0.0 { alpha[t] > 0.0 } else { alpha[t] < cost };
@@ -171,7 +170,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
         let gain = |t: usize| (violation(i) - violation(t)).powi(2) / curvature(t);
         let below = (0..n).filter(|&t| down(t) && violation(t) < violation(i) - TOLERANCE);
         let Some(j) = below.max_by(|&a, &b| gain(a).total_cmp(&gain(b))) else { break };
-        // Along yᵢαᵢ + yⱼαⱼ = constant.
+        // A step that keeps yᵢαᵢ + yⱼαⱼ constant.
         let room = |t: usize, rises: bool| if rises { cost - alpha[t] } else { alpha[t] };
         let step = ((violation(i) - violation(j)) / curvature(j))
             .min(room(i, signs[i] > 0.0))
@@ -185,7 +184,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     (alpha.clone(), bias(&alpha, &gradient, signs, cost))
 }
 
-/// The mean over free support vectors, or the middle of what the bound ones allow.
+/// The mean over free support vectors (0 < α < C), else the middle of the range the others allow.
 fn bias(alpha: &[f64], gradient: &[f64], signs: &[f64], cost: f64) -> f64 {
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
     let (mut sum, mut free) = (0.0, 0.0);

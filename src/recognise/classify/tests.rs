@@ -1,9 +1,9 @@
-//! Promises of every comparison classifier.
+//! What every comparison classifier must do.
 
 use super::*;
 use crate::recognise::features::SourceFeatures;
 
-/// Four surfaces in three dimensions, one of which says nothing, six trials each.
+/// Four surfaces with six trials each and three features, the last of which is constant.
 fn library() -> Vec<Prepared> {
     let vector = |surface: usize, number: u32| {
         let wobble = |k: u32| (f64::from(number * 7 + k) * 1.7 + surface as f64).sin() * 0.3;
@@ -44,7 +44,7 @@ fn check<C: Classifier>(classifier: C) {
             );
         }
     }
-    // Neither the order of the library nor chance matters.
+    // The result depends neither on the order of the library nor on chance.
     let mut turned = rest;
     turned.reverse();
     let again = method.fit(turned, &shape).unwrap();
@@ -87,7 +87,7 @@ fn another_seed_is_another_forest() {
     let forest = |seed| {
         let method = OnFeatures::new("random-forest", Scene::lmt108(), RandomForest { seed });
         let model = method.fit(library(), &Arc::default()).unwrap();
-        // Between surfaces, where the trees disagree.
+        // A query between surfaces, where the trees disagree.
         let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);
         model.rank(&query).unwrap().ranked.iter().map(|r| r.score).collect::<Vec<_>>()
     };

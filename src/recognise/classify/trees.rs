@@ -1,4 +1,4 @@
-//! Decision trees, many at once: a random forest, and AdaBoost.
+//! Ensembles of decision trees: a random forest and AdaBoost.
 
 use ndarray::{ArrayView1, Axis};
 use rand::Rng;
@@ -17,7 +17,7 @@ use crate::seed;
 
 const TREES: u64 = 200;
 const ROUNDS: u64 = 50;
-/// Levels of a boosted tree beyond those that a leaf a surface needs.
+/// Levels of a boosted tree beyond those needed for one leaf per surface.
 const SPARE_LEVELS: u32 = 2;
 /// Weighted error below which a tree counts as perfect.
 const PERFECT: f64 = 1e-10;
@@ -27,16 +27,16 @@ type FeatureMatrix = DenseMatrix<f64>;
 type RandomTree = RandomForestClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
 type Tree = DecisionTreeClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
 
-/// A random forest (Breiman 2001): 200 trees on bootstrapped trials, the root of the number of
-/// features tried at each split. The inverse of a score is the share of trees.
+/// A random forest (Breiman 2001): 200 trees on bootstrapped trials; each split tries the square
+/// root of the number of features. The inverse of a score is the surface's share of the trees.
 #[derive(Clone, Copy, Debug)]
 pub struct RandomForest {
-    /// Seed of bootstraps and choices.
+    /// Seed of the bootstraps and of the features that are tried.
     pub seed: u64,
 }
 
 /// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"), 50 trees, each
-/// trained on trials drawn by weight, and just deep enough to have a leaf for every surface.
+/// trained on trials drawn by weight and little deeper than one leaf per surface needs.
 #[derive(Clone, Copy, Debug)]
 pub struct AdaBoost {
     pub seed: u64,
@@ -45,12 +45,11 @@ pub struct AdaBoost {
 /// A query in smartcore's form.
 fn row(query: ArrayView1<'_, f64>) -> FeatureMatrix {
     let values = query.to_vec();
-    // Its one error is a number of values that is not rows × columns.
+    // Fails only if the number of values is not rows × columns.
     DenseMatrix::new(1, values.len(), values, false).expect("one row")
 }
 
-/// Shares of votes as scores. Each surface has one vote of `total`/n more than it got, so that
-/// none has a share of 0.
+/// Shares of votes as scores. Each of n surfaces gets 1/n of an extra vote, so that none has 0.
 fn shares(votes: &[f64]) -> Scores {
     let each = 1.0 / votes.len() as f64;
     let total: f64 = votes.iter().sum::<f64>() + 1.0;
@@ -66,7 +65,7 @@ impl Classifier for RandomForest {
             let parameters = RandomForestClassifierParameters::default().with_n_trees(1).with_seed(
                 seed::stable_hash(&[b"tree", &self.seed.to_le_bytes(), &number.to_le_bytes()]),
             );
-            // A bootstrap that holds only one surface makes no tree.
+            // A bootstrap that holds only one surface grows no tree.
             RandomForestClassifier::fit(&x, &y, parameters).ok()
         };
         (0..TREES).into_par_iter().filter_map(tree).collect()
@@ -113,7 +112,7 @@ impl Classifier for AdaBoost {
             let (drawn_x, drawn_y) = matrix(&of_round);
             let parameters =
                 DecisionTreeClassifierParameters::default().with_max_depth(levels as u16);
-            // A draw that holds but one surface makes no tree.
+            // A draw that holds only one surface grows no tree.
             let Ok(tree) = DecisionTreeClassifier::fit(&drawn_x, &drawn_y, parameters) else {
                 continue;
             };
@@ -154,7 +153,7 @@ impl Classifier for AdaBoost {
     }
 }
 
-/// As many indices as there are weights, drawn by weight.
+/// As many indices as there are weights, drawn in proportion to these.
 fn draw(weights: &[f64], rng: &mut impl Rng) -> Vec<usize> {
     let mut sum = 0.0;
     let cumulative: Vec<f64> = weights

@@ -1,36 +1,35 @@
-//! Whether a query is any surface of the library at all: a conformal test.
+//! Tests whether a query is of any surface of the library at all (conformal prediction).
 //!
-//! Nonconformity is the distance to the nearest surface in discriminant space. The library's trials are
-//! left out group by group, and each is measured by the model that did not learn from its group; a
-//! query is measured by all of these models, and compared with each group's trials by that group's. Its
-//! p-value (`fit` in JSON) is the share of left-out trials that are at least as strange, itself
-//! counted among them (cross-conformal prediction, Vovk 2015, "Cross-conformal predictors", Annals of
-//! Mathematics and Artificial Intelligence 74): for a surface of the library, and a person like the
-//! library's, it is about as often below α as α says. A scan that has ended is compared with whole
-//! trials, unless it is shorter than they are; a shorter one, and a scan in progress, with beginnings
-//! of trials that are no longer than it is. Where the library has one person only, another hand
-//! differs more than that person's trials do from each other; excerpts of 40 % stand for them there,
-//! and three excerpts of a trial count as one trial.
+//! Nonconformity is the distance to the nearest surface in discriminant space. Groups of library
+//! trials are left out in turn, and each trial is measured by the model trained without its group.
+//! A query is measured by each of these models, and compared with the trials that the same model
+//! left out. The p-value (`fit` in JSON) is the share of left-out trials that are at least as
+//! strange as the query, which is counted among them (cross-conformal prediction, Vovk 2015,
+//! "Cross-conformal predictors", Annals of Mathematics and Artificial Intelligence 74). For
+//! surfaces of the library, and people like the library's, it is α or less in a share of about α of
+//! the scans. A finished scan is compared with whole trials; a shorter one, or one in progress,
+//! with beginnings of trials no longer than itself. The trials of one person differ less from each
+//! other than from another person's; so in a library of one person, excerpts of 40 % stand for
+//! whole trials, three of them counted as one trial.
 //!
-//! Only a method that can leave its library's trials out cheaply has such a measure: `embedding`.
-//! For `reference` it would take comparing every trial of the library with all others
-//! whenever a library is read.
+//! Only a method that can leave out library trials cheaply has this measure: `embedding`.
+//! `reference` would have to compare all trials of the library with each other whenever it is read.
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; four surfaces at a time are left
 //! out of the library, at a stated 1 % of false rejections. `surfaced eval
 //! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
 //! --leave-surfaces-out 5` prints: 40.5 % of 200 unknown ones caught (95 % interval 33.9 to 47.4),
-//! 0.1 % of 800 known ones rejected (0.0 to 0.7). Fewer are rejected than stated, since whole scans by
-//! the same person are compared with excerpts; unknown surfaces are somebody's near twins here: two
-//! versions of one stone tile, or of one foam.
+//! 0.1 % of 800 known ones rejected (0.0 to 0.7). Fewer are rejected than stated, since whole scans
+//! by the same person are compared with excerpts. Many unknown surfaces have a near twin in the
+//! library here: another version of the same stone tile or foam.
 
 use super::interval::beta_quantile;
 
 /// A scan at least this share of the median trial's length counts as whole.
 const WHOLE: f64 = 0.95;
 
-/// The distance to the nearest surface; infinite without one.
+/// Nonconformity: the distance to the nearest surface; infinite without one.
 pub fn nonconformity(distances: &[f64]) -> f64 {
     distances.iter().copied().fold(f64::INFINITY, f64::min)
 }
@@ -40,14 +39,14 @@ pub fn nonconformity(distances: &[f64]) -> f64 {
 pub struct Calibration {
     /// Length in seconds.
     pub scan_s: f64,
-    /// Scans of a trial that count as one.
+    /// Number of scans taken from each trial, which together count as one.
     pub of_each: usize,
-    /// Group by group, rising.
+    /// Nonconformity of each group's scans, ascending.
     by_group: Vec<Vec<f64>>,
 }
 
 impl Calibration {
-    /// From scans, each with its group and its nonconformity by the model without that group.
+    /// `scans` gives each scan's group, and its nonconformity by the model without that group.
     pub fn new(scan_s: f64, of_each: usize, scans: impl Iterator<Item = (usize, f64)>) -> Self {
         let mut by_group: Vec<Vec<f64>> = Vec::new();
         for (group, value) in scans {
@@ -63,8 +62,8 @@ impl Calibration {
         self.by_group.iter().map(Vec::len).sum::<usize>() as f64 / self.of_each as f64
     }
 
-    /// The share of trials, the query among them, that are at least as strange as the query is by
-    /// the model without their group.
+    /// The share of trials, the query counted among them, that are at least as strange as the
+    /// query. `of_query` gives the query's nonconformity by the model without a given group.
     fn p_value(&self, of_query: impl Fn(usize) -> f64) -> f64 {
         let at_least = |(group, values): (usize, &Vec<f64>)| {
             let own = of_query(group);
@@ -75,15 +74,15 @@ impl Calibration {
     }
 }
 
-/// Nonconformity of left-out library trials, whole and their beginnings.
+/// Nonconformity of left-out library trials, whole and cut to their beginnings.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformity {
-    /// Of rising length; what stands for whole scans comes last.
+    /// Calibrations in order of length; the one for whole scans comes last.
     by_length: Vec<Calibration>,
 }
 
 impl Conformity {
-    /// From calibrations of rising length; what stands for whole scans comes last.
+    /// Takes calibrations in order of length; the one for whole scans comes last.
     pub(crate) fn new(mut by_length: Vec<Calibration>) -> Self {
         by_length.retain(|calibration| calibration.trials() > 0.0);
         Self { by_length }
@@ -94,9 +93,9 @@ impl Conformity {
         self.by_length.last().map_or(0, |calibration| calibration.trials().round() as usize)
     }
 
-    /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1) to
-    /// 1; `of_query` is its nonconformity by the model without a group. `None` if the scan is
-    /// shorter than all that was left out.
+    /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1)
+    /// to 1. `of_query` gives its nonconformity by the model without a given group. `None` if the
+    /// scan is shorter than every length that was calibrated.
     pub fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let calibration = if scan_s >= WHOLE * whole.scan_s {
@@ -111,7 +110,7 @@ impl Conformity {
 /// Why no scan can be called unknown.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RejectionError {
-    /// a rate that is none
+    /// not a valid rate
     #[error("a rate of false rejections of {0} is not possible; expected 0 or more, below 1")]
     Rate(f64),
     /// too few trials
@@ -120,11 +119,11 @@ pub enum RejectionError {
          out, but the library has {trials}: enrol more, or allow more false rejections", 100.0 * rate
     )]
     TooFew {
-        /// what was asked for
+        /// the rate that was asked for
         rate: f64,
-        /// how many it takes
+        /// trials needed
         needed: usize,
-        /// how many there are
+        /// trials that the library has
         trials: usize,
     },
     /// a method without a p-value
@@ -135,10 +134,10 @@ pub enum RejectionError {
     NoPValue,
 }
 
-/// The rate of false rejections where the library can show it.
+/// Usual rate of false rejections, where the library has enough trials for it.
 const USUAL_RATE: f64 = 0.01;
 
-/// Left-out trials that it takes to call scans unknown at the usual rate.
+/// Fewest left-out trials with which scans are called unknown by default.
 pub const FEWEST: usize = 9;
 
 /// The p-value at or below which a query is called unknown.
@@ -146,9 +145,9 @@ pub const FEWEST: usize = 9;
 pub struct Rejection {
     /// Stated rate of false rejections, α.
     pub rate: f64,
-    /// Left-out library trials that the threshold rests on.
+    /// Number of left-out library trials that the threshold rests on.
     pub trials: usize,
-    /// Whether people were left out as a whole; otherwise the rate holds for the library's own.
+    /// Whether whole people were left out; otherwise the rate holds only for the library's people.
     pub across_people: bool,
     /// Lower end of the 95 % interval of the rate, given these trials.
     pub rate_low: f64,
@@ -157,11 +156,10 @@ pub struct Rejection {
 }
 
 impl Rejection {
-    /// The threshold for the usual rate by `trials` left-out trials: 1 %, or as low as these can
-    /// show.
+    /// The threshold for 1 %, the usual rate, or the lowest rate that `trials` trials can show.
     ///
     /// # Errors
-    /// With fewer than `FEWEST` trials: one scan in ten and more would be rejected wrongly.
+    /// With fewer than `FEWEST` trials, which would wrongly reject more than one scan in ten.
     pub(crate) fn usual(trials: usize, across_people: bool) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;
@@ -172,8 +170,8 @@ impl Rejection {
 
     /// The threshold for a rate of `rate`, by `trials` left-out trials. Given the trials, the rate
     /// is distributed as Beta(k, n + 1 − k), k = ⌊α(n + 1)⌋ (Vovk 2012, "Conditional validity of
-    /// inductive conformal predictors"). For k = 1 its density falls from 0 on, and the interval
-    /// of highest density begins there.
+    /// inductive conformal predictors"). For k = 1 its density is highest at 0, where the interval
+    /// of highest density begins.
     ///
     /// # Errors
     /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
@@ -196,7 +194,7 @@ impl Rejection {
         Ok(Self { rate, trials, across_people, rate_low, rate_high })
     }
 
-    /// Whether a query of this p-value is no surface of the library.
+    /// Whether a query with this p-value is called unknown.
     pub fn rejects(&self, p_value: f64) -> bool {
         p_value <= self.rate + 1e-12
     }
@@ -267,7 +265,7 @@ mod tests {
         let scans = [(0, 1.0), (0, 2.0), (0, 3.0), (1, 10.0), (1, 20.0), (1, 30.0)];
         let excerpts = Conformity::new(vec![Calibration::new(1.0, 3, scans.into_iter())]);
         assert_eq!(excerpts.trials(), 2);
-        // Two of three excerpts of the one, one of the other: (2/3 + 1/3 + 1)/3.
+        // Two of three excerpts of one trial and one of the other: (2/3 + 1/3 + 1)/3.
         let p_value = excerpts.p_value(2.0, |group| [1.5, 25.0][group]).unwrap();
         assert!((p_value - 2.0 / 3.0).abs() < 1e-12, "{p_value}");
         assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY]), 2.0);

@@ -1,19 +1,19 @@
-//! Sources of a query that no comparison should see: their sensor is dead or stuck.
+//! Leaves out the sources of a query whose sensor is dead or stuck.
 
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 
-/// Why a picture of one colour is left out.
+/// The reason given for leaving out a picture of one colour.
 const PLAIN: &str = "the picture is of one colour";
 
-/// The query without those sources that have a channel which is stuck, or a picture of one colour,
-/// and for each a line that says so. A channel that rests in the library's own trials may rest; so
-/// may switches, which rest most of the time. Nothing is left out where nothing else would be left to
-/// compare.
+/// Leaves out the sources that have a stuck channel or a picture of one colour. Returns the query,
+/// and one line of text for each source left out. A channel that is constant in the library may be
+/// constant in the query; so may a switch, which rarely changes. Nothing is left out if no other
+/// source would remain.
 ///
-/// `moves` says whether a channel of a source, counted from 0, moves in the library
-/// ([`crate::recognise::EmbeddingModel::moves`]). Libraries are taken as they are: their trials were
-/// looked at when they were enrolled.
+/// `moves` says whether a channel of a source, counted from 0, varies in the library
+/// ([`crate::recognise::EmbeddingModel::moves`]). Library trials are not checked here, but when
+/// they are enrolled.
 pub fn without_flawed(
     mut trial: Trial,
     scene: &Scene,
@@ -37,8 +37,8 @@ pub fn without_flawed(
     (trial, remarks)
 }
 
-/// Of sources, each with its flaw if it has one, those that no comparison should see: no switches,
-/// and none at all where nothing else of the scene would be left.
+/// Which of `sources`, given with their flaws, to leave out. Switches (sources with a fixed σ)
+/// stay; nothing is left out if no other source of the scene would remain.
 pub fn left_out<'a, F>(
     scene: &Scene,
     sources: impl Iterator<Item = (&'a SourceId, Option<F>)>,

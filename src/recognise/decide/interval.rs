@@ -1,4 +1,4 @@
-//! How sure a share is: what k of n says of the rate behind it.
+//! Confidence intervals of a share: what k successes in n trials say about the rate behind them.
 
 use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
 
@@ -7,7 +7,7 @@ const Z: f64 = 1.959_963_984_540_054;
 
 /// Quantile of the Beta distribution; the parameters are positive.
 pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
-    // Positive parameters make a distribution.
+    // Fails only if a parameter is not positive.
     Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(level))
 }
 
@@ -39,10 +39,10 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
     wilson(successes as f64 / trials.max(1) as f64, trials as f64)
 }
 
-/// 95 % confidence interval of a share, from successes and trials of several groups that differ,
-/// such as people: Wilson's, for as many trials as vary as much, and for so few groups (Korn &
-/// Graubard 1998, "Confidence intervals for proportions with small expected number of positive
-/// counts estimated from survey data").
+/// 95 % confidence interval of a share, from the successes and trials of several groups, such as
+/// people. Wilson's interval for an effective number of trials, which is smaller the more the
+/// groups differ and the fewer they are (Korn & Graubard 1998, "Confidence intervals for
+/// proportions with small expected number of positive counts estimated from survey data").
 pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let count = groups.len() as f64;
     let (right, all) = groups.iter().fold((0, 0), |(r, n), group| (r + group.0, n + group.1));
@@ -56,21 +56,21 @@ pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let binomial = share * (1.0 - share) / n;
     // Groups that happen to be more alike than chance makes them are no better evidence.
     let effect = if binomial > 0.0 { (variance / binomial).max(1.0) } else { 1.0 };
-    // At least one degree of freedom makes a distribution.
+    // There are two groups at least, so the degrees of freedom are positive.
     let t = StudentsT::new(0.0, 1.0, count - 1.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
     wilson(share, n / effect * (Z / t).powi(2))
 }
 
-/// Whether `right` of `trials` reach a share: by the median of the posterior under Jeffreys' prior,
-/// which asks for a little more than the share itself. Where there are too few trials to show the
-/// share even without a mistake, none at all is accepted.
+/// Whether `right` of `trials` show a share, judged by the median of the posterior under Jeffreys'
+/// prior, which is a little stricter than the plain quotient. Where so few trials could not show
+/// the share even without a mistake, all of them must be right.
 pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
     trials > 0
         && (right == trials && !can_show(trials, share)
             || jeffreys_quantile(right, trials, 0.5) >= share)
 }
 
-/// Whether a number of trials, all of them right, show a share as [`reaches`] wants it.
+/// Whether `trials` trials, all of them right, show a share as [`reaches`] judges it.
 pub fn can_show(trials: usize, share: f64) -> bool {
     jeffreys_quantile(trials, trials, 0.5) >= share
 }
@@ -90,7 +90,7 @@ mod tests {
         let differ = [(80, 100), (100, 100), (82, 100), (98, 100)];
         assert!(width(&alike) > high - low && width(&differ) > 1.5 * width(&alike));
         assert!(width(&[(180, 200); 2]) > width(&alike));
-        // With very many groups that are alike it is Wilson's own.
+        // With very many groups that are alike, it is Wilson's interval.
         let (many_low, many_high) = wilson_of_groups(&[(9, 10); 4000]);
         let (low, high) = wilson(0.9, 40_000.0);
         assert!((many_low - low).abs() < 1e-5 && (many_high - high).abs() < 1e-5);

@@ -1,5 +1,5 @@
-//! Decisions on a ranking: when an answer is settled, how long a scan must last, whether a
-//! surface is unknown, which sources no comparison should see.
+//! Decisions about a scan: when its answer is settled, how long it must last, whether its surface
+//! is unknown, and which sources are left out because their sensor is dead.
 
 pub mod conformal;
 pub mod dead_sensor;

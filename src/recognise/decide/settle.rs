@@ -1,11 +1,11 @@
-//! When an answer is settled: a stop rule on new scan time, calibrated on left-out library trials.
+//! When an answer is settled: a stopping rule, calibrated on left-out library trials.
 //!
-//! An answer is settled when its label has been the same for some new scan time (at least 0.3 s)
-//! and its probability is at least 1 − ε. Hold and ε are the earliest of a fixed list of rules
-//! whose loss on left-out library trials is within what was stated, by an upper 90 % bound: a trial
-//! counts as lost if it is named right by its whole length and wrong where the rule stops. Gains
-//! are not set off against losses. Repetitions of one recording are no new evidence (method §6),
-//! which is why the rule is on scan time alone.
+//! An answer is settled once its label has stayed the same for a time called the hold (at least 0.3
+//! s of new samples, since old ones add no evidence) and its probability is at least 1 − ε. Each
+//! hold and ε of a fixed list make a rule. The rule chosen stops earliest among those whose loss on
+//! left-out library trials is within the stated loss, by an upper 90 % bound. A trial is lost if it
+//! is named right by its whole length and wrong where the rule stops; gains do not make up for
+//! losses.
 //!
 //! # On real sounds
 //! 20 surfaces × 10 trials of LMT108's dragging sounds, one person, one session each, leave one
@@ -17,20 +17,20 @@
 //! |---|---|---|---|---|
 //! | 1 % | 99.5 % (97.2 to 99.9) | 1 of 200 | 0.86 s | 0.70 s |
 //!
-//! Following a scan, ten looks a second, takes 0.2 % of one core (processor time over scan time).
+//! Following a scan with ten looks a second takes 0.2 % of a core (processor time over scan time).
 
 use super::interval::jeffreys_quantile;
 
-/// Label stability in seconds of new scan time.
+/// Holds that are tried: how long the label must stay the same, in seconds of scan time.
 const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];
 
-/// ε of the rules, from the earliest to the latest.
+/// Values of ε that are tried, from the earliest to stop to the latest.
 const EPSILONS: [f64; 10] = [0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.003, 0.001];
 
 /// Confidence of the upper bound of the loss.
 const CONFIDENCE: f64 = 0.9;
 
-/// Label stability and least probability.
+/// A stopping rule: how long one label must hold, and how probable it must be.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SettleRule {
     /// How long the label must have been the same, in seconds of new scan time.
@@ -45,7 +45,7 @@ pub fn rules() -> Vec<SettleRule> {
     HOLDS_S.into_iter().flat_map(of_hold).collect()
 }
 
-/// One look at a scan: the most probable surface.
+/// The guess at one moment of a scan: its most probable surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Scan time in seconds.
@@ -54,11 +54,11 @@ pub struct Look {
     pub label: usize,
     /// Its probability.
     pub probability: f64,
-    /// Whether the scan fits the label well enough to be named at all.
+    /// Whether the scan fits the label well enough not to be called unknown.
     pub fits: bool,
 }
 
-/// Applies a rule look by look.
+/// Applies a stopping rule to the successive guesses (looks) at a scan.
 #[derive(Clone, Debug)]
 pub struct Watch {
     rule: SettleRule,
@@ -67,13 +67,13 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Before the first look.
+    /// Starts before the first look.
     pub fn new(rule: SettleRule) -> Self {
         Self { rule, since: None, settled: None }
     }
 
-    /// Sees the next look; gives label and scan time of the look at which the answer was settled.
-    /// Later looks change nothing.
+    /// Takes the next guess. Returns the label and scan time at which the answer was settled, if it
+    /// is; later guesses change nothing.
     pub fn see(&mut self, look: Look) -> Option<(usize, f64)> {
         let (label, since_s) = self
             .since
@@ -88,7 +88,7 @@ impl Watch {
     }
 }
 
-/// The stop of each rule on one trial; a rule that never stops does at its end.
+/// Where each rule stops on one trial: at the end of the trial, if not before.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stops {
     /// The trial's true label.
@@ -100,7 +100,7 @@ pub struct Stops {
 }
 
 impl Stops {
-    /// Applies all rules to the looks at a trial, in order; takes no more of them than it needs.
+    /// Applies all rules to the successive guesses at a trial, until every rule has stopped.
     pub fn new(looks: impl Iterator<Item = Look>, truth: usize, whole: usize, scan_s: f64) -> Self {
         let mut watches: Vec<Watch> = rules().into_iter().map(Watch::new).collect();
         for look in looks {
@@ -114,21 +114,21 @@ impl Stops {
     }
 }
 
-/// A rule, and what it did on left-out library trials.
+/// A stopping rule, and how it did on left-out library trials.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Settling {
-    /// The rule; none where no rule keeps the stated loss: only the end of a scan settles it.
+    /// The rule; `None` if no rule keeps the stated loss: then only the end of a scan settles it.
     pub rule: Option<SettleRule>,
-    /// The loss that was stated.
+    /// The loss that is allowed: a share of all trials.
     pub stated_loss: f64,
-    /// Left-out trials that were looked at.
+    /// Number of left-out trials.
     pub trials: usize,
-    /// Of these, named right by their whole length and wrong where the rule stopped.
+    /// How many of these are named right by their whole length and wrong where the rule stopped.
     pub lost: usize,
     /// Upper 90 % bound of the loss.
     pub loss_high: f64,
-    /// Whether that bound is within the stated loss. Where even no loss at all could not show it,
-    /// for too few trials, a rule without any loss is taken, and this is false.
+    /// Whether that bound is within the stated loss. False where the trials are too few to show it
+    /// even without any loss; then the rule is one that lost none.
     pub shown: bool,
     /// Mean scan time at which the rule stopped, in seconds.
     pub scan_s: f64,
@@ -153,7 +153,7 @@ impl Settling {
             let keeps = if can_show { bound(lost) <= stated_loss } else { lost == 0 };
             keeps.then(|| (mean_s(rule), rule, lost))
         });
-        // Of equal ones the first.
+        // The first in a tie.
         let best = kept.min_by(|a, b| a.0.total_cmp(&b.0));
         let lost = best.map_or(0, |best| best.2);
         Self {
@@ -198,8 +198,7 @@ mod tests {
         assert_eq!(settled(&unfit), None);
     }
 
-    /// A trial whose early looks say `early` with probability 0.8 until 1 s, then the truth with
-    /// certainty.
+    /// A trial whose looks say `early` with probability 0.8 until 1 s, then the truth, certainly.
     fn stops(early: usize, truth: usize) -> Stops {
         let look = |i: usize| Look {
             scan_s: 0.1 * i as f64,

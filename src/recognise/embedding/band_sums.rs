@@ -1,14 +1,15 @@
-//! How often each power occurs in each band: what all log-band features are made of.
+//! Histograms of ln power in each band, from which all log-band features are computed.
 //!
-//! Features of log-band frames are means over frames of functions of ln power, and these functions
-//! depend on the mean power of the piece, which changes with every frame. So frames are counted: each
-//! value of ln power in bins an eighth apart, shared between its two neighbours by its distance to
-//! them. A function's mean over the counts is that of its linear interpolation between the bins: a
-//! smooth function of the samples, whose cost does not grow with the scan.
+//! Features of log-band frames are means over frames of functions of ln power. These functions
+//! depend on the mean power of the whole series or copy, which changes with every frame. So frames
+//! are counted: bins of ln power are an eighth apart, and each value is shared between the two bins
+//! next to it, the nearer one getting more. The mean of a function over a histogram is that of its
+//! linear interpolation between bins: a smooth function of the samples, whose cost does not grow
+//! with the scan.
 //!
-//! When the stylus leaves the surface, or a line holds its last value, frames are far quieter than
-//! the rest and say nothing of the surface. The median that decides is known at the end alone, so
-//! frames are counted loudness by loudness.
+//! When the stylus leaves the surface, or a serial line repeats its last value, frames are far
+//! quieter than the rest and say nothing about the surface. The median that decides is known only
+//! at the end, so each class of loudness has histograms of its own.
 
 use std::collections::BTreeMap;
 
@@ -23,14 +24,14 @@ const BINS: f32 = 8.0;
 /// Width of a class of loudness, in units of ln power (6.5 dB).
 const LOUDNESS: f32 = 1.5;
 
-/// Frames in classes this much quieter than that of the median frame, 26 dB and more, are not of the
-/// surface. Nearer to the median the quiet parts of a texture itself are lost.
+/// Frames more than this many classes (26 dB) below the median frame count as off the surface. A
+/// smaller distance would lose quiet parts of the texture itself.
 const QUIETER: i32 = 4;
 
-/// Added to power over mean power before the logarithm: noise far below the signal says nothing.
+/// Added to power over mean power before the logarithm, to hide noise far below the signal.
 const FLOOR: f64 = 1e-4;
 
-/// Counts of ln power, band by band.
+/// Histograms of ln power, one for each band.
 #[derive(Clone, Debug)]
 pub(super) struct Counts {
     /// Number of channels.
@@ -39,7 +40,7 @@ pub(super) struct Counts {
     width: usize,
     /// Number of frames.
     frames: usize,
-    /// The first bin: `first`/[`BINS`] of ln power.
+    /// The ln power of the first bin is `first`/[`BINS`].
     first: i32,
     bins: usize,
     /// Shape (width, bins).
@@ -60,7 +61,7 @@ impl Counts {
             0 => (first, last + 1),
             bins => (first.min(self.first), (last + 1).max(self.first + bins as i32)),
         };
-        // In whole registers.
+        // Rounded up to whole vector registers.
         let bins = ((end - first) as usize).next_multiple_of(LANES);
         let mut counts = vec![0.0; self.width * bins];
         let from = (self.first - first) as usize;
@@ -129,8 +130,7 @@ impl Counts {
         ln_mean.iter().flat_map(relative).collect()
     }
 
-    /// Sum over frames, and sum of squares, of the values of `table` ([`Self::relative`]), band by
-    /// band.
+    /// For each band: the sum over frames of the values in `table`, and the sum of their squares.
     fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
         let of_band = |(band, counts): (usize, &[f32])| {
             let values = &table[band / self.bands() * self.bins..][..self.bins];
@@ -143,7 +143,7 @@ impl Counts {
     }
 }
 
-/// Adds one value of each band to its bins, of which each band has as many.
+/// Adds one value to the histogram of each band; all of them have `bins` bins.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
     for (&x, counts) in row.iter().zip(counts.chunks_exact_mut(bins)) {
@@ -155,7 +155,7 @@ fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
     }
 }
 
-/// The frames of one view of a piece, loudness by loudness.
+/// Histograms of the frames of one view of a series, for each class of loudness.
 #[derive(Clone, Debug)]
 pub(super) struct BandSums {
     channels: usize,
@@ -164,7 +164,7 @@ pub(super) struct BandSums {
 }
 
 impl BandSums {
-    /// Of no frame; `width` is that of all channels together.
+    /// Starts without frames; `width` counts the bands of all channels.
     pub fn new(channels: usize, width: usize) -> Self {
         Self { channels, width, by_loudness: BTreeMap::new() }
     }
@@ -179,12 +179,12 @@ impl BandSums {
         }
     }
 
-    /// Number of frames, of the surface or not.
+    /// Number of frames, on the surface or not.
     pub fn frames(&self) -> usize {
         self.by_loudness.values().map(|counts| counts.frames).sum()
     }
 
-    /// The frames that are of the surface.
+    /// The histograms of the frames on the surface.
     pub fn on_surface(&self) -> Counts {
         let (half, mut below) = (self.frames() / 2, 0);
         let median = self.by_loudness.iter().find(|(_, counts)| {
@@ -198,8 +198,8 @@ impl BandSums {
     }
 }
 
-/// How the frames of one view become features: each band in the library's units, once in shape, with
-/// the piece's own level taken off, and once in level, with the library's.
+/// How the frames of one view become features, each band twice: in shape, relative to the series'
+/// own mean power, and in level, relative to the library's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ViewEmbedder {
     shape: BandScale,
@@ -209,7 +209,7 @@ pub(super) struct ViewEmbedder {
 }
 
 impl ViewEmbedder {
-    /// In units of some pieces of a library, at least one.
+    /// Takes means and deviations from series of a library, at least one.
     pub fn new(pieces: &[Counts]) -> Self {
         let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
         let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
@@ -223,8 +223,8 @@ impl ViewEmbedder {
         2 * BAND_FEATURES * self.shape.width()
     }
 
-    /// Appends the features of a piece, times a gain of `ln_gain`: means over its frames of cos ωz
-    /// and sin ωz.
+    /// Appends the features of the counted frames, their samples multiplied by e^`ln_gain`: means
+    /// of cos ωz and sin ωz.
     pub fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
         let own = counts.ln_mean_power();
         let library: Vec<f64> = self.ln_power.iter().map(|power| power - 2.0 * ln_gain).collect();
@@ -238,7 +238,7 @@ impl ViewEmbedder {
     }
 }
 
-/// Mean and deviation of each band over the frames of some pieces, relative to mean powers.
+/// Mean and deviation of each band over the frames of `pieces`, relative to the given mean powers.
 fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> BandScale {
     let width = pieces[0].width;
     let (mut total, mut frames) = (vec![(0.0, 0.0); width], 0);
@@ -257,14 +257,14 @@ fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> Band
     BandScale::new(total.iter().map(mean).collect(), &deviations)
 }
 
-/// The median of some values, the upper one of an even number; 0 of none.
+/// The median of `values`: the upper middle one if their number is even, 0 without any.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has the shape
-/// (width, bins), `table`, the value of each bin, (channels, bins).
+/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has the
+/// shape (width, bins); `table` holds the value of each bin, shape (channels, bins).
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn add_bands(
     counts: &[f32],
@@ -335,7 +335,7 @@ mod tests {
         let mut vector = Vec::new();
         embedder.push(&counted(&values), 0.0, &mut vector);
         assert_eq!(vector.len(), embedder.dims());
-        // By the definition, for band 4, which is of the second channel, in shape.
+        // By the definition, for band 4, which belongs to the second channel, in shape.
         let power = |c: usize| {
             let of_channel = values.chunks_exact(6).flat_map(|row| &row[3 * c..3 * c + 3]);
             of_channel.map(|&x| f64::from(x).exp()).sum::<f64>() / 900.0

@@ -1,9 +1,10 @@
 //! From distances to probabilities: temperatures, fitted on left-out library trials.
 //!
-//! A posterior is softmax(−d/(2τ)). Windows of one trial are not independent, so distances are too
-//! sure of themselves, the more so the shorter the scan; τ(T) makes up for it (Guo et al. 2017,
-//! "On calibration of modern neural networks", for a τ by likelihood on held-out data). It is never
-//! below 1, and no probability is stated beyond what the left-out trials can show.
+//! A posterior is softmax(−d/(2τ)), d the distances to the classes. The frames of a scan are not
+//! independent, so with τ = 1 it would look too sure, the more so the shorter the scan. A τ that
+//! depends on the scan's length makes up for it (Guo et al. 2017, "On calibration of modern neural
+//! networks": the τ of highest likelihood on held-out data). It is never below 1, and no
+//! probability is stated beyond what the left-out trials can show.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,12 +20,12 @@ pub type HeldOut = (Vec<f64>, usize);
 /// τ as a function of the length of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Temperature {
-    /// (T in seconds, τ), T rising.
+    /// (Length of a scan in seconds, τ), in order of length.
     points: Vec<(f64, f64)>,
 }
 
 impl Temperature {
-    /// Fits τ at each length; it never rises with the length. Without left-out trials it is 1.
+    /// Fits τ at each length, so that it never rises with the length; 1 without left-out trials.
     pub fn fit(held_out: &[(f64, Vec<HeldOut>)]) -> Self {
         let mut points: Vec<(f64, f64)> = held_out
             .iter()
@@ -56,7 +57,7 @@ pub fn best_temperature(held_out: &[HeldOut]) -> f64 {
     best_fit(held_out).0
 }
 
-/// That τ, and the log loss.
+/// The τ of [`best_temperature`], and its log loss.
 pub(super) fn best_fit(held_out: &[HeldOut]) -> (f64, f64) {
     let loss = |tau: f64| -> f64 {
         held_out.iter().map(|(d, class)| -log_posterior(d, tau)[*class].max(-700.0)).sum()
@@ -66,7 +67,7 @@ pub(super) fn best_fit(held_out: &[HeldOut]) -> (f64, f64) {
     fits.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((1.0, 0.0))
 }
 
-/// ln of softmax(−d/(2τ)); −∞ for infinite distances.
+/// ln of softmax(−d/(2τ)); −∞ for infinite distances, unless all are infinite: then all are equal.
 pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
     if !least.is_finite() {
@@ -77,9 +78,8 @@ pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     logits.iter().map(|x| x - total).collect()
 }
 
-/// Probabilities held to what `trials` left-out trials can show: none above (m + ½)/(m + 1), the
-/// share that rests on their having all been named right. What is taken from the sure ones is
-/// spread over all classes alike.
+/// Posterior probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1): more
+/// cannot be shown by m = `trials` left-out trials, even if all are named right.
 pub fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
     let classes = log_posterior.len() as f64;
     let doubt = 0.5 / (trials as f64 + 1.0);

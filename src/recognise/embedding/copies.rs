@@ -1,10 +1,10 @@
-//! Copies of a library's trials that the discriminant is trained on: what another hand, another place
-//! and a worse sensor would have made of the same scan.
+//! Augmented copies of a library's trials for training: the same scan as another hand, at another
+//! place or with a worse sensor, might have made it.
 //!
-//! Three excerpts of 40 % and one disturbed twin of each trial (method §11). Their gain varies as the
-//! force of a hand does, so that training finds out how much level is worth. Place and gain are
-//! drawn once a copy, for all its sources; stretch, noise and loss once a source. All draws depend on
-//! the trial's name and the seed alone.
+//! Each trial has three excerpts of 40 % and one *twin*: the whole trial, disturbed as sensors
+//! disturb (method §11). Their gain varies like the force of a hand, so that training learns what
+//! level is worth. Place and gain are drawn once for each copy, for all its sources; stretch, noise
+//! and loss once for each source. All draws depend only on the trial's name and the seed.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -20,25 +20,25 @@ pub const COPIES: usize = EXCERPTS + 1;
 /// Length of an excerpt as a share of its trial.
 pub const SHARE: f64 = 0.4;
 
-/// Standard deviation of the ln of a copy's gain: a hand's force, 2 dB.
+/// Standard deviation of the ln of a copy's gain: 2 dB, as the force of a hand varies.
 const LN_GAIN: f64 = 0.25;
 
-/// The same of pictures: the light.
+/// Standard deviation of the ln of a copy's gain for pictures, where the light varies.
 const PICTURE_LN_GAIN: f64 = 0.2;
 
-/// The greatest ln of the stretch of a twin: a clock, or a pace, that is 6 % off.
+/// Largest |ln| of a twin's stretch: a clock or a pace that is 6 % off.
 const LN_STRETCH: f64 = 0.06;
 
-/// White noise in a twin, in dB below the signal: from, to.
+/// White noise in a twin, in dB below the signal: least and most.
 const NOISE_DB: (f64, f64) = (5.0, 40.0);
 
-/// Share of single samples that one twin in two loses, as powers of ten: from, to.
+/// Share of single samples that half of the twins lose, as a power of ten: least and most.
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 
 /// One copy of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Copy {
-    /// Begin of an excerpt, as a share of the latest one possible; `None` for the twin.
+    /// Start of an excerpt, as a share of the latest possible start; `None` for the twin.
     pub place: Option<f64>,
     /// ln of the gain of its series.
     pub ln_gain: f64,
@@ -58,13 +58,13 @@ pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     })
 }
 
-/// The generator of a trial's draws for one purpose.
+/// The random generator of a trial for one `purpose`.
 fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
     seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
 }
 
-/// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
-/// the name of theirs.
+/// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source`
+/// is the name of the source.
 pub fn samples(
     copy: &Copy,
     (key, seed, source): (&TrialKey, u64, &str),
@@ -80,8 +80,8 @@ pub fn samples(
     samples[first * channels..(first + length).min(frames) * channels].to_vec()
 }
 
-/// A series as a worse sensor would have recorded it: stretched, with white noise, and one time in
-/// two with single samples lost, so that what follows moves up.
+/// A series as a worse sensor would have recorded it: stretched, with white noise, and in half of
+/// the cases with single samples lost, so that later ones move up.
 fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
     let mut between = |(low, high): (f64, f64)| low + (high - low) * seed::uniform(rng);
     let pace = between((-LN_STRETCH, LN_STRETCH)).exp();

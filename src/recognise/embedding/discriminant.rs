@@ -1,17 +1,17 @@
-//! The shrinkage discriminant: linear discriminant analysis on embeddings, from all trials and from
-//! those outside each group.
+//! The shrinkage discriminant: linear discriminant analysis of embeddings, trained on all trials
+//! and, for each group, on the trials outside it.
 //!
-//! Training vectors have labels: label c is a whole trial of class c, the labels from the number of
-//! classes on are of copies. The class means m_c are those of whole trials; the scatter W pools all
-//! vectors about the means of their labels. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The distances
-//! d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by S: they
-//! order classes as the full Mahalanobis distance does, and what is left out does not separate
-//! classes.
+//! Each training vector has a label: below the number of classes it is the class of a whole trial;
+//! higher labels are of copies. The class means m_c are those of whole trials; the scatter W pools
+//! all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
+//! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by
+//! S: they order classes as the full Mahalanobis distance does, since directions outside that space
+//! do not separate classes.
 //!
-//! S = L·Lᵀ is factored once. Without the rows of a group, W is less by R_gᵀ·Q·R_g, R_g the group's rows
-//! about the means of their labels, and Q⁻¹ = I less 1/n over the rows of each label of n rows, since
-//! the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white coordinates is
-//! I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which costs as much as the group is large.
+//! S = L·Lᵀ is factored once. Leaving out the rows of a group takes R_gᵀ·Q·R_g from W: R_g are the
+//! group's rows minus the means of their labels; Q⁻¹ is I less 1/n between rows of the same label,
+//! which has n rows in all, since the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white
+//! coordinates is I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which is cheap for a small group.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
@@ -25,31 +25,31 @@ use super::residuals::Residuals;
 /// never erred in the library may err.
 const LEAST_WITHIN: f64 = 1e-3;
 
-/// Class means that add less than this share of the farthest's squared length to the space of the
-/// others lie in it.
+/// A class mean lies in the space of the others if its squared distance to that space is below this
+/// share of the largest squared length of a mean.
 const INSIDE: f64 = 1e-10;
 
 /// A trained discriminant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Discriminant {
-    /// Shape (r, D), r < C.
+    /// From features to the space of the class means, whitened; shape (r, D), r < C.
     #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
-    /// Projected origin of the class means.
+    /// Projection of the centre of the class means.
     origin: Array1<f64>,
-    /// m_c, shape (C, r).
+    /// Class means m_c in that space, shape (C, r).
     means: Array2<f64>,
     /// Whether a class had training vectors.
     present: Vec<bool>,
 }
 
-/// Training vectors, and what they are of.
+/// Training vectors with their labels and groups.
 pub struct Vectors<'a> {
-    /// Shape (n, D).
+    /// Training vectors, shape (n, D).
     pub rows: &'a Array2<f32>,
-    /// Label of each row, below a multiple of the number of classes.
+    /// Label of each row: the class of a whole trial; from `classes` on, of a copy.
     pub labels: &'a [usize],
-    /// Group of each row.
+    /// Group of each row; groups are left out in turn.
     pub groups: &'a [usize],
     /// Number of classes.
     pub classes: usize,
@@ -57,11 +57,11 @@ pub struct Vectors<'a> {
     pub group_count: usize,
 }
 
-/// S of some vectors, factored.
+/// The metric S of training vectors, factored.
 struct Metric<'a> {
     vectors: &'a Vectors<'a>,
     residuals: Residuals,
-    /// L.
+    /// L of S = L·Lᵀ.
     factor: Array2<f64>,
     /// Weight of Σ r·rᵀ in S.
     weight: f64,
@@ -69,12 +69,11 @@ struct Metric<'a> {
 }
 
 impl Discriminant {
-    /// Trains on all vectors, and on those outside each group. `dims` is the number of features that
-    /// the identity stands for: more than the columns where these are coordinates of a space
-    /// within. `shrinkage` is γ.
+    /// Trains on all vectors, and on those outside each group. `dims` is the number of features, D
+    /// of tr W/D: larger than the number of columns if these are coordinates in a subspace.
+    /// `shrinkage` is γ.
     ///
-    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes have
-    /// any.
+    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes occur.
     pub fn train(
         vectors: &Vectors<'_>,
         dims: usize,
@@ -87,9 +86,9 @@ impl Discriminant {
         (metric.all(), without.map(|group| metric.without(group)).collect())
     }
 
-    /// From the class means in white coordinates, shape (D, C), the same times the metric's inverse
-    /// in these coordinates, their centre, and what distances are to be scaled by. Classes without
-    /// vectors are 0.
+    /// Takes the class means in white coordinates, shape (D, C); their product with the inverse of
+    /// the metric; the factor L; the centre of the means; and a factor for all distances. Classes
+    /// without vectors are 0.
     fn of_white(
         (white, inverse): (&Array2<f64>, &Array2<f64>),
         factor: &Array2<f64>,
@@ -97,8 +96,7 @@ impl Discriminant {
         present: Vec<bool>,
         scale: f64,
     ) -> Option<Self> {
-        // Cholesky factor of the means' inner products; those that lie in the space of the ones
-        // before them add no column.
+        // Cholesky factor of the means' inner products; a dependent mean adds no column.
         let inner = white.t().dot(inverse);
         let largest = inner.diag().iter().copied().fold(0.0, f64::max);
         let classes = present.len();
@@ -129,7 +127,7 @@ impl Discriminant {
         sound.then_some(Self { projection, origin, means, present })
     }
 
-    /// Distances in the features' own units, to the class means of whole trials.
+    /// Plain distances to the class means of whole trials, without a metric.
     pub fn of_means(vectors: &Vectors<'_>) -> Self {
         let Residuals { counts, means, .. } = Residuals::new(vectors.rows, vectors.labels);
         let means = means.slice_move(s![..vectors.classes, ..]);
@@ -151,13 +149,12 @@ impl Discriminant {
         self.present[class]
     }
 
-    /// The same with another projection onto the space of the class means.
+    /// The discriminant with its projection onto the space of the class means changed.
     pub fn map_projection(self, change: impl FnOnce(Array2<f32>) -> Array2<f32>) -> Self {
         Self { projection: change(self.projection), ..self }
     }
 
-    /// The same for vectors of `dims` features, of which these are the `columns`; the others count
-    /// for nothing.
+    /// The discriminant for vectors of `dims` features, of which only `columns` count.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
         self.map_projection(|projection| {
             if columns.len() == dims {
@@ -171,24 +168,24 @@ impl Discriminant {
         })
     }
 
-    /// u, a vector in the space of the class means: what distances are taken of.
+    /// u: a vector projected into the space of the class means.
     pub fn project(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
         let projected = self.projection.dot(&vector);
         projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect()
     }
 
-    /// m_c in the features' own space, shape (C, D), and what u·m_c has besides.
+    /// w_c, shape (C, D), and b_c with u·m_c = w_c·x − b_c for the vector x that projects to u.
     pub fn weights(&self) -> (Array2<f32>, Array1<f64>) {
         let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
         (of_class, self.means.dot(&self.origin))
     }
 
-    /// d_c for each class; infinite for those without training vectors.
+    /// Squared distance d_c to each class mean; infinite for classes without training vectors.
     pub fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
         self.distances_in_space(&self.project(vector))
     }
 
-    /// The same of several vectors of D features, with one product of matrices.
+    /// The distances d_c of several vectors of D features, with one product of matrices.
     pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
         let mut rows = Array2::zeros((vectors.len(), self.projection.ncols()));
         for (mut row, vector) in rows.rows_mut().into_iter().zip(vectors) {
@@ -201,7 +198,7 @@ impl Discriminant {
         projected.map(|u: Vec<f64>| self.distances_in_space(&u)).collect()
     }
 
-    /// d_c of a vector in the space of the class means.
+    /// The squared distances d_c of a vector in the space of the class means.
     fn distances_in_space(&self, u: &[f64]) -> Vec<f64> {
         let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
             if present {
@@ -227,7 +224,7 @@ impl<'a> Metric<'a> {
         let square: f64 = vectors.rows.iter().map(|x| f64::from(*x).powi(2)).sum();
         let overall = vectors.rows.mapv(f64::from).sum_axis(Axis(0)) / n;
         let total = (square / n - overall.dot(&overall)) / dims as f64;
-        // The sums of squares are good to about 1e-6 of themselves: less is noise.
+        // The sums of squares are exact to about 1e-6, relatively: a smaller variance is noise.
         if total.is_nan() || total <= 1e-5 * square / n / dims as f64 {
             return None;
         }
@@ -260,7 +257,7 @@ impl<'a> Metric<'a> {
         Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)
     }
 
-    /// Mean of the means of some classes.
+    /// Mean of the means of the classes that are `present`.
     fn centre(&self, present: &[bool]) -> Array1<f64> {
         let known: Vec<usize> = (0..present.len()).filter(|&c| present[c]).collect();
         self.residuals.means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len().max(1) as f64
@@ -279,7 +276,7 @@ impl<'a> Metric<'a> {
         let selected = self.residuals.rows.select(Axis(0), &rows).mapv(f64::from);
         let mut moved = selected.reversed_axes().as_standard_layout().into_owned();
         solve_lower(&self.factor, &mut moved);
-        // Q⁻¹ over the weight, less VᵀV.
+        // Q⁻¹ divided by the weight, less VᵀV.
         let mut rest = moved.t().dot(&moved);
         rest.map_inplace(|x| *x = -*x);
         for (i, &a) in rows.iter().enumerate() {
@@ -291,7 +288,7 @@ impl<'a> Metric<'a> {
             }
         }
         let rest = cholesky(rest)?;
-        // The class means move away from the group's whole trials.
+        // Without the group's whole trials, the class means move.
         let mut centre = self.centre(&present);
         let mut white = self.white(&centre, &present);
         let mut move_by = Array2::<f64>::zeros((rows.len(), classes));
@@ -336,7 +333,7 @@ mod tests {
         (vectors, labels)
     }
 
-    /// The same, but every third round is of copies, whose means are their own.
+    /// As `data`, but every third vector of a class is a copy's, with a mean of its own.
     fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
         let (rows, labels) = data();
         let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };
@@ -352,8 +349,8 @@ mod tests {
         Discriminant::train(&vectors(rows, labels, classes), rows.ncols(), SHRINKAGE).0
     }
 
-    /// Mahalanobis distances of a vector to the first `classes` means, by the definition: about the
-    /// scatter of `kept` rows, with the ridge of all of them.
+    /// Mahalanobis distances of a vector to the first `classes` means, by the definition: with the
+    /// scatter of the `kept` rows and the ridge of all rows.
     fn by_definition(
         (rows, labels): (&Array2<f32>, &[usize]),
         kept: &[usize],

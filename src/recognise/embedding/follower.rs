@@ -1,8 +1,8 @@
-//! Follows a scan with a trained model, look by look.
+//! Follows a scan with a trained model, and renews the guess at each look (step of [`LOOK_S`]).
 //!
-//! A scan that grows is kept as sums that new samples add to, so that a look costs the same at its
-//! hundredth second as at its first. Its vector is that of the trial that its samples make, apart from
-//! the moments that are about the mean; once the trial is there, these come from its samples.
+//! A growing scan is kept as sums to which new samples are added, so that a look costs the same in
+//! the hundredth second as in the first. Its vector equals that of a trial of the same samples,
+//! except for moments about the mean; these are exact once the finished trial is given.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use crate::recognise::shape::LibraryShape;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
 
-/// Surfaces that a guess names, at most.
+/// How many surfaces a guess names at most.
 const NAMED: usize = 5;
 
 /// Follows one scan after the other.
@@ -36,35 +36,35 @@ pub struct Follower {
     scan: ScanSoFar,
 }
 
-/// The present scan, as far as it has come.
+/// The current scan so far.
 struct ScanSoFar {
     sums: ScanSums,
     waiting: BTreeMap<SourceId, Waiting>,
-    /// Pictures that came.
+    /// Sources whose picture has come.
     pictures: BTreeSet<SourceId>,
-    /// Those of one colour.
+    /// Sources whose picture is of one colour.
     plain: BTreeSet<SourceId>,
     looks: u64,
     watch: Option<Watch>,
-    /// Something did not fit: nothing more is said of this scan.
+    /// Samples did not fit: there are no more guesses for this scan.
     failed: bool,
 }
 
-/// Frames of a source that no look has reached yet.
+/// Frames of a source that wait for the look that uses them.
 struct Waiting {
     rate_hz: f64,
     channels: usize,
     drag: bool,
     samples: Vec<f32>,
     passed_on: u64,
-    /// Of the frames that were passed on.
+    /// Flaws of the frames that were passed on.
     flaws: SeriesFlaws,
-    /// It had samples that are not numbers.
+    /// Whether it had NaN or infinite samples.
     broken: bool,
 }
 
 impl Waiting {
-    /// Frames that came, passed on or not.
+    /// Number of frames received, passed on or not.
     fn frames(&self) -> usize {
         self.passed_on as usize + self.samples.len() / self.channels
     }
@@ -78,7 +78,7 @@ impl Follower {
         Self { model, rejection, settling, scan }
     }
 
-    /// Takes what of a trial did not come yet; `None` if what came is not of this trial.
+    /// Takes what is missing of a finished trial; `None` if the scan so far is not part of it.
     fn take_rest(&mut self, trial: &Trial) -> Option<()> {
         let in_trial = |id: &SourceId| trial.signals.contains_key(id);
         let series = self.scan.waiting.iter().filter(|(_, waiting)| !waiting.broken);
@@ -126,7 +126,7 @@ impl Follower {
     }
 }
 
-/// The most probable surfaces, the first of equal ones first.
+/// The most probable surfaces, in alphabetical order in a tie.
 fn named(surfaces: &[String], posterior: &Posterior) -> Vec<(String, f64)> {
     let mut order: Vec<usize> = (0..surfaces.len()).collect();
     order.sort_by(|&a, &b| posterior.log_posterior[b].total_cmp(&posterior.log_posterior[a]));
@@ -154,7 +154,7 @@ impl ScanSoFar {
         self.plain.contains(id) || self.waiting.get(id).is_some_and(stuck)
     }
 
-    /// The sources that came, without those that are dead or stuck so far: as for whole scans, see
+    /// The sources received, without those that are dead or stuck so far, as for whole scans: see
     /// [`crate::recognise::without_flawed`].
     fn sound(&self, model: &EmbeddingModel) -> BTreeSet<SourceId> {
         let flaw = |id| self.is_flawed(model, id).then_some(());
@@ -165,7 +165,7 @@ impl ScanSoFar {
         known.iter().filter(is_sound).map(|id| (*id).clone()).collect()
     }
 
-    /// Hands on what each source had by `scan_s` seconds of drag; of taps, all there is.
+    /// Adds what each source had by `scan_s` seconds of drag to the sums; of taps, everything.
     fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<(), RecogniseError> {
         for (id, waiting) in self.waiting.iter_mut().filter(|(_, waiting)| !waiting.broken) {
             let there = waiting.samples.len() / waiting.channels;
@@ -197,8 +197,8 @@ impl Follower {
         self.scan = ScanSoFar::new(&self.model, &self.settling);
     }
 
-    /// Takes the next frames of a source. Sources that the scene does not know are passed over,
-    /// and so are those with samples that are not numbers, until the next scan begins.
+    /// Takes the next frames of a source. Sources that the library lacks are ignored, and so are
+    /// those with NaN or infinite samples, until the next scan begins.
     ///
     /// # Errors
     /// If the frames do not fit the scene or those before them.
@@ -241,12 +241,12 @@ impl Follower {
         self.scan.pictures.insert(source.clone());
     }
 
-    /// Looks at the scan at each whole step of [`LOOK_S`] up to `scan_s` seconds of drag that was
-    /// not yet looked at, as far as the frames of that time have come. Gives the last of these
-    /// looks, or nothing where none was due or nothing can be said yet.
+    /// Renews the guess at each step of [`LOOK_S`] up to `scan_s` seconds of drag that is still
+    /// due, from the frames received for that time. Returns the last of these guesses; `None` if no
+    /// step was due or nothing can be said yet.
     ///
     /// # Errors
-    /// If what came cannot be compared with the library.
+    /// If received samples cannot be compared with the library.
     pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
         let mut said = None;
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
@@ -261,17 +261,17 @@ impl Follower {
         Ok(said)
     }
 
-    /// The ranking of a scan that has ended and is `trial`, as
-    /// [`Model::rank`](crate::recognise::Model::rank) would give it without its flawed sources
-    /// ([`crate::recognise::without_flawed`]): only what was not followed yet is worked on. `None`
-    /// where what was followed is not a beginning of the trial, or the trial cannot be named.
+    /// The ranking of the finished scan `trial`, equal to that of
+    /// [`Model::rank`](crate::recognise::Model::rank) without the flawed sources
+    /// ([`crate::recognise::without_flawed`]). Only what was not followed yet is computed. `None`
+    /// if what was followed is not a beginning of the trial, or the trial cannot be named.
     pub fn finish(&mut self, trial: &Trial) -> Option<Ranking> {
         if self.scan.failed {
             return None;
         }
         self.take_rest(trial)?;
         let drag_s = trial.longest_s(|id| self.model.scene.is_dragged(id));
-        // In the steps of looks, so that a look that was missed changes no rounding.
+        // In the same steps as looks, so that a missed look does not change rounding.
         let steps = drag_s.map_or(0, |drag_s| (drag_s / LOOK_S) as u64);
         for step in self.scan.looks + 1..=steps {
             self.scan.pass_on(&self.model, step as f64 * LOOK_S).ok()?;
@@ -287,7 +287,7 @@ impl Follower {
     }
 
     /// The flaws of a source in the scan so far ([`crate::trial::flaws`]); of the whole scan, once
-    /// it is finished. `None` where the source was not followed.
+    /// it is finished. `None` if the source was not followed, or had NaN or infinite samples.
     pub fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
         let whole = self.scan.waiting.get(source).filter(|waiting| !waiting.broken);
         whole.map(|waiting| waiting.flaws.flaws())
@@ -299,16 +299,16 @@ impl Follower {
     }
 }
 
-/// The scan so far. Its vector equals that of the trial that its samples make.
+/// Sums of the scan so far.
 struct ScanSums {
     shape: Arc<LibraryShape>,
-    /// In the order of the vector.
+    /// Sources in the order of the vector; `None` until they are received.
     sources: Vec<Option<SourceSums>>,
 }
 
 enum SourceSums {
     Series(Box<SeriesScan>),
-    /// Its stretch of the vector.
+    /// Its columns of the vector.
     Picture(Vec<f32>),
 }
 
@@ -318,19 +318,18 @@ struct SeriesScan {
     samples: usize,
     frames: [BandSums; 2],
     moments: GrowingMoments,
-    /// Samples that are not yet used up, one list a view: all, until its first frame is complete.
+    /// For each view, the samples that later frames need: all, until the first frame is complete.
     pending: [Vec<f32>; 2],
 }
 
 impl ScanSums {
-    /// Before the first sample.
+    /// A scan without samples.
     pub fn new(joint: &JointEmbedder, shape: &Arc<LibraryShape>) -> Self {
         let sources = joint.stretches.iter().map(|_| None).collect();
         Self { shape: shape.clone(), sources }
     }
 
-    /// Takes the next samples of a source, interleaved. Sources that the library lacks are passed
-    /// over.
+    /// Takes the next samples of a source, interleaved. Sources that the library lacks are ignored.
     ///
     /// # Errors
     /// If the rate cannot be compared with the library's, or changes during the scan.
@@ -376,7 +375,7 @@ impl ScanSums {
         }
     }
 
-    /// As [`JointEmbedder::says_something`], of those sources that `keep` wants.
+    /// As [`JointEmbedder::says_something`], for those sources that `keep` wants.
     pub fn says_something(&self, joint: &JointEmbedder, keep: impl Fn(&SourceId) -> bool) -> bool {
         let mut sources = joint.stretches.iter().zip(&self.sources);
         sources.any(|(stretch, source)| match source {
@@ -389,8 +388,8 @@ impl ScanSums {
         })
     }
 
-    /// The vector so far, in the library's deviations, of those sources that came and that `keep`
-    /// wants; exact where these are all samples of a `trial`.
+    /// The standardised vector so far, of those sources that were received and that `keep` wants;
+    /// exact if `trial` is given, which must consist of these samples.
     pub fn vector(
         &self,
         joint: &JointEmbedder,

@@ -1,33 +1,32 @@
 //! Fourier features: cos ωz and sin ωz for ω = 0.6 and 1.2.
 //!
-//! z is the value of a band, less the library's mean, in the library's deviations. The squared
-//! distance of two means of such features is the MMD² of the kernel Σ_ω cos ω(z − z′), of rank four:
-//! Bochner's theorem with two frequencies instead of random ones. One sine and cosine a value; the
-//! second frequency is the double angle.
+//! z is the value of a band minus the library's mean, divided by the library's standard deviation.
+//! The squared distance between two means of such features is the MMD² of a kernel of rank four,
+//! Σ_ω cos ω(z − z′): Bochner's theorem with two fixed frequencies instead of random ones. Each
+//! value costs one sine and cosine; double-angle formulas give those of the second frequency.
 
 use serde::{Deserialize, Serialize};
 
-/// The lower frequency, in radians a deviation.
+/// The lower frequency, in radians per standard deviation.
 const OMEGA: f32 = 0.6;
 
 /// Features of one band: cosine and sine of both frequencies.
 pub(super) const BAND_FEATURES: usize = 4;
 
-/// Values that are worked on together.
+/// Number of values that are computed together.
 pub(super) const LANES: usize = 8;
 
-/// How the bands of one view are brought onto the circle.
+/// How the values of the bands of one view become angles.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct BandScale {
     /// Mean of each band over a library.
     centre: Vec<f32>,
-    /// ω/(π·deviation) of each band.
+    /// ω/(π·deviation) of each band: angles in half turns.
     factor: Vec<f32>,
 }
 
 impl BandScale {
-    /// From means and deviations of bands; a thousandth is added to each deviation, so that a
-    /// constant band has one.
+    /// From means and deviations of bands; a thousandth is added to deviations, so that none is 0.
     pub fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
         let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));
         Self { factor: deviation.iter().map(factor).collect(), centre }
@@ -65,8 +64,8 @@ pub(super) fn add_up(
     }
 }
 
-/// sin(πu) and cos(πu) for |u| ≤ 1, to within 1e-6: Taylor series of half the angle, at most π/2,
-/// and the formulas of the double angle.
+/// sin(πu) and cos(πu) for |u| ≤ 1, with errors below 1e-6: from the Taylor series for half the
+/// angle, which is at most π/2, by the double-angle formulas.
 #[inline(always)]
 fn sin_cos_pi(u: &[f32; LANES]) -> ([f32; LANES], [f32; LANES]) {
     const HALF_PI: f32 = std::f32::consts::FRAC_PI_2;

@@ -1,10 +1,11 @@
-//! A trial as the method `embedding` sees it: log-band frames in two views and moments of each series,
-//! tiles of each picture; for a library's trials the same of their copies.
+//! A trial prepared for the method `embedding`: for each series, log-band frames in two views (long
+//! and short frames) and moments; for each picture, tiles. Library trials also have these of their
+//! augmented copies.
 //!
-//! Frames follow samples, not the clock (method §9): a long frame has the power of two nearest to
-//! 46 ms, but at least 64 samples where the library's trials have four times as many, so that slow
-//! sensors get a spectrum, too; a short frame has a quarter of that. All trials of a library, and
-//! its queries, are framed by the library's shape.
+//! The length of frames depends on samples as well as on time (method §9): a long frame has the
+//! power of two nearest to 46 ms or 64 samples, whichever is longer, so that slow sensors have a
+//! spectrum, too, but at most a quarter of the library's median trial; a short frame has a quarter
+//! of that. The shape of the library gives the frames of its trials and of all queries.
 
 use std::collections::BTreeMap;
 
@@ -25,26 +26,26 @@ use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Duration of a long frame in seconds, where that is enough samples.
 const FRAME_S: f64 = 0.0464;
-/// The least samples of a long frame, where trials are long enough.
+/// Fewest samples of a long frame, where trials are long enough.
 const LEAST_POINTS: f64 = 64.0;
 /// A long frame is at most this share of the library's median trial.
 const MOST_OF_TRIAL: f64 = 0.25;
-/// Long frames for each short one.
+/// How many times longer a long frame is than a short one.
 const SHORTER: usize = 4;
-/// The least samples of any frame.
+/// Fewest samples of any frame.
 const FEWEST: usize = 4;
-/// Bands of a long and of a short frame, at most.
+/// Most bands of a long frame and of a short one.
 const BANDS: [usize; 2] = [40, 24];
 /// Highest frequency where no band is configured, in Hz.
 const UNSAID_HZ: f64 = 500.0;
 
-/// How the series of one source are framed: long frames first, then short ones.
+/// How the series of one source are cut into frames: long frames first, then short ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceViews(pub [FrameView; 2]);
 
 impl SourceViews {
-    /// The views of a recording at `rate_hz`, in a library whose trials have the rate and the
-    /// median length that `shape` says; without a shape, those of the recording itself.
+    /// The views of a recording with a rate in Hz and a length in frames, in a library of this
+    /// `shape`. If the shape lacks the source, the recording stands for the library's trials.
     pub fn new(spec: &SourceSpec, series: (f64, usize), shape: &LibraryShape) -> Self {
         let (rate_hz, frames) = series;
         let known = shape.get(&spec.id);
@@ -54,7 +55,7 @@ impl SourceViews {
         let power_of_two = |points: f64| 1usize << points.log2().round().clamp(0.0, 24.0) as u32;
         let long = power_of_two(wished.min(MOST_OF_TRIAL * median as f64));
         let short = (long / SHORTER).max(FEWEST);
-        // At another rate, frames are as long as those of the library, as near as powers of two come.
+        // At another rate, frames last as long as in the library, rounded to a power of two.
         let at_rate =
             |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
         let (low, high) = spec.domain.band_hz().unwrap_or((0.0, UNSAID_HZ));
@@ -65,19 +66,19 @@ impl SourceViews {
         Self([view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])])
     }
 
-    /// Whether values of the two stand for the same frequencies, at whatever rate.
+    /// Whether the bands of both cover the same frequencies, even at different rates.
     pub fn comparable(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a.comparable(b))
     }
 
-    /// Samples of a block of moments: as far as one long frame is from the next.
+    /// Samples a channel in a block of moments: the step from one long frame to the next.
     pub fn block(&self) -> usize {
         self.0[0].hop()
     }
 }
 
-/// Log-band frames in fixed point: 2⁻⁹ of a natural logarithm a step, finer than any estimate of
-/// power, and half the memory.
+/// Log-band frames in fixed point with steps of 2⁻⁹ of a natural logarithm: finer than any estimate
+/// of power, and half the memory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PackedFrames {
     #[serde(with = "packed::list")]
@@ -88,7 +89,7 @@ pub struct PackedFrames {
 const STEPS: f32 = 512.0;
 
 impl PackedFrames {
-    /// The values of some frames.
+    /// Packs the values of some frames.
     pub fn new(values: &[f32]) -> Self {
         let pack = |x: &f32| (x * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX));
         Self { values: values.iter().map(|x| pack(x) as i16).collect() }
@@ -99,7 +100,7 @@ impl PackedFrames {
         self.values.iter().map(|&x| f32::from(x) / STEPS).collect()
     }
 
-    /// The values of frames `within`, each of `width` values, as ln power, into `out`.
+    /// Writes the frames `within`, each of `width` values, to `out`, as ln power.
     pub fn unpack(&self, width: usize, within: std::ops::Range<usize>, out: &mut Vec<f32>) {
         out.clear();
         let values = &self.values[within.start * width..within.end * width];
@@ -112,7 +113,7 @@ impl PackedFrames {
     }
 }
 
-/// A piece of a series: all of it, or a copy.
+/// A piece of a series: the whole series, or a copy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Piece {
     /// Frames of each view; at least one.
@@ -135,35 +136,35 @@ impl Piece {
 /// A series of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrames {
-    /// How it was framed.
+    /// How it was cut into frames.
     pub views: SourceViews,
     /// Its length in samples.
     pub samples: usize,
-    /// All of it.
+    /// The whole series.
     pub whole: Piece,
-    /// Its copies; none of a query.
+    /// Its copies; a query has none.
     pub copies: Vec<Piece>,
-    /// In a library, of a drag: its beginnings, one each [`LOOK_S`].
+    /// Its beginnings, one for each [`LOOK_S`]; only for drags, and only in a library.
     pub looks: Vec<Beginning>,
 }
 
-/// The beginning of a series; its frames are the first of the whole.
+/// The beginning of a series; its frames are the first ones of the whole series.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Beginning {
     /// Moments of its samples.
     pub moments: Moments,
-    /// Of each view that it is too short for: its one frame, with zeros behind it.
+    /// One zero-padded frame for each view with longer frames than this beginning; else empty.
     pub padded: [PackedFrames; 2],
 }
 
 impl SeriesFrames {
-    /// Frames a recording.
+    /// Cuts a recording into frames.
     pub fn new(views: SourceViews, series: &Series) -> Self {
         let whole = Piece::new(&views, series.samples());
         Self { whole, samples: series.frames(), views, copies: Vec::new(), looks: Vec::new() }
     }
 
-    /// Frames a recording of a library, and its copies.
+    /// Cuts a recording of a library, and its copies, into frames.
     fn of_library(views: SourceViews, series: &Series, spec: &SourceSpec, from: Drawn<'_>) -> Self {
         let channels = series.channels();
         let source = (from.key, from.seed, spec.id.as_str());
@@ -196,7 +197,7 @@ impl SeriesFrames {
         self.views.0[0].rate_hz
     }
 
-    /// Whether it fills a short frame.
+    /// Whether it is as long as a short frame.
     pub fn is_a_frame_long(&self) -> bool {
         self.samples >= self.views.0[1].points
     }
@@ -207,12 +208,12 @@ impl SeriesFrames {
     }
 }
 
-/// How many samples a channel have come by a time in seconds.
+/// Number of samples a channel within the first `seconds`.
 pub fn samples_by(seconds: f64, rate_hz: f64) -> usize {
     (seconds * rate_hz - 1e-6).ceil().max(0.0) as usize
 }
 
-/// The key and the seed that the draws of a library's trial depend on.
+/// The key and seed by which the copies of a library trial are drawn.
 #[derive(Clone, Copy)]
 struct Drawn<'a> {
     key: &'a TrialKey,
@@ -222,7 +223,7 @@ struct Drawn<'a> {
 /// One source of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum SourceFrames {
-    /// Anything with a rate.
+    /// A series.
     Series(SeriesFrames),
     /// A picture.
     Picture(PictureTiles),
@@ -250,7 +251,7 @@ pub struct TrialFrames {
 }
 
 impl TrialFrames {
-    /// Lets go of the copies.
+    /// Frees the copies.
     pub(super) fn forget_copies(&mut self) {
         for source in self.sources.values_mut() {
             if let SourceFrames::Series(series) = source {
@@ -259,9 +260,9 @@ impl TrialFrames {
         }
     }
 
-    /// Frames those sources of a trial that the scene describes, as the trials of a library of
-    /// that shape are framed. A trial of the library itself gets its copies by the `seed` of their
-    /// draws; a query has none.
+    /// Cuts those sources of a trial that the scene describes into frames, as in a library of this
+    /// shape. A trial of the library itself has a `seed`, by which its copies are drawn; a query
+    /// has none.
     ///
     /// # Errors
     /// If a source is of another kind, or has another number of channels, than the scene says.
@@ -294,8 +295,8 @@ impl TrialFrames {
         Ok(Self { key: key.clone(), sources })
     }
 
-    /// A number for how the sources of a scene are framed in a library of that shape: trials framed
-    /// alike can be compared.
+    /// Hash of how the sources of a scene are cut into frames and copied in a library of this
+    /// shape: trials with the same hash can be compared.
     pub fn framing_key(scene: &Scene, shape: &LibraryShape, seed: u64) -> u64 {
         let views = scene.sources().map(|spec| {
             let of_shape = |s: crate::recognise::shape::SourceShape| (s.rate_hz, s.median_frames);

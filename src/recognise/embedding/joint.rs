@@ -1,4 +1,5 @@
-//! All sources of a trial in one vector, each feature in the library's deviations.
+//! Puts all sources of a trial into one vector of features, standardised by mean and deviation of
+//! the library. The *stretch* of a source is its range of columns.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use crate::recognise::follow::LOOK_S;
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 
-/// Features are held within this many deviations of the library.
+/// Standardised features are clipped to plus or minus this.
 const CLIP: f32 = 8.0;
 
 /// How one source becomes its stretch of the vector.
@@ -48,7 +49,7 @@ impl SourceEmbedder {
         }
     }
 
-    /// The whole of a source, or copy number `i`.
+    /// The vector of a whole source, or of one of its copies, given with its number.
     fn embed(&self, source: &SourceFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         match (self, source) {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
@@ -62,31 +63,31 @@ impl SourceEmbedder {
                 let (part, ln_gain) = copy.map_or((Part::Whole, 0.0), copied);
                 embedder.vector(tiles, part, ln_gain)
             }
-            // The checks of a trial against its scene give a source one kind of data.
+            // Does not occur: trials are checked to hold the kind of data that the scene says.
             _ => vec![0.0; self.dims()],
         }
     }
 }
 
-/// One source of the vector.
+/// One source, and its columns of the vector.
 #[derive(Clone, Debug)]
 pub(super) struct Stretch {
     pub spec: SourceSpec,
     pub embedder: SourceEmbedder,
     /// The first trial of the library that has the source, for messages.
     first: TrialKey,
-    /// Its places in the vector.
+    /// Its columns of the vector.
     pub columns: Range<usize>,
 }
 
 impl Stretch {
-    /// Whether a channel of the source rests in the library, and has its level compared.
+    /// Whether a channel of the source is constant in the library and compared by its level.
     pub fn has_switch(&self) -> bool {
         matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
     }
 
-    /// Checks that a series can be compared with those of the library, by frequency in Hz. Rates
-    /// may differ; one too low for the library's band may not.
+    /// Checks that a series can be compared with the library's by frequency in Hz. Its rate may
+    /// differ, but must not be too low for the library's band.
     fn check_rate(&self, series: &SeriesFrames) -> Result<(), RecogniseError> {
         match &self.embedder {
             SourceEmbedder::Series(library) if !series.views.comparable(&library.views) => {
@@ -109,11 +110,11 @@ pub(super) struct JointEmbedder {
     pub stretches: Vec<Stretch>,
     /// Mean of each feature over the library's whole trials.
     mean: Vec<f32>,
-    /// 1/deviation of each.
+    /// 1/standard deviation of each feature.
     factor: Vec<f32>,
 }
 
-/// All of a [`JointEmbedder`] that does not follow from its scene.
+/// The parts of a [`JointEmbedder`] that its scene does not give.
 #[derive(Serialize, Deserialize)]
 pub(super) struct StoredJoint {
     sources: Vec<(SourceId, SourceEmbedder, TrialKey)>,
@@ -121,11 +122,11 @@ pub(super) struct StoredJoint {
     factor: Vec<f32>,
 }
 
-/// Whether each source of the vector is there.
+/// For each source of the vector: whether a trial has it.
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
-    /// In units of a library.
+    /// Takes each source's scales from a library; `standardise_by` sets means and deviations.
     pub fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let of_source = |spec: &SourceSpec| {
             let with = |t: &'_ Arc<TrialFrames>| t.sources.contains_key(&spec.id);
@@ -149,7 +150,7 @@ impl JointEmbedder {
         Self { stretches, mean: Vec::new(), factor: Vec::new() }
     }
 
-    /// All of it that its scene does not give.
+    /// The parts to store: those that the scene does not give.
     pub fn to_stored(&self) -> StoredJoint {
         let parts = |s: &Stretch| (s.spec.id.clone(), s.embedder.clone(), s.first.clone());
         StoredJoint {
@@ -159,7 +160,7 @@ impl JointEmbedder {
         }
     }
 
-    /// The same again; `None` if that is not of this scene.
+    /// Restores an embedder; `None` if the stored parts do not fit the scene.
     pub fn from_stored(scene: &Scene, stored: StoredJoint) -> Option<Self> {
         let with_spec = |(id, embedder, first): (SourceId, SourceEmbedder, TrialKey)| {
             let spec = scene.sources().find(|spec| spec.id == id)?.clone();
@@ -192,13 +193,13 @@ impl JointEmbedder {
         self.mean.len()
     }
 
-    /// Whether a trial has each of the sources.
+    /// Which of the sources a trial has.
     pub fn present(&self, trial: &TrialFrames) -> Present {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
 
-    /// The vector of the whole of a trial, or of copy number `i`, in the features' own units; 0 for
-    /// sources that it lacks.
+    /// The vector of a whole trial, or of one of its copies, given with its number. It is not yet
+    /// standardised, and 0 for sources that the trial lacks.
     fn raw(&self, trial: &TrialFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         let of_source = |stretch: &Stretch| {
             let source = trial.sources.get(&stretch.spec.id)?;
@@ -214,16 +215,16 @@ impl JointEmbedder {
         vector
     }
 
-    /// The vectors of a library's trial, in the features' own units: of the whole, then of its
-    /// copies by the `seed` of their draws.
+    /// The vectors of a library trial, not yet standardised: of the whole trial, then of its
+    /// copies, which are drawn by `seed`.
     pub fn training_vectors(&self, trial: &TrialFrames, seed: u64) -> Vec<Vec<f32>> {
         let copies = copies(&trial.key, seed);
         let copies = copies.iter().enumerate().map(|copy| self.raw(trial, Some(copy)));
         std::iter::once(self.raw(trial, None)).chain(copies).collect()
     }
 
-    /// Takes mean and deviation of each feature from the vectors of whole trials in their own
-    /// units, each with what it has.
+    /// Sets the mean and deviation of each feature from whole trials: their vectors, not yet
+    /// standardised, and the sources that each has.
     pub fn standardise_by(&mut self, wholes: &[(&[f32], &Present)]) {
         for (s, stretch) in self.stretches.iter().enumerate() {
             let with: Vec<&[f32]> =
@@ -233,7 +234,7 @@ impl JointEmbedder {
                 let values = || with.iter().map(|vector| f64::from(vector[column]));
                 let mean = values().sum::<f64>() / n;
                 let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-                // A feature that hardly varies is not blown up.
+                // A feature that hardly varies is not magnified.
                 let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
                 self.mean[column] = mean as f32;
                 self.factor[column] = (1.0 / deviation) as f32;
@@ -241,8 +242,7 @@ impl JointEmbedder {
         }
     }
 
-    /// Brings a vector into the library's deviations; sources that are not there stay 0, which is
-    /// the library's mean.
+    /// Standardises a vector; sources that are not `present` stay 0, which is the library's mean.
     pub fn standardise(&self, vector: &mut [f32], present: &Present) {
         for (stretch, _) in self.stretches.iter().zip(present).filter(|(_, has)| **has) {
             self.standardise_source(stretch, vector);
@@ -257,9 +257,9 @@ impl JointEmbedder {
         debug_assert!(vector.iter().all(|x| x.is_finite()));
     }
 
-    /// The standardised vectors of the beginnings of a library trial's drag, after each of some
-    /// looks, counted from 1 and rising. What is not of the drag, or ended before, is as in `whole`,
-    /// the vector of the whole trial.
+    /// The standardised vectors of the beginnings of a library trial's drag, after each of `looks`:
+    /// steps of [`LOOK_S`], counted from 1, rising. Sources that do not belong to the drag, or
+    /// ended before, are as in `whole`, the vector of the whole trial.
     pub fn beginnings(
         &self,
         trial: &TrialFrames,
@@ -294,8 +294,8 @@ impl JointEmbedder {
         (vector, present)
     }
 
-    /// Whether there is anything in a trial to compare: a picture, or a series that is as long as a
-    /// short frame, and moves or has a channel that rests in the library, as a switch does.
+    /// Whether a trial has anything to compare: a picture, or a series as long as a short frame
+    /// that is not constant, or of which a channel is constant in the library, like a switch.
     pub fn says_something(&self, trial: &TrialFrames) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
@@ -307,7 +307,7 @@ impl JointEmbedder {
         })
     }
 
-    /// Whether a channel of a source moves in the library; unknown sources are said to.
+    /// Whether a channel of a source moves in the library; true for sources that the library lacks.
     pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
         let stretch = self.stretches.iter().find(|stretch| stretch.spec.id == *source);
         match stretch.map(|stretch| &stretch.embedder) {
@@ -316,7 +316,7 @@ impl JointEmbedder {
         }
     }
 
-    /// Length in seconds of a trial's drag: of its longest source that is dragged, if it has one.
+    /// Length of a trial's drag in seconds: its longest source recorded while dragging, if any.
     pub fn drag_s(&self, trial: &TrialFrames) -> Option<f64> {
         let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
         let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());
@@ -324,13 +324,13 @@ impl JointEmbedder {
     }
 }
 
-/// Places of the sources that are there, by name of the library's places.
+/// Columns of the sources that are present.
 pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
     let there = stretches.iter().zip(present).filter(|(_, has)| **has);
     there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
 }
 
-/// The vectors of the beginnings of a series after each of some looks; none once it has ended.
+/// The vectors of the beginnings of a series, after each of `looks`; `None` after its end.
 fn beginnings(
     embedder: &SeriesEmbedder,
     series: &SeriesFrames,

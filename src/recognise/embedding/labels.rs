@@ -1,5 +1,4 @@
-//! The labels that training needs of a library: its trials' classes, and the groups in which they are
-//! left out.
+//! Labels of a library's trials for training: their classes, and the groups that are left out.
 
 use crate::trial::TrialKey;
 
@@ -11,21 +10,21 @@ const MOST_GROUPS: usize = 10;
 pub(super) struct Labels {
     /// The surfaces, sorted.
     pub surfaces: Vec<String>,
-    /// Class of each trial: its surface's place.
+    /// Class of each trial: the index of its surface.
     pub class: Vec<usize>,
     /// Number of classes.
     pub classes: usize,
-    /// Group of each trial; groups are left out together.
+    /// Group of each trial; the trials of a group are left out together.
     pub group: Vec<usize>,
     /// Number of groups.
     pub groups: usize,
-    /// Whether groups are of users: what is found by leaving them out holds for other people.
+    /// Whether groups consist of users: then results of leaving out hold for other people, too.
     pub across_users: bool,
 }
 
 impl Labels {
-    /// Groups are users where leaving each out leaves most trials something to be named by; else
-    /// trials of one user and number, where that makes too many several together.
+    /// A group is a user, if most trials can still be named by the other users' trials; else it is
+    /// the trials of one user and number. Where there would be too many groups, several are joined.
     pub fn new(keys: &[&TrialKey]) -> Self {
         let place = |of: &[&str], name: &str| of.binary_search(&name).unwrap_or(0);
         let distinct = |of: fn(&TrialKey) -> &str| {
@@ -61,8 +60,8 @@ impl Labels {
     }
 }
 
-/// How many trials could be named by the rest of the library without their group: it knows their
-/// class and another one, and holds a third of all trials at least.
+/// How many trials could be named without their group: the rest of the library has their class and
+/// another one, and at least a third of all trials.
 fn known_elsewhere(class: &[usize], group: &[usize]) -> usize {
     let groups = group.iter().max().map_or(0, |last| last + 1);
     let classes = class.iter().max().map_or(0, |last| last + 1);

@@ -1,5 +1,5 @@
-//! Library trials that are left out, group by group: how sure a model may be, how unlike all surfaces
-//! a trial of the library can look, when an answer is settled, and how many are right by when.
+//! Leaves library trials out, group by group, and finds how sure a model may be, how far from all
+//! surfaces a known trial can lie, when an answer is settled, and which are right by each time.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,40 +20,38 @@ use crate::recognise::decide::scan_time::{LeftOutScan, looked_after};
 use crate::recognise::decide::settle::{Look, Stops};
 use crate::recognise::follow::{FollowOptions, LOOK_S};
 
-/// Lengths of beginnings at which left-out trials are looked at, as shares of the median drag.
+/// Lengths of the beginnings of left-out trials that are examined, as shares of the median drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 
 /// Share of the library's trials that are shorter than what counts as a whole scan.
 const SHORTER: f64 = 0.05;
 
-/// Trials whose beginnings are looked at, at most: as many more would change no digit that is
-/// stated.
+/// Most trials whose beginnings are examined: more would change no digit that is stated.
 const MOST_BEGUN: usize = 400;
 
-/// Discriminants of the sources that something has: from all trials, and from those outside each
-/// group.
+/// Discriminants for one set of sources: from all trials, and from those outside each group.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Trained {
-    /// From all trials; the distances of plain means if the library cannot train one.
+    /// Trained on all trials; plain distances to the class means if that is not possible.
     pub all: Discriminant,
-    /// By group; none where too little is left.
+    /// Trained without each group; `None` where too few trials are left.
     pub without: Vec<Option<Discriminant>>,
-    /// How unlike all surfaces left-out trials look by these sources.
+    /// How far left-out trials lie from all surfaces by these sources.
     pub conformity: Conformity,
 }
 
-/// Scans of left-out trials of one length: trial and standardised vector.
+/// Beginnings of left-out trials: length in seconds; trials, each with its standardised vector.
 type Begun = (f64, Vec<(usize, Vec<f32>)>);
 
 impl Trained {
-    /// Trains without a measure of what is strange.
+    /// Trains without measuring conformity.
     fn new(joint: &JointEmbedder, training: &Training, present: &Present) -> Self {
         let (all, without) = training.discriminants(joint, present);
         Self { all, without, conformity: Conformity::default() }
     }
 
-    /// Trains, and measures the library's trials that have these sources; `drag_s` is their median
-    /// drag.
+    /// Trains, and measures the conformity of the library trials that have these sources; `drag_s`
+    /// is the median length of their drag.
     pub fn measured(
         joint: &JointEmbedder,
         training: &Training,
@@ -66,7 +64,7 @@ impl Trained {
         trained
     }
 
-    /// In a library of one person, excerpts stand for whole scans by somebody else.
+    /// Measures conformity. In a library of one person, excerpts stand for scans by somebody else.
     fn measure(
         &mut self,
         training: &Training,
@@ -121,19 +119,19 @@ impl Trained {
     }
 }
 
-/// Results of leaving trials out.
+/// What was found by leaving trials out.
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    /// τ by the length of a scan.
+    /// Temperature τ of probabilities, as a function of the length of a scan.
     pub temperature: Temperature,
     /// Distances of whole left-out trials, with their classes.
     pub held_out: Vec<HeldOut>,
-    /// Median length of the drag of trials that have all sources; 0 without one.
+    /// Median length of the drag of trials that have all sources, in seconds; 0 if none has.
     pub drag_s: f64,
-    /// Scans of this length and above count as whole: all but [`SHORTER`] of these trials have it;
-    /// by one person, to whose excerpts whole scans are compared, half of them.
+    /// Scans of this length and above count as whole. All but [`SHORTER`] of these trials are as
+    /// long; half of them in a library of one person, where whole scans are compared with excerpts.
     whole_from_s: f64,
-    /// The discriminants of the sources that trials of the library have.
+    /// Discriminants for each set of sources that library trials have.
     pub trained: BTreeMap<Present, Arc<Trained>>,
 }
 
@@ -210,13 +208,13 @@ impl LeftOut {
         }
     }
 
-    /// The length that a scan of `scan_s` seconds counts as, now that it has ended: one as long as
-    /// the library's trials are is a whole one, like these, and no beginning of a longer one.
+    /// The length that a finished scan of `scan_s` seconds counts as. A scan about as long as the
+    /// library's trials counts as whole, not as the beginning of a longer one.
     pub fn ended_s(&self, scan_s: f64) -> f64 {
         if scan_s >= self.whole_from_s { scan_s.max(self.drag_s) } else { scan_s }
     }
 
-    /// The discriminant that a trial did not train, if its class is known without it.
+    /// The discriminant trained without a trial's group, if it knows the trial's class.
     pub fn without(
         &self,
         labels: &Labels,
@@ -228,29 +226,29 @@ impl LeftOut {
     }
 }
 
-/// At most [`MOST_BEGUN`] of some trials, evenly spread.
+/// Indices of at most [`MOST_BEGUN`] trials, evenly spread.
 pub(super) fn evenly(trials: usize) -> Vec<usize> {
     let used = trials.min(MOST_BEGUN);
     (0..used).map(|i| i * trials / used).collect()
 }
 
-/// A left-out trial as its drag grows, seen by a model trained without it. No option of
-/// following changes that.
+/// A left-out trial, named at each look while its drag grows by a model trained without it. This
+/// does not depend on [`FollowOptions`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct FollowedTrial {
-    /// Trials of one group were left out together.
+    /// The group that it was left out with.
     pub group: usize,
-    /// Its class.
+    /// Index of its true surface.
     pub truth: usize,
-    /// The class that it is named by its whole length.
+    /// Index of the surface that it is named by its whole length.
     pub whole: usize,
     /// Length of its drag in seconds.
     pub drag_s: f64,
-    /// After each [`LOOK_S`] of it.
+    /// The guess after each [`LOOK_S`] of the drag.
     pub looks: Vec<LeftOutLook>,
 }
 
-/// One look at a left-out trial.
+/// The guess at one look at a left-out trial.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LeftOutLook {
     pub class: usize,
@@ -259,7 +257,7 @@ pub(super) struct LeftOutLook {
 }
 
 impl FollowedTrial {
-    /// The look at which each stop rule would have stopped.
+    /// Where each stopping rule would have stopped.
     pub fn stops(&self, options: &FollowOptions) -> Stops {
         let fits = |p_value| options.rejection.as_ref().is_none_or(|r| !r.rejects(p_value));
         let look = |(i, look): (usize, &LeftOutLook)| Look {
@@ -271,7 +269,7 @@ impl FollowedTrial {
         Stops::new(self.looks.iter().enumerate().map(look), self.truth, self.whole, self.drag_s)
     }
 
-    /// Whether it is named right after each time that is looked at.
+    /// Whether it is named correctly after each time of [`looked_after`].
     pub fn scan(&self) -> LeftOutScan {
         let right = |step: usize| self.looks[step - 1].class == self.truth;
         LeftOutScan {
@@ -285,14 +283,14 @@ impl FollowedTrial {
         }
     }
 
-    /// Whether following a trial can give this, with this number of classes.
+    /// Whether a stored trial is possible with this number of classes.
     pub fn is_sound(&self, classes: usize) -> bool {
         let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
         self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)
     }
 }
 
-/// Number of looks at a drag.
+/// Number of looks (one each [`LOOK_S`]) at a drag.
 pub(super) fn looks_in(drag_s: f64) -> usize {
     (drag_s / LOOK_S + 1e-9).floor() as usize
 }

@@ -6,20 +6,20 @@ use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
 
-/// Columns that are worked on one by one.
+/// Size of the blocks that are factored column by column.
 const BLOCK: usize = 48;
 
-/// Vectors that are summed in f32 before the sum goes to f64.
+/// Number of vectors that are summed in f32 before the sum is added in f64.
 const ROWS_A_SUM: usize = 512;
 
-/// Columns of a matrix of sums that one thread works out at a time.
+/// Columns of a matrix of sums that one thread computes at a time.
 const COLUMNS_A_SUM: usize = 256;
 
 /// Rows that are worth a thread of their own.
 const ROWS_A_THREAD: usize = 512;
 
-/// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads the
-/// lower triangle alone; what stands above the diagonal afterwards means nothing.
+/// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads only
+/// the lower triangle; the values left above the diagonal are meaningless.
 ///
 /// Returns `None` if the matrix is not positive definite in f64.
 pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
@@ -27,8 +27,8 @@ pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
     Some(a)
 }
 
-/// Halves the matrix until it is a block, so that products are of large matrices, and what they
-/// read stays in the caches (Gustavson 1997, "Recursion leads to automatic variable blocking for
+/// Halves the matrix until it is a block, so that most work is products of large matrices whose
+/// data stay in the caches (Gustavson 1997, "Recursion leads to automatic variable blocking for
 /// dense linear-algebra algorithms").
 fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     let n = a.nrows();
@@ -60,7 +60,7 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     Some(())
 }
 
-/// About half of more than a block, in whole blocks.
+/// About half of `n`, in whole blocks.
 fn half_of(n: usize) -> usize {
     (n / 2).next_multiple_of(BLOCK)
 }
@@ -89,13 +89,13 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     }
 }
 
-/// A ← A − X·Y in the lower triangle of A, at least; X·Y is symmetric.
+/// A ← A − X·Y for a symmetric X·Y; above the diagonal, A may keep its values.
 fn subtract_lower_product(
     x: &ArrayView2<'_, f64>,
     y: &ArrayView2<'_, f64>,
     a: &mut ArrayViewMut2<'_, f64>,
 ) {
-    /// Below this size, sparing the upper half costs as much as it saves.
+    /// Below this size, skipping the upper half costs as much as it saves.
     const ENOUGH: usize = 4 * BLOCK;
     let n = a.nrows();
     if n <= ENOUGH {
@@ -115,7 +115,7 @@ fn subtract_lower_product(
     );
 }
 
-/// Solves L·X = B in place; `b` holds one column a right-hand side.
+/// Solves L·X = B in place; each column of `b` is a right-hand side.
 pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     let n = l.nrows();
     for k in (0..n).step_by(BLOCK) {
@@ -139,7 +139,7 @@ pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     }
 }
 
-/// Solves Lᵀ·X = B in place; `b` holds one column a right-hand side.
+/// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
 pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     let n = l.nrows();
     for k in (0..n).step_by(BLOCK).rev() {
@@ -158,8 +158,8 @@ pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     }
 }
 
-/// Adds Σ z·zᵀ of the rows to the lower triangle of a matrix of shape (D, D). What stands
-/// above the diagonal means nothing.
+/// Adds Σ z·zᵀ of the rows to the lower triangle of a matrix of shape (D, D). The values above the
+/// diagonal are meaningless.
 pub fn add_lower_gram(gram: &mut Array2<f64>, vectors: &Array2<f32>) {
     let n = vectors.nrows();
     let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
@@ -184,8 +184,8 @@ pub struct EigenPairs {
 }
 
 impl EigenPairs {
-    /// Of a matrix of shape (n, n), row by row: cyclic Jacobi rotations (Golub & Van Loan, §8.5),
-    /// right for small n.
+    /// Decomposes a matrix of shape (n, n), row by row, by cyclic Jacobi rotations (Golub & Van
+    /// Loan, §8.5), which suit small n.
     pub fn new(mut a: Vec<f64>, n: usize) -> Self {
         /// Sweeps converge quadratically: ten are plenty.
         const SWEEPS: usize = 30;
@@ -209,7 +209,7 @@ impl EigenPairs {
         Self { n, values: (0..n).map(|i| a[i * n + i]).collect(), vectors }
     }
 
-    /// The matrix of the same vectors whose values are `f` of these, row by row.
+    /// The matrix with the same eigenvectors and eigenvalues `f`(λ), row by row.
     pub fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
         let (n, v) = (self.n, &self.vectors);
         let values: Vec<f64> = self.values.iter().map(|&x| f(x)).collect();
@@ -221,8 +221,8 @@ impl EigenPairs {
     }
 }
 
-/// Appends the upper triangle of a symmetric matrix of shape (n, n), what is off the diagonal times
-/// √2: the squared distance of two such lists is that of the matrices.
+/// Appends the upper triangle of a symmetric matrix of shape (n, n), off-diagonal values times √2,
+/// so that the distance of two such lists is the Frobenius distance of the matrices.
 pub fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
     for row in 0..n {
         for column in row..n {
@@ -261,7 +261,7 @@ fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
 mod tests {
     use super::*;
 
-    /// Symmetric, positive definite, of more than two blocks.
+    /// A symmetric, positive definite matrix.
     fn matrix(n: usize) -> Array2<f64> {
         let b = Array2::from_shape_fn((n, n), |(i, j)| ((i * 31 + j * 17) as f64).sin());
         b.t().dot(&b) + Array2::<f64>::eye(n) * 0.5

@@ -1,17 +1,17 @@
-//! The method `embedding` (method §11): all sources of a trial in one vector, a shrinkage
-//! discriminant on it.
+//! The method `embedding` (method §11): puts all sources of a trial into one vector, and tells
+//! surfaces apart by a shrinkage discriminant.
 //!
-//! The vector holds kernel mean embeddings: Fourier features of log-band frames (`band_sums`), whose
-//! squared distance is an MMD², the moments and the lag covariance of each series (`series`), and the
-//! same for pictures, whose frames are tiles (`picture`); everything twice, in shape, with the
-//! recording's own level taken off, and in level. The discriminant is trained when the library is
-//! loaded, from whole trials and copies of them (`copies`), and finds out what level is worth. It is
-//! kept beside the library. Probabilities, the stop rule and the threshold of `unknown` come from
-//! leaving library trials out, by user where there are several (`left_out`). Missing sources cost
-//! their own columns.
+//! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings,
+//! whose squared distance is an MMD². It also holds the moments and the lag covariance of each
+//! series (`series`). Pictures have the same features, with tiles as frames (`picture`). Features
+//! come twice: in *shape*, with the recording's own level taken off, and in *level*. The
+//! discriminant is trained on whole trials and augmented copies of them (`copies`), whose gain
+//! varies, so that it learns what level is worth; it is stored beside the library. Probabilities,
+//! the stopping rule and the threshold of `unknown` come from leaving library trials out, by user
+//! where there are several (`left_out`). Where a source is missing, only its columns are left out.
 //!
-//! The score of a surface is 1/posterior, so that, as everywhere, smaller is more alike, and the
-//! margin is the log of the odds. Of a source's configuration only its band counts.
+//! The score of a surface is 1/posterior, so that smaller is more alike, as in every method; the
+//! margin is the log of the odds. Of a source's configuration, only the band is used.
 
 mod band_sums;
 pub mod calibrated_probability;
@@ -54,11 +54,11 @@ use crate::trial::Trial;
 /// The method's name.
 const NAME: &str = "embedding";
 
-/// Settings of the method; what is usual is left out where settings are written.
+/// Settings of the method; defaults are left out when settings are written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct EmbeddingOptions {
-    /// Seed of the copies.
+    /// Seed of the augmented copies.
     #[serde(skip_serializing_if = "is_usual_seed")]
     pub seed: u64,
 }
@@ -86,7 +86,7 @@ impl Embedding {
         Self { scene, options }
     }
 
-    /// Embeds a library and trains on it.
+    /// Embeds a library and trains a model on it.
     ///
     /// # Errors
     /// As [`Method::fit`].

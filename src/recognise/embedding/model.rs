@@ -1,4 +1,4 @@
-//! A library that the method `embedding` has been trained on: from a query to its answer.
+//! The trained model of the method `embedding`: from a query to its answer.
 
 use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
@@ -39,29 +39,28 @@ pub struct EmbeddingModel {
     pub(super) joint: JointEmbedder,
     training: Training,
     left_out: LeftOut,
-    /// By the sources of queries that have others than trials of the library.
+    /// Discriminants for sets of sources that a query has, but no library trial.
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
-    /// The library's trials, until they are followed.
+    /// The library's trials, kept until `followed` is made of them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
-    /// Results of following them.
+    /// The left-out trials, each named at every look of its growing drag.
     followed: OnceLock<Vec<FollowedTrial>>,
-    /// The stop rule by the options that were wanted first: scans are followed by them again and
-    /// again.
+    /// The stopping rule for the first options asked for: later scans mostly have the same.
     settling: OnceLock<(FollowOptions, Settling)>,
 }
 
-/// How far a query is from each surface, and what that means.
+/// The probability of each surface for a query, and the p-value.
 pub(super) struct Posterior {
     /// ln of softmax(−distance/2τ).
     pub log_posterior: Vec<f64>,
-    /// Probability of each, held to what the left-out trials of the library can show.
+    /// Probability of each surface, limited to what left-out library trials can show.
     pub probabilities: Vec<f64>,
     /// As [`Ranking::p_value`].
     pub p_value: Option<f64>,
 }
 
 impl Posterior {
-    /// Index of the most probable surface; the first of equal ones.
+    /// Index of the most probable surface; the first in a tie.
     pub fn best(&self) -> usize {
         let mut best = 0;
         for (i, p) in self.log_posterior.iter().enumerate() {
@@ -74,7 +73,7 @@ impl Posterior {
 }
 
 impl EmbeddingModel {
-    /// Trains on a library, sorted by key; `seed` is that of its trials' copies.
+    /// Trains on a library, sorted by key; `seed` draws the copies of its trials.
     pub(super) fn train(
         scene: &Scene,
         shape: &Arc<LibraryShape>,
@@ -87,7 +86,7 @@ impl EmbeddingModel {
             joint.check(trial)?;
         }
         let training = Training::new(&mut joint, &library, &labels, seed);
-        // Most of the memory; nobody else holds them, unless folds share the trials.
+        // Copies take most of the memory; they are freed unless other folds share the trials.
         library.iter_mut().filter_map(Arc::get_mut).for_each(TrialFrames::forget_copies);
         let left_out = LeftOut::new(&joint, &training, &labels, &library);
         let keys = library.iter().map(|trial| trial.key.clone()).collect();
@@ -122,7 +121,7 @@ impl EmbeddingModel {
         &self.left_out.held_out
     }
 
-    /// The length that a scan counts as that has ended after a drag of `drag_s` seconds, if any.
+    /// The length that a finished scan with a drag of `drag_s` counts as; infinite without a drag.
     pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
         drag_s.map_or(f64::INFINITY, |drag_s| self.left_out.ended_s(drag_s))
     }
@@ -135,7 +134,7 @@ impl EmbeddingModel {
         Ok(self.joint.embed(query))
     }
 
-    /// The discriminants of some sources: made when they are first wanted, and kept.
+    /// The discriminants for a set of sources: trained at the first request, and kept.
     fn trained(&self, present: &Present) -> Arc<Trained> {
         if let Some(known) = self.left_out.trained.get(present) {
             return known.clone();
@@ -151,7 +150,7 @@ impl EmbeddingModel {
         trained
     }
 
-    /// Distances to all surfaces, and a p-value, mean this for a scan of `scan_s` seconds.
+    /// Makes a posterior from the distances to all surfaces and the p-value of a scan.
     fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
         let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
         Posterior {
@@ -161,14 +160,14 @@ impl EmbeddingModel {
         }
     }
 
-    /// The posterior of a vector in the library's deviations.
+    /// The posterior of a standardised vector.
     pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
         let trained = self.trained(present);
         let p_value = trained.p_value(vector.into(), scan_s);
         self.posterior_of(&trained.all.distances(vector.into()), p_value, scan_s)
     }
 
-    /// The sources that something has.
+    /// The sources that are present.
     fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
         self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
     }
@@ -194,7 +193,7 @@ impl EmbeddingModel {
         ranking
     }
 
-    /// The trial of a class that is nearest to a vector, in the library's deviations.
+    /// The trial of a class that is nearest to a standardised vector.
     fn nearest(&self, vector: &[f32], present: &Present, class: usize) -> TrialKey {
         let columns = columns(&self.joint.stretches, present);
         let distance = |trial: usize| -> f64 {
@@ -207,8 +206,8 @@ impl EmbeddingModel {
         self.keys[nearest.unwrap_or(0)].clone()
     }
 
-    /// Each source's share of the distance to each surface, over 2τ, so that the sums are −ln
-    /// posterior, less one number that is the same for all surfaces.
+    /// Each source's share of the distance to each surface, divided by 2τ: the sum over sources is
+    /// −ln posterior, up to a constant that is the same for all surfaces.
     fn evidence(&self, vector: &[f32], present: &Present, scan_s: f64) -> Evidence {
         let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
@@ -237,7 +236,7 @@ impl EmbeddingModel {
         Evidence { surfaces: self.labels.surfaces.clone(), sources }
     }
 
-    /// The stop rule.
+    /// The stopping rule for these options.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
         let choose = || {
             let stops: Vec<Stops> = self.followed().iter().map(|t| t.stops(options)).collect();
@@ -247,7 +246,7 @@ impl EmbeddingModel {
         if found_for == options { settling.clone() } else { choose() }
     }
 
-    /// The left-out trials as they grow, followed once.
+    /// The left-out trials, each named at every look of its growing drag; computed once.
     fn followed(&self) -> &[FollowedTrial] {
         self.followed.get_or_init(|| {
             let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -259,7 +258,7 @@ impl EmbeddingModel {
         })
     }
 
-    /// Looks at a library trial as a [`Follower`] would, with a model trained without it.
+    /// Follows a library trial as a [`Follower`] would, with a model trained without it.
     fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
         let present = &self.training.present[trial];
         let without = self.left_out.without(&self.labels, present, trial)?;
@@ -270,7 +269,7 @@ impl EmbeddingModel {
         let vectors = self.joint.beginnings(frames, whole, &looks);
         let look = |(number, distances): (&usize, Vec<f64>)| {
             let scan_s = *number as f64 * LOOK_S;
-            // All groups' trials are compared with it by the one model that does not know it.
+            // Only the model without this trial measures it, so its value serves for every group.
             let p_value = conformity.p_value(scan_s, |_| nonconformity(&distances));
             let posterior = self.posterior_of(&distances, p_value, scan_s);
             let class = posterior.best();
@@ -298,7 +297,7 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model of the bytes that [`EmbeddingModel::store`] gave; `None` if they are of something else.
+    /// The model from the bytes of [`EmbeddingModel::store`]; `None` if they are not valid.
     pub(super) fn from_bytes(
         bytes: &[u8],
         scene: &Scene,
@@ -359,13 +358,13 @@ impl Model for EmbeddingModel {
 
 /// Abilities that no other method has.
 impl EmbeddingModel {
-    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that rests
-    /// there may rest in a query, too: its sensor is not dead.
+    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that is
+    /// constant there may be constant in a query, too: its sensor is not dead.
     pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
         self.joint.moves(source, channel)
     }
 
-    /// A query that can be named again and again, each time by some of its sources.
+    /// A query that can be named repeatedly, each time by some of its sources.
     ///
     /// # Errors
     /// As [`Model::rank`].
@@ -374,21 +373,21 @@ impl EmbeddingModel {
         Ok(QueryVector { model: self, vector, present })
     }
 
-    /// Follows scans while they go on. The first time, the stop rule is calibrated, which takes a
-    /// while.
+    /// Follows scans in progress. The first call calibrates the stopping rule, which takes a while.
     pub fn follow(self: Arc<Self>, options: &FollowOptions) -> Follower {
         Follower::new(&self, options)
     }
 
-    /// How many left-out library trials are named right by when. The first time takes a while,
-    /// unless scans were followed before.
+    /// How many left-out library trials are named right by each scan time. The first call takes a
+    /// while, unless scans were followed before.
     pub fn left_out_accuracy(&self) -> LeftOutAccuracy {
         let scans: Vec<LeftOutScan> = self.followed().iter().map(FollowedTrial::scan).collect();
         LeftOutAccuracy::new(&scans, self.counts())
     }
 
     /// The p-value at or below which a query is called unknown, for a stated rate of false
-    /// rejections; without one, for the usual rate: 1 %, or what the library's trials can show.
+    /// rejections; without one, for the usual rate: 1 %, or the lowest that the library's trials
+    /// can show.
     ///
     /// # Errors
     /// If the library has too few trials.
@@ -402,10 +401,9 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore); `None` if it
-    /// is too large for them.
+    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore), if possible.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
-        // In the order of `Stored`. Following left-out trials takes a while, unless that was done.
+        // In the order of `Stored`. Following left-out trials takes a while, unless already done.
         let joint = self.joint.to_stored();
         let stored = (&self.keys, joint, &self.training, &self.left_out, self.followed());
         postcard::to_allocvec(&stored).ok()
@@ -415,14 +413,14 @@ impl EmbeddingModel {
 /// A query as a vector, to be named by any of its sources.
 pub struct QueryVector {
     model: Arc<EmbeddingModel>,
-    /// In the library's deviations.
+    /// The query's vector, standardised.
     vector: Vec<f32>,
     present: Present,
 }
 
 impl QueryVector {
-    /// The surface that is most alike by `sources`, as a query of these alone would be named;
-    /// `None` if the query and the library have none of them in common.
+    /// The most alike surface by `sources`, as a query of these alone would be named; `None` if the
+    /// query and the library have none of them in common.
     pub fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
         let stretches = self.model.joint.stretches.iter().zip(&self.present);
         let chosen: Present =

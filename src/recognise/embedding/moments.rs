@@ -1,9 +1,9 @@
 //! Running sums of a series, from which its moments and its lag covariance follow.
 //!
-//! A series is summed block by block; a block is half a long frame. Sums add up, so a scan that grows
-//! costs additions alone. All powers are of x minus a reference near the first block's mean, so that
-//! an offset costs no digits. While a scan grows, its mean is not known yet: mean magnitude, crossings
-//! and drift are taken about the mean of each block. Of a whole piece they are exact.
+//! A series is summed in blocks of half a long frame, so that a growing scan only adds its new
+//! blocks. All powers are of x minus the mean of the first block, so that an offset costs no
+//! digits. While a scan grows, its final mean is unknown: mean magnitude, crossings and drift are
+//! taken about the mean of each block. For a finished series they are exact.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +15,7 @@ const LAGS: usize = 4;
 /// Keeps logarithms finite: far below a 24-bit converter's step.
 const FLOOR: f64 = 1e-9;
 
-/// Statistics of one channel: see [`Statistics::moments`].
+/// The statistics of one channel, in order: see [`Statistics::moments`].
 pub const MOMENTS: [&str; 9] = [
     "ln of the standard deviation",
     "skewness, cube root",
@@ -28,10 +28,10 @@ pub const MOMENTS: [&str; 9] = [
     "ln of the deviation of the level over 16 parts",
 ];
 
-/// Places among [`MOMENTS`] of ln deviation and ln drift, which a gain moves.
+/// Indices in [`MOMENTS`] of ln deviation and ln drift, which a gain changes.
 pub const LOUDNESS: [usize; 2] = [0, 8];
 
-/// Places of the sums of a channel, behind the block's length.
+/// The sums of a channel, in the order in which they are stored.
 #[derive(Clone, Copy)]
 enum Of {
     /// Σ x
@@ -40,9 +40,9 @@ enum Of {
     Cubes,
     /// Σ x⁴
     Fourths,
-    /// (Σ x)²/n over each of 16 parts; of a scan that grows, over each block
+    /// Σ over 16 parts of (Σ x)²/n; in a growing scan, over its blocks
     SquaredLevel,
-    /// Σ |x − m|, m the mean; of a scan that grows, the block's
+    /// Σ |x − m|, m the mean; in a growing scan, the block's mean
     Magnitude,
     /// Σ √|x − m|
     Root,
@@ -54,13 +54,13 @@ enum Of {
     Greatest,
 }
 
-/// Parts over which the slow change of the level is taken.
+/// Number of parts whose means show the drift of a series.
 const PARTS: usize = 16;
 
-/// Sums of a channel.
+/// Number of sums of a channel.
 const OF_CHANNEL: usize = 9;
 
-/// Sums of a block: its length, [`OF_CHANNEL`] of each channel, C × C products of each lag.
+/// Number of sums of a block: its length, [`OF_CHANNEL`] a channel, C × C products for each lag.
 fn width(channels: usize) -> usize {
     1 + OF_CHANNEL * channels + LAGS * channels * channels
 }
@@ -73,8 +73,8 @@ fn products(channels: usize, lag: usize) -> usize {
     1 + OF_CHANNEL * channels + lag * channels * channels
 }
 
-/// The sums of some blocks: of those that move, if any does. Blocks where every channel rests are
-/// gaps that a line has filled with its last value.
+/// Sums over the blocks in which any channel moves, or over all blocks if none does. Blocks without
+/// movement are gaps that a serial line has filled with its last value.
 #[derive(Clone, Debug)]
 struct Sums {
     channels: usize,
@@ -113,17 +113,17 @@ impl Sums {
     }
 }
 
-/// The moments of a piece of a series, as its sums.
+/// The sums of a series or of a part of it, from which its moments follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
-    /// The value of each channel that powers are taken from.
+    /// The value that is subtracted from each channel.
     reference: Vec<f32>,
     /// See [`width`].
     sums: Vec<f32>,
 }
 
 impl Moments {
-    /// Of a recording in blocks of `block` samples a channel; `samples` are interleaved.
+    /// Sums a recording in blocks of `block` samples a channel; `samples` are interleaved.
     pub fn new(channels: usize, block: usize, samples: &[f32]) -> Self {
         let mut growing = GrowingMoments::new(channels, block);
         growing.extend(samples);
@@ -134,13 +134,13 @@ impl Moments {
         self.reference.len()
     }
 
-    /// Whether no channel ever moves.
+    /// Whether every channel is constant.
     pub fn is_constant(&self) -> bool {
         (0..self.channels())
             .all(|c| self.sums[place(Of::Least, c)] == self.sums[place(Of::Greatest, c)])
     }
 
-    /// The statistics of a series of `rate_hz`, times a gain of `ln_gain`.
+    /// The statistics of a series at `rate_hz`, multiplied by a gain of e^`ln_gain`.
     pub fn statistics(&self, rate_hz: f64, ln_gain: f64) -> Statistics {
         let channels = self.channels();
         let n = f64::from(self.sums[0]).max(1.0);
@@ -192,27 +192,27 @@ impl Moments {
     }
 }
 
-/// Statistics of a piece of a series.
+/// Statistics of a series or of a part of it.
 #[derive(Clone, Debug)]
 pub struct Statistics {
     /// [`MOMENTS`], channel by channel.
     pub moments: Vec<f64>,
     /// Standard deviation of each channel; at least 1e-9.
     pub deviations: Vec<f64>,
-    /// Mean of each channel, whatever the gain.
+    /// Mean of each channel, without the gain.
     pub means: Vec<f64>,
     /// Γ(l) for lags of 0 to 3 samples, each of shape (C, C).
     pub covariances: Vec<Vec<f64>>,
 }
 
-/// The moments of a series that grows at its end.
+/// The sums of a growing series.
 #[derive(Clone, Debug)]
 pub struct GrowingMoments {
     /// Samples a block.
     block: usize,
-    /// Known once a block is complete.
+    /// The mean of the first block, once that is complete.
     reference: Option<Vec<f32>>,
-    /// The last samples of earlier blocks, as many as the longest lag or fewer.
+    /// The last frames before the current block, up to the longest lag.
     before: Vec<f32>,
     /// Samples of the block that is not complete yet.
     pending: Vec<f32>,
@@ -220,7 +220,7 @@ pub struct GrowingMoments {
 }
 
 impl GrowingMoments {
-    /// Before the first sample.
+    /// A series without samples.
     pub fn new(channels: usize, block: usize) -> Self {
         let sums = Sums::new(channels);
         Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
@@ -255,11 +255,11 @@ impl GrowingMoments {
         Moments { sums: sums.values.iter().copied().map(held).collect(), reference }
     }
 
-    /// The moments of all samples, which are `samples` and have ended: exact.
+    /// The exact moments of a finished series, which consists of `samples`.
     pub fn whole(&self, samples: &[f32]) -> Moments {
         let channels = self.sums.channels;
         let mut moments = self.so_far();
-        // Gaps are not counted in the other sums.
+        // The other sums leave out gaps; these do not, and are scaled to the same length.
         let scale = f64::from(moments.sums[0]) / (samples.len() / channels).max(1) as f64;
         for channel in 0..channels {
             let x = less(samples, (channels, channel), moments.reference[channel]);
@@ -306,7 +306,7 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
     sums[0] = frames as f32;
     let past = before.len() / channels;
     let centred = |samples: &[f32], c: usize| less(samples, (channels, c), reference[c]);
-    // Each channel with the samples before it, so that products reach back.
+    // Each channel with the samples before the block, which products of later samples need.
     let all: Vec<Vec<f32>> =
         (0..channels).map(|c| [centred(before, c), centred(samples, c)].concat()).collect();
     for (c, of_channel) in all.iter().enumerate() {

@@ -1,10 +1,10 @@
-//! Numbers as one run of bytes, little-endian, in stored trials and models: far quicker to read than
-//! one after the other. To be used as `#[serde(with = "…")]`.
+//! Stores numbers as one run of little-endian bytes, which is far quicker to read than one number
+//! after the other. For `#[serde(with = "…")]` in stored trials and models.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Bytes that are written as such.
+/// Bytes that are written in one run, not as a list.
 struct Bytes(Vec<u8>);
 
 impl Serialize for Bytes {
@@ -13,7 +13,7 @@ impl Serialize for Bytes {
     }
 }
 
-/// The numbers of `N` bytes each; an error where some bytes are left.
+/// Reads numbers of `N` bytes each; an error if bytes are left over.
 fn numbers<const N: usize, T, E: Error>(
     bytes: &[u8],
     number: fn([u8; N]) -> T,
@@ -34,7 +34,7 @@ pub mod list {
         Bytes(values.iter().flat_map(|x| x.to_le_bytes()).collect()).serialize(to)
     }
 
-    /// Reads it again.
+    /// Reads the list.
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
         numbers(<&[u8]>::deserialize(from)?, i16::from_le_bytes)
     }
@@ -51,7 +51,7 @@ pub mod matrix {
         (matrix.dim(), bytes).serialize(to)
     }
 
-    /// Reads it again.
+    /// Reads the matrix.
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Array2<f32>, D::Error> {
         let (shape, bytes) = <((usize, usize), &[u8])>::deserialize(from)?;
         let matrix = Array2::from_shape_vec(shape, numbers(bytes, f32::from_le_bytes)?);

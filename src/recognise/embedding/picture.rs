@@ -1,5 +1,5 @@
-//! A picture, or a quarter of it, as a vector (method §11): Fourier features of its tiles, moments,
-//! covariance of pixels with those beside them, and the means of its channels.
+//! Turns a picture, or a quarter of it, into a vector (method §11): Fourier features of its tiles,
+//! means and moments of its channels, and the covariance of pixels with displaced ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,10 +7,10 @@ use super::band_sums::{Counts, ViewEmbedder};
 use super::linear::{EigenPairs, push_upper};
 use super::tiles::{CHANNELS, Part, PictureTiles, STACKED};
 
-/// Added to the variances of a covariance, in its own unit.
+/// Added to the eigenvalues of a covariance after division by its unit.
 const RIDGE: f64 = 1e-4;
 
-/// The unit of variance in level: that of a deviation of a tenth of full scale.
+/// The unit of variance in level: a standard deviation of a tenth of full scale, squared.
 const UNIT: f64 = 0.01;
 
 /// How pictures of one source become vectors.
@@ -20,7 +20,7 @@ pub(super) struct PictureEmbedder {
 }
 
 impl PictureEmbedder {
-    /// In units of some pictures, at least one.
+    /// Takes means and deviations from `pictures`, at least one.
     pub fn new(pictures: &[&PictureTiles]) -> Self {
         let counts: Vec<Counts> = pictures.iter().map(|p| p.counts(Part::Whole)).collect();
         Self { tiles: ViewEmbedder::new(&counts) }
@@ -31,7 +31,7 @@ impl PictureEmbedder {
         self.tiles.dims() + 4 * CHANNELS + STACKED * (STACKED + 1)
     }
 
-    /// The vector of a part of a picture, its pixels times a gain of `ln_gain`.
+    /// The vector of a part of a picture, its pixels multiplied by a gain of e^`ln_gain`.
     pub fn vector(&self, picture: &PictureTiles, part: Part, ln_gain: f64) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
         self.tiles.push(&picture.counts(part), ln_gain, &mut vector);
@@ -47,7 +47,7 @@ impl PictureEmbedder {
         let mut variances: Vec<f64> =
             (0..STACKED).map(|i| statistics.covariance[i * (STACKED + 1)]).collect();
         variances.sort_by(f64::total_cmp);
-        // Of a grey picture, two channels of three do not vary.
+        // In a grey picture, two of three channels do not vary, so the median may be 0.
         let own = variances[STACKED / 2].max(1e-3 * variances[STACKED - 1]).max(1e-12);
         let power = (2.0 * ln_gain).exp();
         let eigen = EigenPairs::new(statistics.covariance, STACKED);

@@ -1,21 +1,21 @@
-//! Training vectors about the means of their labels, and their scatter.
+//! Training vectors minus the means of their labels, and their scatter.
 
 use ndarray::Array2;
 
 use super::linear::add_lower_gram;
 
-/// Training vectors about the means of their labels.
+/// Training vectors minus the means of their labels.
 pub struct Residuals {
     /// Number of rows of each label.
     pub counts: Vec<f64>,
     /// Mean of each label, shape (labels, D).
     pub means: Array2<f64>,
-    /// Shape (n, D).
+    /// Rows minus the means of their labels, shape (n, D).
     pub rows: Array2<f32>,
 }
 
 impl Residuals {
-    /// Of some vectors.
+    /// The residuals of `rows`, each with its label.
     pub fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
         let count = labels.iter().max().map_or(0, |last| last + 1);
         let mut counts = vec![0.0; count];
@@ -34,7 +34,7 @@ impl Residuals {
         Self { counts, means, rows: residuals }
     }
 
-    /// Σ r·rᵀ; the lower triangle alone.
+    /// Σ r·rᵀ over the rows; only the lower triangle is filled.
     pub fn scatter(&self) -> Array2<f64> {
         let mut scatter = Array2::zeros((self.rows.ncols(), self.rows.ncols()));
         add_lower_gram(&mut scatter, &self.rows);

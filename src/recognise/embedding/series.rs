@@ -1,9 +1,9 @@
-//! A series, or a piece of it, as a vector (method §11): Fourier features of its log-band frames,
-//! the means of its channels, moments, lag covariance; in shape, with its own level taken off, and in
-//! level.
+//! Turns a series, or a piece of it, into a vector (method §11): Fourier features of its log-band
+//! frames, means of its channels, moments and lag covariance. What depends on loudness comes both
+//! in shape, with the piece's own level taken off, and in level.
 //!
-//! Means, moments and lag covariance see all frequencies. They are left out where a source is compared
-//! by a part of its spectrum alone: what a configuration excludes must not come in by another way.
+//! Means, moments and lag covariance respond to all frequencies. They are left out where a source
+//! is compared in part of its spectrum: excluded frequencies must not come back through them.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -13,16 +13,16 @@ use super::frames::{PackedFrames, Piece, SeriesFrames, SourceViews};
 use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
 
-/// Lags in samples that the covariance stacks.
+/// Lags, in samples, between the copies of a series whose joint covariance is taken.
 const LAGS: [usize; 3] = [0, 1, 3];
 
-/// Added to the variances of the covariance, in the library's.
+/// Added to the eigenvalues of the covariance, in units of the library's variance.
 const RIDGE: f64 = 1e-3;
 
-/// Correlations are held within this before their inverse hyperbolic tangent is taken.
+/// Correlations are clipped to ± this before their inverse hyperbolic tangent is taken.
 const MOST_CORRELATED: f64 = 0.99;
 
-/// A deviation that counts as none.
+/// Up to this deviation, a channel counts as constant.
 const STILL: f64 = 2e-9;
 
 /// A band of at least this share of all frequencies counts as all of them.
@@ -40,8 +40,8 @@ pub(super) struct SeriesEmbedder {
 }
 
 impl SeriesEmbedder {
-    /// In units of some trials of a library, at least one, which are compared by a band, where one is
-    /// configured.
+    /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band
+    /// in which they are compared, if one is configured.
     pub fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
@@ -65,12 +65,12 @@ impl SeriesEmbedder {
         }
     }
 
-    /// Whether a channel rests in the library, and has its level compared, as a switch has.
+    /// Whether a channel is constant in the library and compared by its level, as a switch is.
     pub fn has_switch(&self) -> bool {
         self.all_frequencies && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
-    /// Whether a channel moves in most trials of the library.
+    /// Whether a channel moves (is not constant) in most trials of the library.
     pub fn moves(&self, channel: usize) -> bool {
         self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
     }
@@ -93,13 +93,13 @@ impl SeriesEmbedder {
             + channels * (channels - 1) / 2
     }
 
-    /// The vector of a piece of a series of `rate_hz`, times a gain of `ln_gain`.
+    /// The vector of a series or a copy at `rate_hz`, multiplied by a gain of e^`ln_gain`.
     pub fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
         let sums = [0, 1].map(|view| counted(&self.views, &piece.frames[view], view));
         self.vector(&sums, &piece.moments, rate_hz, ln_gain)
     }
 
-    /// The vector of what a piece adds up to.
+    /// The vector of a series or a part of it, from its sums.
     pub fn vector(
         &self,
         views: &[BandSums; 2],
@@ -122,12 +122,12 @@ impl SeriesEmbedder {
             }
             self.push_covariance(&stats, &mut vector);
         }
-        // Statistics of samples far beyond full scale may overflow; they say nothing.
+        // Statistics of samples far beyond full scale may overflow; such features count as 0.
         vector.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         vector
     }
 
-    /// By how much a piece is louder than the library, over the channels that move in both.
+    /// How much louder a series is than the library: mean ln ratio over channels moving in both.
     fn ln_gain(&self, stats: &Statistics) -> f64 {
         let louder: Vec<f64> = (stats.deviations.iter().zip(&self.deviations))
             .filter(|(own, library)| **own > STILL && **library > STILL)

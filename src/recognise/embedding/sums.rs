@@ -2,10 +2,10 @@
 
 use multiversion::multiversion;
 
-/// Lanes of the sums below: additions need not wait for each other.
+/// Number of partial sums: their additions need not wait for each other.
 const LANES: usize = 8;
 
-/// Σ a·b of two lists of one length.
+/// Σ a·b of two lists of equal length.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 pub fn dot(a: &[f32], b: &[f32]) -> f64 {
     let mut lanes = [0f64; LANES];
@@ -20,7 +20,7 @@ pub fn dot(a: &[f32], b: &[f32]) -> f64 {
     lanes.iter().sum::<f64>() + rest
 }
 
-/// A channel of interleaved samples, less a reference.
+/// One channel of interleaved samples, minus a reference.
 pub fn less(samples: &[f32], (channels, channel): (usize, usize), reference: f32) -> Vec<f32> {
     if channels == 1 {
         return samples.iter().map(|x| x - reference).collect();
@@ -47,7 +47,7 @@ pub fn powers(x: &[f32]) -> [f64; 3] {
     sums.map(|lanes| lanes.iter().sum())
 }
 
-/// Σ |x − m|, Σ √|x − m| and the crossings of m.
+/// Σ |x − m|, Σ √|x − m| and the number of crossings of m.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 pub fn about(x: &[f32], m: f32) -> [f64; 3] {
     let mut sums = [[0f32; LANES]; 2];

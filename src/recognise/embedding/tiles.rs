@@ -1,10 +1,10 @@
-//! A picture as a series in two dimensions: tiles are its frames (method §11).
+//! Treats a picture as a series in two dimensions, with tiles as frames (method §11).
 //!
-//! Three channels, brightness (R+G+B)/3, R − G and (R+G)/2 − B, of values from 0 to 1. Tiles of
-//! 64 × 64 pixels, half a tile apart, less their mean, under a two-dimensional Hann window; the power
-//! of their bins averaged over eight rings by four directions. Beside them, sums over pixels and
-//! over pixels with those some way to the right and below, from which moments and covariance follow;
-//! quarter by quarter, so that a quarter and the whole cost additions alone.
+//! The channels are brightness (R+G+B)/3, R − G and (R+G)/2 − B, of values from 0 to 1. Tiles are
+//! 64 × 64 pixels, half a tile apart; each loses its mean, is windowed (two-dimensional Hann) and
+//! transformed, and the power of its bins averaged over eight rings by four directions. Sums over
+//! pixels, and over products with pixels to the right and below, give moments and covariance. They
+//! are kept for each quarter, so that a quarter and the whole only cost additions.
 
 use std::sync::{Arc, OnceLock};
 
@@ -24,7 +24,7 @@ pub const CHANNELS: usize = 3;
 const SIDE: usize = 64;
 /// Pixels from one tile to the next.
 const HOP: usize = SIDE / 2;
-/// Tiles below and beside each other.
+/// Number of tiles below each other and beside each other.
 const TILES: [usize; 2] = [(Image::ROWS - SIDE) / HOP + 1, (Image::COLS - SIDE) / HOP + 1];
 /// Rings of spatial frequency, equally wide in its logarithm.
 const RINGS: usize = 8;
@@ -36,9 +36,9 @@ const DIRECTIONS: usize = 4;
 const POWER_FLOOR: f32 = 1e-14;
 /// Displacements, in rows and columns, of the pixels whose covariance is taken.
 const DISPLACED: [(usize, usize); 7] = [(0, 0), (0, 1), (1, 0), (0, 4), (4, 0), (0, 16), (16, 0)];
-/// The longest of these.
+/// The longest displacement.
 const REACH: usize = 16;
-/// Rows from one whose pairs are summed to the next.
+/// Step between the rows of pixels that enter the covariance.
 const ROW_STEP: usize = 4;
 /// Channels of all displaced pixels together.
 pub const STACKED: usize = CHANNELS * DISPLACED.len();
@@ -67,7 +67,7 @@ struct PixelSums {
     pixels: f64,
     /// Σ x, Σ x², Σ x³, Σ x⁴ of each channel.
     powers: [[f64; 4]; CHANNELS],
-    /// Pixels whose pairs are summed.
+    /// Number of pixels that enter the covariance.
     stacks: f64,
     /// Σ v_i, v the channels of all displaced pixels; [`STACKED`] values.
     sums: Vec<f64>,
@@ -104,7 +104,7 @@ impl PictureTiles {
         CHANNELS * rings().count
     }
 
-    /// Counts of the tiles that lie in a part.
+    /// Histograms of ln power of the tiles in a part.
     pub(super) fn counts(&self, part: Part) -> Counts {
         let mut values = Vec::new();
         self.tiles.unpack(Self::width(), 0..TILES[0] * TILES[1], &mut values);
@@ -274,14 +274,14 @@ fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
 
 /// The band of each bin of a transformed tile.
 struct Rings {
-    /// Bins of the upper half plane with a band: row, column, band.
+    /// Row, column and band of each bin in the upper half plane that has a band.
     bins: Vec<(usize, usize, usize)>,
-    /// Bins of each band.
+    /// Number of bins of each band.
     sizes: Vec<f32>,
-    /// Number of bands: those without a bin are left out.
+    /// Number of bands that have a bin.
     count: usize,
     window: Vec<f32>,
-    /// 2/(N·Σw²).
+    /// Turns |X|² into power: 2/(N·Σw²).
     scale: f32,
     plan: Arc<dyn Fft<f32>>,
 }
@@ -314,7 +314,7 @@ impl Rings {
         used.dedup();
         let mut sizes = vec![0.0; used.len()];
         for bin in &mut bins {
-            // Each band of a bin is among those that are used.
+            // Always found: `used` holds the band of every bin.
             bin.2 = used.binary_search(&bin.2).unwrap_or(0);
             sizes[bin.2] += 1.0;
         }
@@ -330,8 +330,7 @@ impl Rings {
         }
     }
 
-    /// The ln power of the bands of two tiles at once: one is the real part, the other the imaginary
-    /// part of what is transformed.
+    /// The ln power of the bands of two tiles, which are the real and imaginary part of `pair`.
     fn transform(&self, pair: &mut [Complex<f32>], scratch: &mut [Complex<f32>]) -> [Vec<f32>; 2] {
         self.plan.process_with_scratch(pair, scratch);
         for row in 0..SIDE {

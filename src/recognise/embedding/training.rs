@@ -1,9 +1,9 @@
-//! Training vectors: whole trials and their copies, and how far their scatter is shrunk.
+//! Training vectors of whole trials and their copies, and how far their scatter is shrunk.
 //!
-//! The scatter within classes pools whole trials, excerpts and twins ([`super::copies`]), each about
-//! the means of their own class and kind. Its shrinkage is measured (Ledoit and Wolf 2004, "A
-//! well-conditioned estimator for large-dimensional covariance matrices"), with each trial and its
-//! copies as one observation.
+//! There are three kinds of vectors: of whole trials, of excerpts and of twins ([`super::copies`]).
+//! The scatter within classes pools them, each minus the mean of its class and kind. Its shrinkage
+//! is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
+//! covariance matrices"), with each trial and its copies as one observation.
 
 use std::sync::Arc;
 
@@ -23,25 +23,25 @@ use super::residuals::Residuals;
 /// Kinds of training vectors: wholes, excerpts, twins.
 const KINDS: usize = 3;
 
-/// The shrinkage is held within these.
+/// Limits of the shrinkage.
 const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
 
-/// Added to the diagonal of inner products of vectors, as a share of its mean: beyond rounding in
-/// f32, far below the shrinkage.
+/// Added to the diagonal of the matrix of inner products, as a share of its mean: more than
+/// rounding in f32, far less than the shrinkage.
 const JITTER: f64 = 1e-5;
 
-/// The training vectors of a library, in the library's deviations.
+/// The standardised training vectors of a library.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
-    /// Shape (rows, D): the whole of each trial, in order, then the copies of each.
+    /// Shape (rows, D): one row for each whole trial, in order, then those of each trial's copies.
     #[serde(with = "packed::matrix")]
     rows: Array2<f32>,
-    /// Class and kind of each row: kind · classes + class.
+    /// Class and kind of each row: kind · classes + class; kind 0 is a whole trial.
     labels: Vec<usize>,
-    /// Group of each row: groups are left out together.
+    /// Group of each row; rows of one group are left out together.
     groups: Vec<usize>,
     classes: usize,
-    /// γ.
+    /// Shrinkage γ of the scatter.
     shrinkage: f64,
     group_count: usize,
     /// Whether each trial has each source.
@@ -49,7 +49,7 @@ pub(super) struct Training {
 }
 
 impl Training {
-    /// Embeds a library, and sets `joint` to its units.
+    /// Embeds a library, and sets the mean and deviation by which `joint` standardises.
     pub fn new(
         joint: &mut JointEmbedder,
         library: &[Arc<TrialFrames>],
@@ -87,8 +87,7 @@ impl Training {
         Self { rows, labels: of_rows, groups, classes, group_count, shrinkage, present }
     }
 
-    /// The same, read from where it was stored; `None` if that is not of trials with these labels and
-    /// vectors of `dims`.
+    /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
     pub fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
         let Self { rows, present, shrinkage, .. } = self;
         let trials = labels.class.len();
@@ -96,7 +95,7 @@ impl Training {
         fits.then(|| Self::of(rows, present, shrinkage, labels))
     }
 
-    /// Sources that a row lacks take the mean of their label's other rows, so that they neither
+    /// Sources that a row lacks get the mean of the other rows of its label, so that they neither
     /// move means nor add scatter.
     fn fill_absent(&mut self, joint: &JointEmbedder) {
         let trial = |row| place(row, self.present.len()).0;
@@ -123,9 +122,9 @@ impl Training {
         }
     }
 
-    /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖²: r_a the N rows of n
-    /// trials about the means of their labels, S their mean product, μ = tr(S)/D. Copies that were
-    /// taken for observations of their own would halve it.
+    /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖², where r_a are the N
+    /// rows of n trials minus the means of their labels, S = Σ r_a·r_aᵀ/N and μ = tr(S)/D. Taking
+    /// copies for separate observations would halve it.
     fn measured_shrinkage(&self) -> f64 {
         let residuals = Residuals::new(&self.rows, &self.labels);
         let (rows, dims) = self.rows.dim();
@@ -175,9 +174,9 @@ impl Training {
         sum / members.len().max(1) as f32
     }
 
-    /// Discriminants of the sources that are `present`: from all trials, and from those outside each
-    /// group; none where these are too few, or all alike. Where not even all trials train one,
-    /// classes are as far as their means.
+    /// Discriminants for the sources that are `present`: from all trials, and from those outside
+    /// each group, `None` where these are too few or all alike. If not even all trials can train
+    /// one, the first gives plain distances to the class means.
     pub fn discriminants(
         &self,
         joint: &JointEmbedder,
@@ -206,9 +205,9 @@ impl Training {
         Vectors { rows, labels, groups, classes: *classes, group_count: *group_count }
     }
 
-    /// The same discriminants where features are more than rows: in coordinates of the space that
-    /// the rows span. With Z·Zᵀ = L·Lᵀ the rows of L are the rows of Z in the orthonormal basis
-    /// L⁻¹·Z, and what lies outside that space is the same for all classes.
+    /// The same discriminants if there are more features than rows: in the space that the rows
+    /// span. With Z·Zᵀ = L·Lᵀ the rows of L are the rows of Z in the orthonormal basis L⁻¹·Z;
+    /// directions outside that space do not separate classes.
     fn in_their_span(
         &self,
         vectors: &Array2<f32>,
@@ -235,7 +234,7 @@ impl Training {
     }
 }
 
-/// The trial of a row, and which of its vectors the row is: 0 is the whole.
+/// The trial of a row, and which of the trial's vectors it is: 0 for the whole, then the copies.
 fn place(row: usize, trials: usize) -> (usize, usize) {
     match row.checked_sub(trials) {
         None => (row, 0),

@@ -8,7 +8,7 @@
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
 //! | picture | `picture_statistics::FEATURES` | colour statistics, co-occurrence, gradients |
 //!
-//! Nothing here knows of other trials.
+//! The features of a trial depend on that trial alone.
 
 pub(crate) mod picture_statistics;
 pub(crate) mod series_statistics;

@@ -25,7 +25,7 @@ pub const COLOURS: [&str; 9] = [
 /// "Textural features for image classification").
 pub const TEXTURES: [&str; 5] =
     ["ln contrast", "homogeneity", "ln energy", "entropy", "correlation"];
-/// Steps in pixels.
+/// Distances in pixels between the grey levels that are compared.
 pub const STEPS: [usize; 4] = [1, 3, 9, 27];
 /// Grey levels of a co-occurrence matrix.
 const LEVELS: usize = 16;
@@ -80,7 +80,7 @@ impl PixelMoments {
     }
 }
 
-/// Grey values of a picture, and their levels in the picture's own range.
+/// Grey values of a picture, and the same as levels from 0 to 15 of the picture's own range.
 struct Texture {
     grey: Vec<f32>,
     level: Vec<u8>,
@@ -97,8 +97,7 @@ impl Texture {
         Self { level: grey.iter().map(level).collect(), grey, variance }
     }
 
-    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation are of the grey values
-    /// themselves.
+    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation use unrounded grey values.
     fn at(&self, step: usize) -> [f64; TEXTURES.len()] {
         let mut counts = [[0u32; LEVELS]; LEVELS];
         let (mut contrast, mut pairs) = (0.0, 0);
@@ -122,7 +121,7 @@ impl Texture {
         let contrast = contrast / pairs;
         let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
         for (i, j) in (0..LEVELS).flat_map(|i| (0..LEVELS).map(move |j| (i, j))) {
-            // The order of two neighbours means nothing.
+            // Pairs of pixels have no order.
             let count = counts[i][j] + counts[j][i];
             if count > 0 {
                 let p = f64::from(count) / (2.0 * pairs);

@@ -4,8 +4,8 @@ use super::windowed_frames::{FrameView, VIEWS, ViewFrames};
 use crate::scene::Domain;
 use crate::trial::Series;
 
-/// The features in time, channel by channel. Scale-free ratios and levels are logarithms, so
-/// that their distributions have no long tails.
+/// The time-domain features of each channel. Scale-free ratios and levels are logarithms, so that
+/// their distributions have no long tails.
 pub const MOMENTS: [&str; 11] = [
     "mean",
     "ln of the standard deviation",
@@ -20,9 +20,9 @@ pub const MOMENTS: [&str; 11] = [
     "ln of the deviation of the level over 16 parts",
 ];
 
-/// Frames of slow series, and their bands: duration in seconds, number, highest frequency in Hz.
+/// For series of domain `time`: seconds in a frame, number of bands, highest frequency in Hz.
 const SLOW: (f64, usize, f64) = (0.2, 16, 500.0);
-/// Parts over which the slow change of the level is taken.
+/// Number of parts whose mean levels show the slow drift of a series.
 const PARTS: usize = 16;
 /// Keeps logarithms finite: far below a 24-bit converter's step.
 const FLOOR: f64 = 1e-9;

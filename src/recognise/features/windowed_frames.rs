@@ -1,10 +1,10 @@
-//! Log-band frames: what is kept of a sound or a vibration, frame by frame.
+//! Log-band frames: the power of a sound or vibration in frequency bands, frame by frame.
 //!
-//! A source with a spectrum is seen through two views, long frames (about 46 ms, 40 bands) and
-//! short ones (about 12 ms, 24 bands), each half a frame apart. A frame loses its mean, since a
-//! sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
-//! and the power of its bins averaged over bands whose edges are equally spaced in ln(1 + f/f0),
-//! f0 = a tenth of the highest frequency; what is kept is A = ln(mean power + 1e-14). Power is
+//! A source with a spectrum is cut in two ways, called views: long frames (about 46 ms, 40 bands)
+//! and short ones (about 12 ms, 24 bands), which overlap by half. Each frame loses its mean, since
+//! a sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
+//! and the power of its bins averaged over bands with edges equally spaced in ln(1 + f/f0), where
+//! f0 is a tenth of the highest frequency. The result is A = ln(mean power + 1e-14). Power is
 //! 2|X|²/(L·Σw²) with samples in units of full scale, so that 16-bit quantisation amounts to about
 //! 8e-14 a bin.
 
@@ -22,7 +22,7 @@ pub(super) const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
 /// Power below which a band counts as silent; keeps the logarithm finite.
 const POWER_FLOOR: f32 = 1e-14;
 
-/// Frames that one thread transforms in one go.
+/// Frames that one thread transforms at a time.
 const FRAMES_A_TASK: usize = 64;
 
 /// How a source is cut into frames and bands.
@@ -32,13 +32,13 @@ pub struct FrameView {
     pub points: usize,
     pub rate_hz: f64,
     pub channels: usize,
-    /// Bins where bands begin; the last is where the last band ends.
+    /// The first bin of each band, and the end of the last band.
     pub edges: Vec<usize>,
 }
 
 impl FrameView {
-    /// A view with frames of the power of two nearest (in log2) to `frame_s`, and at most `bands`
-    /// bands: low ones are at least a bin wide, and none lies above half the rate.
+    /// A view whose frames last `frame_s` seconds, rounded (in log2) to a power of two of samples,
+    /// with at most `bands` bands, each at least a bin wide and none above half the rate.
     pub fn new(
         rate_hz: f64,
         channels: usize,
@@ -50,7 +50,7 @@ impl FrameView {
         Self::of_points(1 << exponent as u32, rate_hz, channels, band_hz, bands)
     }
 
-    /// The same with frames of `points` samples, a power of two.
+    /// A view with frames of `points` samples, a power of two.
     pub fn of_points(
         points: usize,
         rate_hz: f64,
@@ -61,7 +61,7 @@ impl FrameView {
         Self { points, rate_hz, channels, edges: band_edges(points, rate_hz, band_hz, bands) }
     }
 
-    /// Samples between the beginnings of two frames.
+    /// Samples from the beginning of one frame to that of the next.
     pub fn hop(&self) -> usize {
         self.points / 2
     }
@@ -81,7 +81,7 @@ impl FrameView {
         if samples < self.points { 0 } else { (samples - self.points) / self.hop() + 1 }
     }
 
-    /// Whether values of the two views stand for the same frequencies, at whatever rate.
+    /// Whether the bands of two views cover the same frequencies, even at different rates.
     pub fn comparable(&self, other: &Self) -> bool {
         let width_hz = |view: &Self| view.rate_hz / view.points as f64;
         let edge_hz = |view: &Self, i: usize| view.edges[i] as f64 * width_hz(view);
@@ -98,7 +98,7 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
     let f0 = high / 10.0;
     let (first, last) = ((low / f0).ln_1p(), (high / f0).ln_1p());
     let per_hz = points as f64 / rate_hz;
-    // No band reaches beyond the source's own, however few bins that has.
+    // No band reaches beyond the source's own band, however few bins that has.
     let end = ((high * per_hz).round() as usize).clamp(1, points / 2 + 1);
     let mut edges: Vec<usize> = Vec::with_capacity(bands + 1);
     let mut previous: Option<usize> = None;
@@ -125,13 +125,12 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct ViewFrames {
     pub view: FrameView,
-    /// A, shape (frames, width).
+    /// A = ln(mean power + 1e-14), shape (frames, width).
     pub values: Vec<f32>,
 }
 
 impl ViewFrames {
-    /// The frames of a recording. `samples` are interleaved. One that is shorter than a frame is
-    /// filled up with zeros.
+    /// The frames of a recording of interleaved samples; a short one is padded with zeros.
     pub fn new(view: FrameView, samples: &[f32]) -> Self {
         let mut frames = Self { view, values: Vec::new() };
         frames.extend(samples);
@@ -141,8 +140,7 @@ impl ViewFrames {
         frames
     }
 
-    /// Appends the whole frames that begin in `samples`; returns how many samples a channel need
-    /// not be seen again.
+    /// Appends all whole frames; returns how many samples a channel are not needed again.
     pub fn extend(&mut self, samples: &[f32]) -> usize {
         let view = &self.view;
         let new = view.frames_in(samples.len() / view.channels);
@@ -163,7 +161,7 @@ impl ViewFrames {
         new * hop
     }
 
-    /// Appends one frame of `samples`, less the mean of each channel, and zeros after them.
+    /// Appends one frame: `samples`, less the mean of each channel, then zeros.
     pub fn pad(&mut self, samples: &[f32]) {
         let channels = self.view.channels;
         let mut padded = vec![0.0; self.view.points * channels];
@@ -181,11 +179,11 @@ impl ViewFrames {
     }
 }
 
-/// A plan and its buffers; each thread keeps its own.
+/// An FFT plan and its buffers; each thread keeps its own.
 struct Workspace {
     plan: Arc<dyn RealToComplex<f32>>,
     window: Vec<f32>,
-    /// 2/(L·Σw²).
+    /// Turns |X|² into power: 2/(L·Σw²).
     scale: f32,
     input: Vec<f32>,
     output: Vec<Complex<f32>>,
@@ -218,7 +216,7 @@ impl Workspace {
         }
     }
 
-    /// One frame: `samples` interleaved, L a channel; `row` gets the bands channel by channel.
+    /// One frame of L interleaved samples a channel; `row` gets the bands, channel by channel.
     fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32]) {
         for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
             let of_channel = samples[channel..].iter().step_by(view.channels);
@@ -229,7 +227,7 @@ impl Workspace {
             }
             self.plan
                 .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
-                // Its one error is a wrong length.
+                // Fails only if a buffer has another length.
                 .expect("buffers of the plan's own lengths");
             for (band, slot) in bands.iter_mut().enumerate() {
                 let bins = &self.output[view.edges[band]..view.edges[band + 1]];
@@ -242,7 +240,7 @@ impl Workspace {
     }
 }
 
-/// In f64, over lanes: a sum of one after the other would wait for each addition.
+/// The mean, summed in f64 in eight lanes, so that no addition waits for the one before it.
 fn mean(samples: &[f32]) -> f32 {
     let mut lanes = [0f64; 8];
     for chunk in samples.chunks(lanes.len()) {

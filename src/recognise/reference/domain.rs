@@ -8,7 +8,7 @@ use crate::scene::{Colour, Domain, SourceSpec};
 use crate::spectrum::amplitude_spectrum;
 use crate::trial::{Image, Series, Signal};
 
-/// The samples of one source in its domain, to draw from.
+/// All samples of one source in its domain, from which some are drawn.
 #[derive(Clone, Debug)]
 pub enum DomainSamples {
     /// Rows are frames or bins, columns are channels.
@@ -18,7 +18,7 @@ pub enum DomainSamples {
         /// Shape (frames or bins, channels).
         rows: Array2<f32>,
     },
-    /// Pixels, turned into what of them is compared when drawn.
+    /// Pixels; when drawn, they are converted to the colour channels that are compared.
     Pixels(Image, Colour),
 }
 

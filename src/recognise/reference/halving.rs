@@ -1,33 +1,33 @@
-//! Successive halving over repetitions: all trials by a few, the best of them by more.
+//! Successive halving: compares all trials by a few repetitions, and only the best by more.
 //!
-//! Positions are shared, so a repetition is the same draw for every trial, and trials far from the
-//! query are seen to be so at once. Repetitions resample one recording: dropping a trial after one
-//! of them saves work and changes a label now and then; it does not state a confidence. With the
-//! default stages 12 % of the work is left. Measured: on LMT108's dragging sounds of 20 surfaces
-//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200 queries,
-//! and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench reference --
-//! halving`).
+//! Positions are shared, so a repetition draws the same samples from every trial, and trials far
+//! from the query stand out at once. Repetitions resample one recording: dropping a trial after one
+//! of them saves work and rarely changes a label, but says nothing about confidence. With the
+//! default stages 12 % of the work remains. Measured: on LMT108's dragging sounds of 20 surfaces
+//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200
+//! queries, and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench
+//! reference -- halving`).
 
 use std::collections::BTreeSet;
 
 use crate::recognise::rank::{Candidate, RankedSurface, Ranking};
 
-/// After these many repetitions, this many trials stay.
+/// A stage: after some repetitions, only the best trials stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// Repetitions done by then.
+    /// Repetitions done by the end of the stage.
     pub repetitions: usize,
-    /// Trials that go on.
+    /// Number of trials that stay.
     pub keep: usize,
 }
 
-/// The stages of the authors' own scale, R = 10: one repetition for all, two for 64, ten for 16.
+/// Stages for the paper's R = 10: one repetition for all trials, two for 64, ten for 16.
 pub const STAGES: [Stage; 2] =
     [Stage { repetitions: 1, keep: 64 }, Stage { repetitions: 2, keep: 16 }];
 
-/// The candidates to go on with, and those that drop out, both the most alike first. Ties go as in
-/// a ranking, so that the order of candidates does not matter.
+/// Splits candidates into the `keep` best and the rest, both with the most alike first. Ties go as
+/// in a ranking, so that the order of candidates does not matter.
 pub(super) fn split<T>(mut all: Vec<(Candidate, T)>, keep: usize) -> (Vec<T>, Vec<Candidate>) {
     all.sort_by(|(a, _), (b, _)| a.log_ds.total_cmp(&b.log_ds).then_with(|| a.key.cmp(&b.key)));
     let dropped = all.split_off(keep.min(all.len()));
@@ -35,8 +35,8 @@ pub(super) fn split<T>(mut all: Vec<(Candidate, T)>, keep: usize) -> (Vec<T>, Ve
     (stay, dropped.into_iter().map(|(candidate, _)| candidate).collect())
 }
 
-/// Adds the surfaces that dropped out on the way to a ranking of those that did not: the last to
-/// drop out first. Their scores are those at which they did, and no less than of those before.
+/// Appends the surfaces that were dropped to a ranking of those that stayed, the last dropped
+/// first. Each gets its score at that time, or that of the surface before it if larger.
 pub(super) fn append(ranking: &mut Ranking, dropped: Vec<Vec<Candidate>>) {
     let mut seen: BTreeSet<String> = ranking.ranked.iter().map(|r| r.surface.clone()).collect();
     let (first, alone) = (ranking.ranked[0].score, ranking.ranked.len() == 1);

@@ -1,10 +1,10 @@
-//! The paper's method, exactly (method §2): raw samples, n·MMD²_b a source, product over sources,
-//! nearest neighbour.
+//! The paper's method, exactly (method §2): raw samples, n·MMD²_b for each source, the product over
+//! sources, and the nearest neighbour.
 //!
-//! [`ReferenceOptions`] has the shortcuts that do not change it, or do so within a stated bound:
-//! positions shared over the library, sums K(z, z) once a query and K(y, y) from a table, both
-//! within 1e-4 of a score ([`SumPrecision`]), and, where asked for, successive halving. Results depend
-//! neither on the number of threads nor on the library's order.
+//! [`ReferenceOptions`] has shortcuts that keep the result, at least within a stated bound:
+//! positions shared over the library; K(z, z) summed once for each query and K(y, y) read from a
+//! table, both within 1e-4 of a score ([`SumPrecision`]); and, on request, successive halving.
+//! Results depend neither on the number of threads nor on the library's order.
 
 mod domain;
 mod halving;
@@ -51,10 +51,10 @@ impl Reference {
         Self(Sampler { scene, options })
     }
 
-    /// A model of a library, which may be of one surface.
+    /// A model of a library, which may have only one surface.
     ///
     /// # Errors
-    /// If a trial was prepared by another kind of method.
+    /// If a trial was prepared for another method.
     pub fn model(&self, library: &[Prepared]) -> Result<ReferenceModel, RecogniseError> {
         let library = library.iter().map(|trial| trial.samples(NAME).cloned());
         Ok(ReferenceModel { sampler: self.0.clone(), library: library.collect::<Result<_, _>>()? })
@@ -105,15 +105,15 @@ pub const NAME: &str = "reference";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionMode {
-    /// Once a repetition, for every trial: far cheaper.
+    /// Once a repetition, the same for every trial: far cheaper.
     #[default]
     Shared,
-    /// Again for every pair, as the authors' program does.
+    /// Anew for every pair, as the authors' program does.
     PerPair,
 }
 
-/// Settings of the method; the defaults are the paper's, and are left out where settings are
-/// written.
+/// Settings of the method. The defaults are the paper's; except for n and R, they are left out when
+/// settings are written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ReferenceOptions {
@@ -134,10 +134,10 @@ pub struct ReferenceOptions {
     /// The precision of kernel sums.
     #[serde(skip_serializing_if = "is_default")]
     pub precision: SumPrecision,
-    /// Tabulate K(y, y) of library trials over σ: dearer to prepare, cheaper to compare with.
+    /// Whether K(y, y) of library trials is tabulated over σ: slower to prepare, faster to compare.
     #[serde(skip_serializing_if = "is_true")]
     pub tabulate: bool,
-    /// Stages of successive halving, in order; none compares every trial by all repetitions.
+    /// Stages of successive halving, in order; without any, all trials get all repetitions.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub halving: Vec<Stage>,
 }
@@ -155,7 +155,7 @@ fn is_true(value: &bool) -> bool {
 }
 
 impl ReferenceOptions {
-    /// The stages to go through; the last one keeps what it has.
+    /// The stages for a library of `trials`; the last one has all repetitions and drops no trial.
     pub(super) fn stages(&self, trials: usize) -> Vec<Stage> {
         let Self { repetitions, neighbours, halving, .. } = self;
         let mut stages: Vec<Stage> = Vec::new();

@@ -1,4 +1,4 @@
-//! A library that queries are compared with, trial by trial and repetition by repetition.
+//! Compares queries with a library, trial by trial and repetition by repetition.
 
 use std::collections::btree_map::Entry as Slot;
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,7 +46,7 @@ impl Model for ReferenceModel {
             let scores: Vec<TrialScores> =
                 alive.iter().map(|scored| comparison.log_scores(scored)).collect();
             if medians_of_all.is_empty() {
-                // With halving, of the first stage.
+                // With halving, the medians are those of the first stage.
                 medians_of_all = medians(weights.len(), &scores);
             }
             let keys = alive.iter().map(|scored| scored.trial.key());
@@ -77,7 +77,7 @@ impl Model for ReferenceModel {
         let surfaces: Vec<String> = surfaces.into_iter().map(String::from).collect();
         let mut terms = vec![vec![f64::INFINITY; surfaces.len()]; query.sources.len()];
         for scored in &all {
-            // The list was made of these very names.
+            // Found: the list was made of these trials' labels.
             let at = surfaces.partition_point(|surface| *surface < scored.trial.key().surface);
             let scores = comparison.log_scores(scored);
             for ((terms, score), spec) in terms.iter_mut().zip(scores).zip(&query.sources) {
@@ -112,11 +112,11 @@ impl ReferenceModel {
         Ok(scores.iter().map(|scores| log_discrepancy(&weights, scores, &medians)).collect())
     }
 
-    /// A query, cut to the lengths that comparisons with the library ask for.
+    /// A query, cut to every length at which it is compared with a library trial.
     fn query<'a>(&'a self, query: &'a Prepared) -> Result<ReferenceQuery<'a>, RecogniseError> {
         let query = query.samples(NAME)?;
         let sources = shared_sources(&self.sampler.scene, query, &self.library)?;
-        // Nearly always one length a source.
+        // Nearly always a source has only one length.
         let mut cuts: Vec<BTreeMap<usize, Arc<SampledSource>>> = Vec::new();
         for spec in &sources {
             let mut of_source = BTreeMap::new();
@@ -131,7 +131,7 @@ impl ReferenceModel {
     }
 }
 
-/// A query, and the sources it shares with a library, each at every length that is asked for.
+/// A query, and the sources it shares with a library, each at every length that is compared.
 struct ReferenceQuery<'a> {
     trial: &'a PreparedTrial,
     sources: Vec<&'a SourceSpec>,
@@ -178,7 +178,7 @@ impl<'a> QueryComparison<'a> {
                 (Some(z_domain), Some(y_domain)) => {
                     let at = self.sampler.positions(spec, z_domain.extent(), r, Some(contents));
                     let z = SampleSet::new(&z_domain.at(&at), spec.sigma);
-                    // The σ of y is asked for nowhere.
+                    // The σ of y is never used.
                     let y = SampleSet::new(&y_domain.at(&at), Some(1.0));
                     QuerySet::new(&z, spec.align_mean, self.sampler.options.precision)
                         .score(&y, &mut scratch)
@@ -188,8 +188,8 @@ impl<'a> QueryComparison<'a> {
             .sum()
     }
 
-    /// Adds each source's scores of a library trial over some repetitions; sources that only one
-    /// side has are `None`.
+    /// Adds the scores of a library trial over more repetitions to `sums`, source by source; `None`
+    /// for a source that the query or the trial lacks.
     fn add_scores(
         &self,
         trial: &PreparedTrial,
@@ -216,7 +216,7 @@ impl<'a> QueryComparison<'a> {
         self.query.sources.iter().map(|spec| spec.weight).collect()
     }
 
-    /// The library's trials before the first repetition.
+    /// The library's trials, without scores.
     fn all(&self, library: &[Arc<PreparedTrial>]) -> Vec<Scored> {
         let scored = |trial: &Arc<PreparedTrial>| Scored {
             trial: trial.clone(),
@@ -226,7 +226,7 @@ impl<'a> QueryComparison<'a> {
         library.iter().map(scored).collect()
     }
 
-    /// The same trials after a number of repetitions.
+    /// Adds the scores of `trials` up to `until` repetitions.
     fn go_on(&self, trials: Vec<Scored>, until: usize) -> Result<Vec<Scored>, RecogniseError> {
         let add = |Scored { trial, sums, repetitions }: Scored| {
             let sums = self.add_scores(&trial, &sums, repetitions..until)?;

@@ -16,20 +16,19 @@ use crate::trial::{Signal, Trial, TrialKey};
 
 /// One source of a trial, cut to some length and ready to be compared.
 pub struct SampledSource {
-    /// One set a repetition; empty where positions are drawn for each pair.
+    /// One set of samples a repetition; empty where positions are drawn for each pair.
     pub sets: Vec<SampleSet>,
-    /// Kept only where positions are drawn for each pair.
+    /// All samples, kept only where positions are drawn for each pair.
     pub domain: Option<DomainSamples>,
 }
 
 /// A source, its rate and frames if it is a series, and its sets.
 type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// Number of lengths of one source that stay in memory besides the trial's own: as many as `chart`
-/// needs.
+/// How many lengths of a source stay in memory besides the trial's own: enough for `chart`.
 const KEPT_LENGTHS: usize = 3;
 
-/// Each source at the lengths that were asked for, in frames.
+/// Each source at the lengths used so far, in frames.
 type SampledSources = BTreeMap<SourceId, Vec<(usize, Arc<SampledSource>)>>;
 
 /// A trial, ready to be compared.
@@ -38,13 +37,13 @@ pub struct PreparedTrial {
     /// Rate and frames of each source that the scene describes; an image has neither.
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
-    /// By length in frames; the trial's own length first.
+    /// Each source, cut to the lengths used so far; the trial's own length comes first.
     cuts: Mutex<SampledSources>,
 }
 
 impl PreparedTrial {
     /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
-    /// says that `PreparedTrial::content` will be asked for.
+    /// says whether `PreparedTrial::content` is needed.
     pub fn new(
         entry: &Entry,
         trial: &Trial,
@@ -77,8 +76,8 @@ impl PreparedTrial {
         Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
     }
 
-    /// The trial as bytes, for a cache; `None` where positions are drawn for each pair, since then it
-    /// is as large as the recording.
+    /// The trial as bytes, for a cache; `None` where positions are drawn for each pair, since then
+    /// the bytes are as large as the recording.
     pub(in crate::recognise) fn encode(&self) -> Option<Vec<u8>> {
         let cuts = self.lock();
         let mut sources = Vec::new();
@@ -90,7 +89,7 @@ impl PreparedTrial {
         sampled.then(|| postcard::to_allocvec(&sources).ok())?
     }
 
-    /// The trial of an entry from bytes, if they are those of one.
+    /// The trial of an entry from the bytes of `encode`; `None` if they are not valid.
     pub(in crate::recognise) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let sources: Vec<StoredSource> = postcard::from_bytes(bytes).ok()?;
         let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
@@ -109,8 +108,8 @@ impl PreparedTrial {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless it was wanted), so that the draws for a pair depend neither on
-    /// names nor on order.
+    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair, so that these
+    /// depend neither on names nor on order.
     pub(super) fn content(&self) -> u64 {
         self.content
     }
@@ -129,7 +128,7 @@ impl PreparedTrial {
         }
     }
 
-    /// The source cut to `frames`: kept, or made by `cut` from the trial, loaded again.
+    /// The source cut to `frames`: from memory, or by `cut` from the trial, which is loaded again.
     pub(super) fn at_length(
         &self,
         id: &SourceId,
@@ -145,8 +144,8 @@ impl PreparedTrial {
         let made = Arc::new(cut(&trial.signals[id]));
         let mut cuts = self.lock();
         let kept = cuts.entry(id.clone()).or_default();
-        // Another thread may have been first. Waiting for it instead could wait for ever: what it
-        // does may be taken over by a thread that asks for the same.
+        // Another thread may have made the same cut meanwhile. Waiting for it could last for ever:
+        // its parallel work may run a task that waits for this very cut.
         if !kept.iter().any(|(at, _)| *at == frames) {
             if kept.len() > KEPT_LENGTHS {
                 kept.remove(1);
@@ -165,7 +164,7 @@ impl PreparedTrial {
 /// The sources that a query shares with a library, sorted by name.
 ///
 /// # Errors
-/// If there is none, or if the rates of one differ.
+/// If there is none, or if one has different rates.
 pub fn shared_sources<'a>(
     scene: &'a Scene,
     query: &PreparedTrial,

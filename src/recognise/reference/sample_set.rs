@@ -1,39 +1,38 @@
-//! Samples drawn from one source of one trial, with all that is computed once.
+//! Samples drawn from one source of one trial, with everything that is computed from them once.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::kernel::{LineSum, Number, Points, SelfMean, length_scale};
 
-/// Sets of at most this many distinct samples (the metal detector has two) are summed over these.
+/// Kernel sums of a set with at most this many distinct samples run over these only.
 const MOST_DISTINCT: usize = 8;
 
-/// Error of n·MMD² that rounding coordinates to f32 may cause; more, and f64 takes over.
+/// Allowed error of n·MMD² from rounding coordinates to f32; beyond it, sums are in f64.
 const ROUNDING_ALLOWED: f64 = 3e-5;
 
-/// Error of n·MMD² that a table of K(y, y) may cause; more, and there is no table.
+/// Allowed error of n·MMD² from a table of K(y, y); beyond it, there is no table.
 const TABLE_ALLOWED: f64 = 3e-5;
 
-/// At length scales this many times a set's own, the set looks like one point.
+/// Beyond this many times its own length scale, a set looks like one tight cluster.
 const AFAR: f64 = 8.0;
 
-/// Samples drawn from one source. What is compared does not depend on the order of samples, once σ
-/// is known; those of a single channel are kept in ascending order.
+/// Samples drawn from one source. Once σ is known, comparisons do not depend on their order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleSet {
-    /// Channel after channel, as drawn.
+    /// Channel after channel in the order drawn; a single channel in ascending order.
     pub(super) values: Values,
     /// Mean of each channel.
     pub(super) mean: Vec<f64>,
-    /// Median of each channel: rounding is finest there.
+    /// Median of each channel, the origin of coordinates: rounding to f32 is finest there.
     pub(super) centre: Vec<f64>,
     /// σ by the median heuristic, of these samples.
     pub(super) sigma: f64,
-    /// Error of n·MMD² times σ that coordinates in f32 may cause.
+    /// Error of n·MMD², times σ, that coordinates in f32 may cause.
     pub(super) coarseness: f64,
     /// Whether the set has only a few different distances: see [`is_clustered`].
     pub(super) clustered: bool,
-    /// Mean of K(y, y) by σ, if tabulated.
+    /// Mean of K(y, y) as a function of σ, if tabulated.
     pub(super) table: Option<SelfMean>,
     /// Distinct samples and how often each occurs, where they are few; not stored.
     #[serde(skip)]
@@ -71,7 +70,7 @@ struct DistinctPoints {
     counts: Vec<f64>,
 }
 
-/// Room for one comparison, to be used again.
+/// Buffers of a comparison, reused by the next one.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     pub(super) in_f32: Points<f32>,
@@ -79,8 +78,8 @@ pub struct Scratch {
 }
 
 impl SampleSet {
-    /// A set from samples of shape (n, channels), n and channels at least 1. σ is by the median
-    /// heuristic unless `sigma` fixes it.
+    /// A set from samples of shape (n, channels), n and channels at least 1. σ is found by the
+    /// median heuristic unless `sigma` fixes it.
     pub fn new(samples: &Array2<f64>, sigma: Option<f64>) -> Self {
         let sigma = sigma.unwrap_or_else(|| length_scale(samples.view()));
         let n = samples.nrows();
@@ -105,7 +104,7 @@ impl SampleSet {
         Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
     }
 
-    /// Finds again the part of a stored set that is not stored. False if the rest does not fit together.
+    /// Recomputes what is not stored of a set; false if the stored fields contradict each other.
     pub(super) fn complete(&mut self) -> bool {
         let (dims, count) = (self.dims(), self.values.len());
         if count == 0 || dims == 0 || count % dims != 0 || self.centre.len() != dims {
@@ -129,8 +128,8 @@ impl SampleSet {
         self.mean.len()
     }
 
-    /// Tabulates K(y, y) over length scales around the set's own, so that comparisons need not sum
-    /// it: for trials of a library. Where the table would not be good enough, none is kept.
+    /// Tabulates K(y, y) over length scales around the set's own, so that comparisons with a
+    /// library trial need not sum it. No table is kept if it would not be exact enough.
     pub fn tabulate(&mut self) {
         if self.distinct.is_some() {
             return;
@@ -162,14 +161,13 @@ impl SampleSet {
         }
     }
 
-    /// Whether coordinates in f32 hold the set well enough at this length scale.
+    /// Whether f32 is exact enough for sums at this length scale, of at most four channels.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
-    /// Whether the set has only a few different distances at this length scale: seen from afar,
-    /// every
-    /// set is a tight cluster.
+    /// Whether the set has only a few different distances at this length scale. Every set does at a
+    /// length scale far above its own.
     pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
         self.clustered || sigma > AFAR * self.sigma
     }
@@ -186,7 +184,7 @@ impl SampleSet {
         }
     }
 
-    /// The first channel, expanded with a kernel of length scale `sigma`.
+    /// The first channel's kernel sum at length scale `sigma`, as a function of one variable.
     pub(super) fn line(&self, sigma: f64) -> LineSum {
         let n = self.n();
         match &self.values {
@@ -197,7 +195,7 @@ impl SampleSet {
         }
     }
 
-    /// The sum of the first channel's samples against those of a line, moved by `shift`.
+    /// The kernel sum of the first channel's samples, moved by `shift`, against those of `line`.
     pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
         match &self.values {
             Values::Single(v) => line.sum(v[..self.n()].iter().map(|&x| f64::from(x)), shift),
@@ -205,7 +203,7 @@ impl SampleSet {
         }
     }
 
-    /// Σ k(aᵢ, bⱼ) over distinct samples, where both sets have few; b is moved by `shift`.
+    /// Σ k(aᵢ, bⱼ) over distinct samples, if both sets have few; b, the `other`, moves by `shift`.
     pub(super) fn distinct_sum(&self, other: &Self, sigma: f64, shift: &[f64]) -> Option<f64> {
         let (a, b, dims) = (self.distinct.as_ref()?, other.distinct.as_ref()?, self.dims());
         let mut total = 0.0;
@@ -222,7 +220,7 @@ impl SampleSet {
 }
 
 impl DistinctPoints {
-    /// Channel after channel in; nothing if more than [`MOST_DISTINCT`] samples are distinct.
+    /// Takes values channel after channel; `None` if more than [`MOST_DISTINCT`] are distinct.
     fn find<T: Copy + Into<f64>>(values: &[T], n: usize, dims: usize) -> Option<Self> {
         let mut found = Self { points: Vec::new(), counts: Vec::new() };
         let mut point = vec![0.0; dims];
@@ -246,7 +244,7 @@ impl DistinctPoints {
 /// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
 /// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight
 /// clusters have only a few distances and so a few fractions, and their errors add up. A subset of
-/// pairs shows which it is. Between a set in clusters and one that is spread out there are as many
+/// pairs shows which it is. A clustered set against a spread-out one is safe: they have as many
 /// distances as the latter has samples.
 fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
     const SUBSET: usize = 32;
@@ -268,10 +266,10 @@ fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
 
 /// Error of n·MMD² times σ that rounding centred coordinates to f32 may cause.
 ///
-/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ, which changes each of its kernel values by at most
-/// 0.61 δᵢ, but only those of points in reach. A point far from the centre meets no more than those
-/// at least half as far out, mᵢ of them; errors of different points have different signs. So the
-/// error of 2/n Σᵢⱼ k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
+/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ, which changes its kernel values with points in reach,
+/// each by at most 0.61 δᵢ. In reach of a point far from the centre are only points at least half
+/// as far out, mᵢ of them; errors of different points have different signs. So the error of 2/n Σᵢⱼ
+/// k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
 fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
     let distances = distances(values, n, centre);
     let mut nearer = 0;

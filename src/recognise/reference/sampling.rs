@@ -7,7 +7,7 @@ use crate::scene::SourceId;
 use crate::seed;
 use crate::trial::Image;
 
-/// Rows of the grid of pixels that is drawn from an image.
+/// Rows of the grid of pixels drawn from an image.
 pub const IMAGE_ROWS: usize = 25;
 /// Columns of that grid.
 pub const IMAGE_COLS: usize = 16;
@@ -60,8 +60,9 @@ pub fn draw_positions(extent: DomainExtent, n: usize, rng: &mut impl Rng) -> Pos
     })
 }
 
-/// The positions of one repetition, keyed by what they are for: the same for every trial of a
-/// library, or, where `pair` gives the contents of query and library trial, for that pair alone.
+/// Draws the positions of one repetition, seeded by the arguments: the same positions for every
+/// trial of a library, or, where `pair` gives the content hashes of query and library trial, others
+/// for each pair.
 pub fn keyed_positions(
     source: &SourceId,
     extent: DomainExtent,

@@ -10,10 +10,10 @@ use crate::kernel::{CrossSums, LineSum, Points, length_scale, mmd2_biased, mmd2_
 /// The least score that enters a product or a logarithm.
 ///
 /// Identical trials score 0, which would turn the whole product of Eq. 9 into 0. Rounding in f64
-/// leaves about 1e-13 of n·MMD² at n = 400, so nothing that differs is mistaken for identical.
+/// leaves an error of about 1e-13 in n·MMD² at n = 400, far below this floor.
 pub const SCORE_FLOOR: f64 = 1e-10;
 
-/// Below this score, sums in f32 cancel too much for a ratio of scores; f64 takes over.
+/// Below this score, cancellation in f32 sums spoils the ratio of scores, so sums are in f64.
 const F64_BELOW: f64 = 0.05;
 
 /// ln of a score, floored at [`SCORE_FLOOR`].
@@ -38,7 +38,7 @@ pub struct SampleScore {
 /// f64 and without shortcuts: the oracle of [`QuerySet`].
 ///
 /// `align_mean` shifts z's mean to y's first (Eq. 8); σ is taken from the shifted z (Eq. 6) unless
-/// `sigma` fixes it. Where the sides differ in length, n is that of the shorter.
+/// `sigma` fixes it. If z and y differ in length, n is the length of the shorter.
 pub fn score_samples(
     z: ArrayView2<'_, f64>,
     y: ArrayView2<'_, f64>,
@@ -74,24 +74,24 @@ pub enum SumPrecision {
 
 /// A query's samples, ready to be compared with library trials.
 ///
-/// **Which sum runs when:** two sets of at most 8 distinct samples each are summed over these; one
-/// channel by an expansion on a line; two to four channels over lanes in f32, unless samples of one
-/// lie too far out for it or both lie in a few tight clusters; and all else in f64, as is every
-/// score that comes out below 0.05.
+/// **Which sum is used:** over distinct samples, if both sets have at most 8 of them; an expansion
+/// on a line for one channel; lanes in f32 for two to four channels, unless a set has samples too
+/// far out for f32 or both sets are a few tight clusters; f64 for all else, and for every score
+/// that comes out below 0.05.
 ///
-/// Each pays: without the counts a query of eight sources takes four times as long, without the line
-/// 1.3 times, and a sum over lanes takes a tenth of one in f64. `cargo bench --bench reference --
-/// sums` times a score by each of them, beside f64.
+/// Each pays: without the sum over distinct samples a query of eight sources takes four times as
+/// long, without the line 1.3 times, and lanes take a tenth of the time of f64. `cargo bench
+/// --bench reference -- sums` times each of them.
 pub struct QuerySet<'a> {
     set: &'a SampleSet,
     align_mean: bool,
     precision: SumPrecision,
     strategy: SumStrategy,
-    /// Points in f64 and Σ k(zᵢ, zⱼ), once some comparison asks for them.
+    /// Points in f64 and Σ k(zᵢ, zⱼ), once a comparison needs them.
     f64_points: OnceLock<(Points<f64>, f64)>,
 }
 
-/// The way to sum Σ k(yᵢ, zⱼ), with Σ k(zᵢ, zⱼ), which is the same for all library trials.
+/// How to sum Σ k(yᵢ, zⱼ); holds Σ k(zᵢ, zⱼ), which is the same for all library trials.
 enum SumStrategy {
     /// One channel, expanded once.
     Line(LineSum, f64),
@@ -101,7 +101,7 @@ enum SumStrategy {
 }
 
 impl<'a> QuerySet<'a> {
-    /// Sets a query up, with the σ of its samples.
+    /// Prepares the samples of a query; their σ is the length scale.
     pub fn new(set: &'a SampleSet, align_mean: bool, precision: SumPrecision) -> Self {
         let sigma = set.sigma;
         let strategy = if precision == SumPrecision::Oracle {
@@ -123,13 +123,13 @@ impl<'a> QuerySet<'a> {
 
     /// n·MMD²_b against samples of a library trial; never negative, never NaN.
     ///
-    /// In [`SumPrecision::Fast`] within 1e-4 of the oracle, relative or absolute.
+    /// With [`SumPrecision::Fast`], within 1e-4 of the oracle (relative for scores above 1).
     ///
     /// # Panics
     /// If the two differ in their number of channels.
     pub fn score(&self, y: &SampleSet, scratch: &mut Scratch) -> f64 {
         assert_eq!(self.set.dims(), y.dims(), "samples of equal channels");
-        // y is moved by this, and is then seen from z's centre.
+        // y moves by this; then z's centre is the origin of both.
         let shift = |c: usize| if self.align_mean { self.set.mean[c] - y.mean[c] } else { 0.0 };
         let (n, m) = (y.n(), self.set.n());
         let score = |sums| n.min(m) as f64 * mmd2_from_sums(sums, n, m);
@@ -155,7 +155,7 @@ impl<'a> QuerySet<'a> {
         Some(CrossSums { yz, yy: yy?, zz: zz? })
     }
 
-    /// On a line or over lanes; nothing where that would not be exact enough.
+    /// Sums on a line or over lanes; `None` where they would not be exact enough.
     fn fast_sums(
         &self,
         y: &SampleSet,
@@ -190,12 +190,12 @@ impl<'a> QuerySet<'a> {
         CrossSums { yy: points.sum(points), zz: *zz, yz }
     }
 
-    /// The centre of z as the origin of the shifted y.
+    /// The origin for y's coordinates: the point that the shift of y moves to z's centre.
     fn origin(&self, shift: &dyn Fn(usize) -> f64) -> Vec<f64> {
         self.set.centre.iter().enumerate().map(|(c, x)| x - shift(c)).collect()
     }
 
-    /// The points, and zz, in f64.
+    /// z's points in f64, and Σ k(zᵢ, zⱼ).
     fn in_f64(&self) -> &(Points<f64>, f64) {
         self.f64_points.get_or_init(|| {
             let mut points = Points::default();
@@ -216,7 +216,7 @@ mod tests {
         Array2::from_shape_fn((n, dims), |(i, c)| values[(i * dims + c) % values.len()])
     }
 
-    /// One score, with a table and without, and in f64 throughout.
+    /// The same score three times: fast, fast with a table, and in f64 throughout.
     fn scores(z: &Array2<f64>, y: &Array2<f64>, align: bool) -> Vec<f64> {
         let (z, y) = (SampleSet::new(z, None), SampleSet::new(y, None));
         let mut tabulated = y.clone();
@@ -260,7 +260,7 @@ mod tests {
             }
             9 => x.signum() * 1e4 + x,
             10 => f64::from(at < 7),
-            // Two groups, the smaller one at the rim of what is near.
+            // Two groups, the smaller one at the edge of what counts as near.
             12 => x + if at.is_multiple_of(5) { 3.5 } else { 0.0 },
             _ => 3.0 + f64::from((at.is_multiple_of(50)) as u8) * 1e-7,
         }
@@ -296,8 +296,8 @@ mod tests {
             let mut draw = |kind| Array2::from_shape_fn((400, dims), |(i, _)| {
                 ugly(kind, rng.random_range(-1.0..1.0), i)
             });
-            // Eq. 8 adds y's mean to z, which at 1e30 leaves nothing of z: such pairs have no score that
-            // could be held against ours, so only kinds of like size are paired with the shift.
+            // Eq. 8 adds y's mean to z, which at 1e30 leaves nothing of z: such pairs have no score
+            // to compare with. So only kinds of like size are paired with the shift.
             let alike = [0, 3, 5, 6, 7, 9, 10, 11, 12];
             let of_y = if align && !(alike.contains(&of_z) && alike.contains(&of_y)) { of_z } else { of_y };
             let (z, y) = (draw(of_z), draw(of_y));
@@ -309,8 +309,8 @@ mod tests {
 
     #[test]
     fn samples_of_few_distances_in_one_channel_are_summed_finely_enough() {
-        // Whole numbers, moved by the shift: 61 distances, and in f32 the errors of all but a few have
-        // one sign. A sum in f32 was 1.03e-4 off here.
+        // Whole numbers, moved by the shift, have 61 distances, and nearly all their errors in f32
+        // have one sign. A sum in f32 was 1.03e-4 off here.
         use rand::RngExt;
         let mut rng = crate::seed::rng(6_123_383_263_347_031_830, &[]);
         let mut draw = |kind| {

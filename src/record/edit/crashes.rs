@@ -1,4 +1,4 @@
-//! An edit is killed, or refused by the disk, at each of its changes in turn.
+//! Kills an edit, or lets the disk refuse it, at each of its changes in turn.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,7 +7,7 @@ use super::disk::stops::{Stop, until};
 use super::tests::{held, library};
 use super::*;
 
-/// The name of each trial by its bytes, there or among the removed ones.
+/// The name of each trial, present or removed, by the bytes of its data.
 fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     let mut state = BTreeMap::new();
     let of = |entries: Vec<Entry>, place: &str| -> Vec<_> {
@@ -26,7 +26,7 @@ fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     state
 }
 
-/// A folder in memory, where there is one.
+/// A temporary folder, in memory if possible.
 fn scratch() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
@@ -43,7 +43,7 @@ fn copy(from: &Path, to: &Path) {
 
 type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
 
-/// Preparations, and the edit that is cut short.
+/// A name, a preparation, and the edit that is cut short.
 const EDITS: [(&str, Edit, Edit); 9] = [
     ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
     ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),
@@ -67,7 +67,7 @@ const EDITS: [(&str, Edit, Edit); 9] = [
     ),
 ];
 
-/// A library on which something was done, and its state.
+/// A library after a preparation, and its number of steps.
 struct Before {
     dir: tempfile::TempDir,
     scene: Scene,
@@ -88,8 +88,8 @@ impl Before {
         dir
     }
 
-    /// Opens a library that was cut short, which must be as before then or as `after`, also in its
-    /// list of steps; and back to the beginning.
+    /// Opens a library in which an edit was cut short. Trials and steps must be as before the edit
+    /// or as `after` it, and undoing must lead back to the beginning.
     fn check(&self, root: &Path, after: &BTreeMap<Vec<u8>, String>, at: &str) {
         let before = state(self.dir.path(), &self.scene);
         drop(LibraryLock::for_reading(root));
@@ -128,7 +128,7 @@ fn an_edit_that_is_killed_at_any_change_is_finished_or_taken_back_by_the_next_op
             let cut_short = scratch();
             copy(dir.path(), cut_short.path());
             before.check(dir.path(), &after, &format!("{what}, killed at {first}"));
-            // The opening that makes it good is killed, too.
+            // The opening that repairs the library is killed, too.
             for second in 0.. {
                 let dir = scratch();
                 copy(cut_short.path(), dir.path());

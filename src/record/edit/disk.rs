@@ -11,7 +11,7 @@ pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)
 }
 
-/// Renames what nothing else may make room for: neither a file nor a folder of that name is replaced.
+/// Renames a file or folder, but fails if that would replace another one.
 pub(super) fn move_to(from: &Path, to: &Path) -> io::Result<()> {
     point()?;
     system::rename_new(from, to)
@@ -28,7 +28,7 @@ pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     if cfg!(test) { Ok(()) } else { file.sync_all() }
 }
 
-/// Cuts a file to a length. Where that does not last, what was cut off is made good once more.
+/// Cuts a file to a length. Should the rest reappear after a crash, it is just repaired again.
 pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
     point()?;
     file.set_len(length)?;
@@ -56,7 +56,7 @@ pub(super) fn link(target: &Path, path: &Path) -> io::Result<()> {
     system::link_folder(target, path)
 }
 
-/// Waits until the disk holds all that was done below a folder: once, however many files that were.
+/// Waits until the disk holds all changes below a folder: one wait for any number of files.
 pub(super) fn sync_all(folder: &Path) -> io::Result<()> {
     point()?;
     if cfg!(test) { Ok(()) } else { system::file_system_written(folder) }
@@ -76,7 +76,7 @@ pub(super) mod stops {
     use std::io;
     use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-    /// The event at a change.
+    /// What happens at a change.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Stop {
         /// The process ends there: nothing of it runs any more.
@@ -104,8 +104,8 @@ pub(super) mod stops {
         Err(io::Error::other("stopped by the test"))
     }
 
-    /// Works until the change of a number, counted from 0; `None` if it was killed there. Tells also
-    /// whether it came that far.
+    /// Does `work` with `stop` at the change of this number, counted from 0. Returns the result,
+    /// `None` if it was killed there, and whether it came that far.
     pub fn until<T>(change: u32, stop: Stop, work: impl FnOnce() -> T) -> (Option<T>, bool) {
         AT.set(Some((change, stop)));
         let done = catch_unwind(AssertUnwindSafe(work));

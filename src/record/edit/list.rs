@@ -1,4 +1,4 @@
-//! The trials of a library, as edits know them.
+//! Lists the trials of a library by the names that edits use.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,11 +11,11 @@ use crate::library::{About, Entry, LibraryError, recording};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, normal};
 
-/// A trial as it is listed.
+/// A trial in the list of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ListedTrial {
-    /// The name that edits know it by: its folder `SURFACE/TRIAL`, or its first file
-    /// `SURFACE/FILE.wav` where it has no folder of its own.
+    /// The name that edits use: its folder `SURFACE/TRIAL`, or its first file `SURFACE/FILE.wav` if
+    /// it has no folder of its own.
     pub trial: String,
     /// Its label, user and number.
     #[serde(flatten)]
@@ -24,13 +24,13 @@ pub struct ListedTrial {
     pub started_at: Option<String>,
     /// Its sources.
     pub sources: Vec<SourceId>,
-    /// Duration of the longest, in seconds.
+    /// Duration of its longest series, in seconds.
     pub seconds: f64,
 }
 
 pub(crate) use crate::library::files::name_within as trial_name;
 
-/// The trials of a library that can be read; none, where it holds none.
+/// The trials of a library that can be read, if any.
 pub(super) fn trials(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
     Ok(recording::open_part(library, library, scene)?.library.entries)
 }
@@ -41,7 +41,7 @@ pub(super) fn removed(library: &Path, scene: &Scene) -> Result<Vec<Entry>, Libra
     if !bin.exists() {
         return Ok(Vec::new());
     }
-    // Their sources are those of the library.
+    // Their sources are described by the library.
     Ok(recording::open_part(&bin, library, scene)?.library.entries)
 }
 
@@ -81,7 +81,7 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
     Ok(all.into_values().collect())
 }
 
-/// The folders and files of trials, `(SURFACE, TRIAL)` each.
+/// The folders and files of trials, each as `(SURFACE, TRIAL)`.
 pub(super) fn places(root: &Path) -> Vec<(String, String)> {
     let within = |folder: &Path, is_wanted: fn(&Listed) -> bool| {
         let items = files::list(folder).unwrap_or_default().into_iter();
@@ -110,11 +110,11 @@ fn listed(root: &Path, entry: &Entry) -> ListedTrial {
     }
 }
 
-/// The next number of each surface and user: after those of trials, and of removed ones, which may
-/// come back.
+/// The next free number for each surface and user; removed trials keep theirs, since they may come
+/// back.
 ///
 /// # Errors
-/// If the library is there and cannot be read.
+/// If the library exists but cannot be read.
 pub(crate) fn numbers_after(
     library: &Path,
     scene: &Scene,
@@ -144,7 +144,7 @@ pub(crate) fn number_after(
     Ok(numbers_after(library, scene)?.remove(&of).unwrap_or(1))
 }
 
-/// The trial whose `trial.toml` has these notes, `SURFACE/TRIAL`; `likely` is looked at first.
+/// The `SURFACE/TRIAL` whose `trial.toml` has these notes; `likely` is tried first.
 pub(crate) fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -> Option<String> {
     let likely = likely.and_then(|name| name.split_once('/'));
     let likely = likely.map(|(surface, trial)| (surface.to_string(), trial.to_string()));

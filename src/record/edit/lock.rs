@@ -11,7 +11,7 @@ use crate::system::{lock_holder, open_lock};
 
 /// How long an edit waits for readers: less than a browser does.
 const PATIENCE: Duration = Duration::from_secs(8);
-/// After how long it is said for whom.
+/// How long a program waits before it logs for whom.
 const SILENT: Duration = Duration::from_secs(1);
 /// Time between two attempts.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -25,7 +25,7 @@ impl LibraryLock {
     /// file system knows no locks, or nobody may edit the library anyway, there is nothing to keep
     /// off.
     pub fn for_reading(library: &Path) -> Self {
-        // Others say that it cannot be read, if they need it.
+        // A list of steps that cannot be read is reported by those who need it.
         let is_left = || {
             steps::read(library)
                 .is_ok_and(|(all, _)| all.last().is_some_and(|last| last.left().is_some()))

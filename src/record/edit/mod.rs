@@ -1,10 +1,10 @@
-//! Edits of a library on disk, each of which can be undone: trials get another label, are removed,
-//! and come back.
+//! Edits of a library on disk, each of which can be undone: giving trials another label, removing
+//! them, and restoring them.
 //!
-//! A removed trial lies in `LIBRARY/.removed/SURFACE/TRIAL`, whole, where no reader looks.
-//! `LIBRARY/.removed/steps.jsonl` lists the edits, so that the last can be taken back, and one that a
-//! crash cut short is finished when the library is opened next. Nothing is moved while somebody reads
-//! the library ([`LibraryLock`]).
+//! A removed trial lies complete in `LIBRARY/.removed/SURFACE/TRIAL`, which readers skip.
+//! `LIBRARY/.removed/steps.jsonl` lists the edits, so that the last one can be undone, and one that
+//! a crash cut short is finished when the library is next opened. Nothing is moved while somebody
+//! reads the library ([`LibraryLock`]).
 
 mod disk;
 mod list;
@@ -34,10 +34,10 @@ use crate::scene::Scene;
 use crate::system::identity;
 use crate::trial::{Trial, TrialKey, normal};
 
-/// The folder of what was removed.
+/// The folder of removed trials.
 pub(super) const REMOVED: &str = ".removed";
 
-/// Whether the name of a folder is one that readers take, and leads nowhere else.
+/// Whether readers accept a folder of this name, and the name leads nowhere else.
 pub(crate) fn is_plain(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
 }
@@ -50,13 +50,13 @@ pub struct Editor {
     _lock: LibraryLock,
 }
 
-/// A step that was taken back.
+/// A step that was undone.
 #[derive(Clone, Debug, Serialize)]
 pub struct Undone {
-    /// The step, with the moves by which it was taken back.
+    /// The step, with the moves that undid it.
     #[serde(flatten)]
     pub step: Step,
-    /// Trials of it that are no longer where it had put them, `SURFACE/TRIAL`.
+    /// Trials of the step that are no longer where it put them, `SURFACE/TRIAL`.
     pub gone: Vec<String>,
 }
 
@@ -72,9 +72,9 @@ impl AsRef<Self> for Step {
     }
 }
 
-/// Writes a trial into a library, under the next number that neither a trial nor a removed one has,
-/// as a step that can be undone. Gives its name, `SURFACE/TRIAL`. One with the same notes is the same
-/// trial: it is left where it is, or comes back if it was removed.
+/// Writes a trial into a library as a step that can be undone, under the next number that no trial
+/// has, not even a removed one. Returns its name, `SURFACE/TRIAL`. A trial with the same notes is
+/// the same trial: it stays where it is, or is restored if it was removed.
 ///
 /// # Errors
 /// If the library cannot be read or written.
@@ -85,7 +85,7 @@ pub(crate) fn keep(
     options: &TrialOptions,
     what: String,
 ) -> Result<String, LibraryError> {
-    // Nothing moves while it is looked for.
+    // Once the library is locked for editing, nothing moves during the search.
     let mut editor = Editor::open(library, scene)?;
     if let Some(notes) = &options.about.notes {
         if let Some(there) = trial_of_note(library, notes, None) {
@@ -101,7 +101,7 @@ pub(crate) fn keep(
     let (number, folder) = append_trial(library, &trial, scene, options)?;
     let to = trial_name(library, &folder);
     let key = Some(TrialKey { number, ..trial.key });
-    // To undo it is to remove it.
+    // Undoing this step removes the trial.
     let from = format!("{REMOVED}/{to}");
     let moves = vec![Move { from, to: to.clone(), was: key.clone(), is: key, inode: None }];
     editor.steps.note(Step { what, at: utc(SystemTime::now()), moves })?;
@@ -109,7 +109,7 @@ pub(crate) fn keep(
 }
 
 impl Editor {
-    /// Waits until nobody reads a library, takes it for editing, and finishes what was cut short.
+    /// Waits until nobody reads a library, locks it for editing, and finishes an edit cut short.
     ///
     /// # Errors
     /// If there is no such library, somebody reads it all the time, or an edit that was cut short
@@ -122,7 +122,7 @@ impl Editor {
         Ok(editor)
     }
 
-    /// Finishes what was cut short, and nothing else.
+    /// Finishes an edit that was cut short, and nothing else.
     fn finish(library: &Path) -> Result<(), LibraryError> {
         Self::open(library, &Scene::lmt108()).map(drop)
     }
@@ -145,8 +145,8 @@ impl Editor {
     /// Gives all trials of a surface another label.
     ///
     /// # Errors
-    /// If there is no such surface, or the file system refuses; then nothing has changed, as for all
-    /// that follow.
+    /// If there is no such surface, or the file system refuses. Then nothing has changed, which
+    /// also holds for the other edits.
     pub fn rename(&mut self, surface: &str, label: &str) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let of_surface: Vec<&Entry> =
@@ -158,7 +158,7 @@ impl Editor {
         self.relabel(&entries, &of_surface, label, what)
     }
 
-    /// Gives some trials another label: those of these names, or all of these surfaces.
+    /// Gives trials another label; the name of a surface stands for all of its trials.
     ///
     /// # Errors
     /// As [`Editor::rename`].
@@ -188,7 +188,7 @@ impl Editor {
         self.take(what, plan.moves)
     }
 
-    /// Removes trials: those of these names, or all of these surfaces.
+    /// Removes trials; the name of a surface stands for all of its trials.
     ///
     /// # Errors
     /// As [`Editor::rename`].
@@ -203,7 +203,7 @@ impl Editor {
                         places.for_each(|place| plan.remove(place, Some(&entry.key)));
                     }
                 }
-                // One that cannot be read is the more worth removing.
+                // A trial that cannot be read can be removed all the same.
                 Err(error) => match self.unreadable(&self.root, name) {
                     Some(folder) => plan.remove(&folder, None),
                     None => return Err(error),
@@ -213,7 +213,7 @@ impl Editor {
         self.take(format!("remove {}", names.join(", ")), plan.moves)
     }
 
-    /// Brings removed trials back: those of these names, or all of these surfaces.
+    /// Restores removed trials; the name of a surface stands for all of its trials.
     ///
     /// # Errors
     /// As [`Editor::rename`].
@@ -246,8 +246,8 @@ impl Editor {
         self.take(format!("restore {}", names.join(", ")), plan.moves)
     }
 
-    /// Brings a removed trial back under another name, as a step; `None` if it is not there. One that
-    /// shares its number with another removed trial is not listed, and comes back all the same.
+    /// Restores a removed trial under another name, as a step; `None` if it is not there. Includes
+    /// trials that are not listed because they share their number with another removed one.
     fn bring_back(
         &mut self,
         gone: &str,
@@ -271,8 +271,7 @@ impl Editor {
         Ok(step.moves.first().map(|one| one.to.clone()))
     }
 
-    /// Takes the last step back. A trial whose place is taken by another comes to a free one beside
-    /// it.
+    /// Undoes the last step. A trial whose former place is taken goes to a free one beside it.
     ///
     /// # Errors
     /// If there is none, or the file system refuses.
@@ -300,7 +299,8 @@ impl Editor {
         taken_back.map_or(Ok(Undone { step, gone }), Err)
     }
 
-    /// The trials of some names: `SURFACE/TRIAL`, a file of it, or `SURFACE` for all of one.
+    /// The trials of these names: `SURFACE/TRIAL`, a file of it, or `SURFACE` for all of its
+    /// trials.
     fn choose<'e>(
         &self,
         folder: &Path,
@@ -320,7 +320,7 @@ impl Editor {
         missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(name, entries)))
     }
 
-    /// The folder of a trial, or its files: edits move these.
+    /// The folder of a trial, or its files, which edits move.
     fn places_of<'e>(&self, entry: &'e Entry) -> Result<Vec<&'e Path>, LibraryError> {
         let places = entry.places();
         match places.iter().find(|place| place.parent() == Some(&self.root)) {
@@ -347,7 +347,7 @@ impl Editor {
         LibraryError::file(&self.root, problem)
     }
 
-    /// The folder or file of a trial that no reader takes.
+    /// The folder or file of a trial that cannot be read.
     fn unreadable(&self, root: &Path, name: &str) -> Option<PathBuf> {
         let all = places(root).into_iter();
         let mut named =
@@ -355,7 +355,7 @@ impl Editor {
         named.next().map(|(surface, trial)| root.join(surface).join(trial))
     }
 
-    /// Writes a step down, and does it; a step that fails is taken back.
+    /// Writes a step into the list, and carries it out; a step that fails is undone.
     fn take(&mut self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
         let step = Step { what, at: utc(SystemTime::now()), moves };
         if step.moves.is_empty() {
@@ -369,11 +369,11 @@ impl Editor {
         self.settle(&step.moves, false)?.map_or(Ok(step), Err)
     }
 
-    /// Does the moves of the last step, or those that take it back. Where that fails, they are taken
-    /// back themselves, and the reason is given.
+    /// Carries out the moves of the last step, or those that undo it. If that fails, they are
+    /// undone themselves, and the reason is returned.
     ///
     /// # Errors
-    /// If they can be neither done nor taken back; the next opening tries again.
+    /// If they can be neither carried out nor undone; the next opening tries again.
     fn settle(
         &mut self,
         moves: &[Move],

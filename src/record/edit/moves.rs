@@ -1,4 +1,4 @@
-//! Moving trials: all of a step, forth or back, as often as it takes.
+//! Carries out the moves of a step, forwards or back; a call that was cut short may be repeated.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::trial::{EXPERT, TrialKey};
 enum Place {
     Before,
     After,
-    /// In neither place; at most another one has come there.
+    /// In neither place; another trial may have taken them.
     Gone,
 }
 
@@ -23,7 +23,7 @@ fn place(from: &Path, to: &Path, one: &Move) -> Place {
     match (identity(from), identity(to)) {
         (before, _) if before.is_some() && before == one.inode => Place::Before,
         (_, after) if after.is_some() && after == one.inode => Place::After,
-        // Of a copy of the library, say.
+        // The inode is another one, for example in a copy of the library.
         (Some(_), None) => Place::Before,
         (None, Some(_)) => Place::After,
         _ => Place::Gone,
@@ -34,8 +34,8 @@ fn unfinished(folder: &Path) -> PathBuf {
     folder.join(format!(".{ABOUT_FILE}.unfinished"))
 }
 
-/// The text of a trial's `trial.toml` in another folder, by another name, where it has to change.
-/// The trial lies in the folder `now`; a file has its label from the folder that it lies in.
+/// The new text of `trial.toml` of a trial that lies at `now` and is to be `key` at `to`; `None` if
+/// it stays the same, or if the trial is a file, which has its label from its folder.
 fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, LibraryError> {
     if now.is_file() {
         return Ok(None);
@@ -57,7 +57,7 @@ fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, Librar
     Ok(Some(about.to_toml()))
 }
 
-/// Whether a move would change what lies outside the library, behind a link; why that is refused.
+/// Creates the folder that a move goes to; refuses a move that would change a file behind a link.
 pub(super) fn check(root: &Path, one: &Move) -> Result<(), LibraryError> {
     let (from, to) = (root.join(&one.from), root.join(&one.to));
     let parent = to.parent().unwrap_or(root);
@@ -80,8 +80,8 @@ pub(super) fn check(root: &Path, one: &Move) -> Result<(), LibraryError> {
     Ok(())
 }
 
-/// Moves trials, and then writes their names. What is done already stays so, and a trial that is
-/// gone is passed over: a call that was cut short is made good by another.
+/// Moves trials, and then writes their names. Skips what is done already and trials that are gone,
+/// so that a call that was cut short may be repeated.
 pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError> {
     let ends = |one: &Move| (root.join(&one.from), root.join(&one.to));
     for one in moves {
@@ -112,7 +112,7 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
         disk::write(unfinished, text.as_bytes()).map_err(|error| failed(unfinished, error))?;
     }
     if !labels.is_empty() {
-        // Else a loss of power might leave empty ones.
+        // Otherwise a power failure might leave empty files.
         disk::sync_all(root).map_err(|error| failed(root, error))?;
     }
     for (unfinished, to, _) in &labels {
@@ -153,7 +153,7 @@ pub(super) fn tidy(root: &Path, moves: &[Move]) {
     for name in moves.iter().flat_map(|one| [&one.from, &one.to]) {
         let folder = root.join(name);
         let _ = fs::remove_file(unfinished(&folder));
-        // One that holds anything stays.
+        // A folder that holds anything stays.
         let _ = fs::remove_dir(folder.parent().unwrap_or(root));
     }
 }

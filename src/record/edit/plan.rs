@@ -1,4 +1,4 @@
-//! The folder, or file, and the number that each trial of a step gets: free ones, and none twice.
+//! Plans the moves of a step: each trial gets a free path and a free number, none of them twice.
 
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
@@ -10,10 +10,10 @@ use crate::record::folder_name;
 use crate::system::identity;
 use crate::trial::{TrialKey, normal};
 
-/// The moves of a step, one after the other.
+/// The moves of a step, in order.
 pub(super) struct Plan<'a> {
     root: &'a Path,
-    /// The names that trials have, also removed ones.
+    /// The names of all trials, including removed ones.
     taken: BTreeSet<TrialKey>,
     /// Paths on either side of a move.
     folders: HashSet<PathBuf>,
@@ -21,8 +21,8 @@ pub(super) struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// A step of a library with these trials, there and removed; those that lie at `leaving` give
-    /// their names back.
+    /// A plan for a library with these trials, present and removed; the names of those that lie at
+    /// `leaving` become free.
     pub fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
         let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
         let staying = entries.into_iter().flatten().filter(stays);
@@ -30,11 +30,11 @@ impl<'a> Plan<'a> {
         Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
     }
 
-    /// Gives a trial another name, with the same number if that is free. A file goes to the folder
-    /// of the surface, where its name is kept.
+    /// Gives a trial another name, with the same number if that is free. A trial that is a file
+    /// goes to the folder of the surface, and keeps its file name.
     ///
     /// # Errors
-    /// If a file is to have a label that no folder can have.
+    /// If a file would need a folder named after a label that no folder can have.
     pub fn rename(
         &mut self,
         from: &Path,
@@ -53,7 +53,7 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// The folder whose name is a label, as it is written on disk.
+    /// The folder named after a label: the existing one as spelt on disk, or else a new one.
     fn folder_of_label(&self, file: &Path, label: &str) -> Result<PathBuf, LibraryError> {
         let there = files::list(self.root)?.into_iter();
         let same = |item: &Listed| item.is_dir && !item.is_hidden() && normal(&item.name) == label;
@@ -70,7 +70,7 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Moves a trial among those that were removed, unless it is on its way already.
+    /// Moves a trial to the removed ones, unless the step moves it already.
     pub fn remove(&mut self, from: &Path, key: Option<&TrialKey>) {
         if !self.folders.contains(from) {
             let to = self.root.join(REMOVED).join(trial_name(self.root, from));
@@ -78,7 +78,7 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Moves a trial back to where a move took it from, or beside that.
+    /// Moves a trial back to where a move took it from, or beside that if the place is taken.
     pub fn reverse(&mut self, one: &Move) {
         let (from, mut to) = (self.root.join(&one.to), self.root.join(&one.from));
         let keeps = one.from.starts_with(REMOVED) || from.is_file();
@@ -103,7 +103,7 @@ impl<'a> Plan<'a> {
         key
     }
 
-    /// Moves a trial to a path, or to one beside it where that is taken.
+    /// Moves a trial to a path, or, if that is taken, to one beside it.
     pub fn add(&mut self, from: &Path, to: PathBuf, was: Option<TrialKey>, is: Option<TrialKey>) {
         let is_file = from.is_file();
         let part = |part: Option<&std::ffi::OsStr>| {

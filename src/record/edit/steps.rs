@@ -22,7 +22,7 @@ use crate::trial::TrialKey;
 
 /// The list of steps in the folder of what was removed.
 pub(super) const STEPS: &str = "steps.jsonl";
-/// Steps and bytes of the list from which on the older half of it is forgotten.
+/// Limits in steps and bytes, at which the older half of the list is forgotten.
 const MOST_STEPS: usize = 1000;
 const MOST_BYTES: u64 = 1 << 25;
 
@@ -48,13 +48,13 @@ pub struct Move {
     pub was: Option<TrialKey>,
     /// Its name now.
     pub is: Option<TrialKey>,
-    /// Its inode, which tells it from another that has come to its place.
+    /// Its inode, which tells it from another trial that has taken its place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) inode: Option<u64>,
 }
 
 impl Move {
-    /// The way back.
+    /// The reverse move.
     pub(super) fn reversed(&self) -> Self {
         let Self { from, to, was, is, inode } = self.clone();
         Self { from: to, to: from, was: is, is: was, inode }
@@ -79,7 +79,7 @@ pub(super) struct KnownStep {
 }
 
 impl KnownStep {
-    /// The moves that a crash cut short, and whether they were to take the step back.
+    /// The moves that a crash cut short, and whether they were undoing the step.
     pub fn left(&self) -> Option<(&[Move], bool)> {
         match &self.undoing {
             Some((_, moves)) => Some((moves, true)),
@@ -96,8 +96,8 @@ pub fn last_step(library: &Path) -> Result<Option<Step>, LibraryError> {
     Ok(read(library)?.0.pop().map(|known| known.step))
 }
 
-/// All steps, the last one last, and where the last whole line ends. A line that a crash cut short
-/// is none, since it is written before anything moves; nor is one that leads out of the library.
+/// All steps, the latest last, and where the last complete line ends. A line that a crash cut short
+/// does not count, since nothing has moved yet; nor does one that leads out of the library.
 pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError> {
     let path = library.join(REMOVED).join(STEPS);
     let text = match files::open(&path) {
@@ -107,7 +107,7 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
     };
     let (mut steps, mut at) = (Vec::<KnownStep>::new(), 0);
     for line in text.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n")) {
-        // Steps of version 0.2 stand bare, once they are done.
+        // Version 0.2 wrote steps without `began`, once they were done.
         let bare = || serde_json::from_slice(line).ok().map(|step| (step, true));
         let known = |step, is_done| KnownStep { step, at, is_done, undoing: None };
         match (serde_json::from_slice(line), steps.last_mut()) {
@@ -130,8 +130,8 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
     Ok((steps, at))
 }
 
-/// Takes the last step off the list. Where one of its trials came to another place than it had been
-/// in before, the step that had put it there learns that.
+/// Takes the last step off the list. If undoing it put a trial in another place than before, notes
+/// the new place in the earlier step that had put the trial there.
 fn undone(steps: &mut Vec<KnownStep>) {
     let Some(KnownStep { step, undoing: Some((_, moves)), .. }) = steps.pop() else { return };
     for went in &moves {
@@ -145,7 +145,7 @@ fn undone(steps: &mut Vec<KnownStep>) {
     }
 }
 
-/// Whether moves stay within a library: `SURFACE/TRIAL`, there or among what was removed.
+/// Whether moves stay within a library: `SURFACE/TRIAL`, present or removed.
 fn is_within(moves: &[Move]) -> bool {
     let trial = |name: &str| {
         let name = name.strip_prefix(".removed/").unwrap_or(name);
@@ -202,7 +202,7 @@ impl Steps {
             disk::append(&mut self.file, text.as_bytes())
         };
         if let Err(error) = append() {
-            // It never was; best effort, since the next line cuts it off, too.
+            // The line does not count. Best effort, since the next line cuts it off, too.
             let _ = disk::cut(&self.file, at);
             return Err(failed(&self.path, error));
         }
@@ -210,7 +210,7 @@ impl Steps {
         Ok(at)
     }
 
-    /// A step begins.
+    /// Notes that a step begins.
     pub fn begin(&mut self, step: &Step) -> Result<(), LibraryError> {
         if self.known.len() >= MOST_STEPS || self.end > MOST_BYTES {
             self.forget()?;
@@ -220,19 +220,19 @@ impl Steps {
         Ok(())
     }
 
-    /// The step that was begun last is done.
+    /// Notes that the step that was begun last is done.
     pub fn done(&mut self) -> Result<(), LibraryError> {
         self.add(&[&StepLine::Done])?;
         self.known.iter_mut().last().into_iter().for_each(|last| last.is_done = true);
         Ok(())
     }
 
-    /// Notes a step that is done already.
+    /// Notes a step that is complete already.
     pub fn note(&mut self, step: Step) -> Result<(), LibraryError> {
         self.add(&[&StepLine::Began(step), &StepLine::Done]).map(drop)
     }
 
-    /// The last step is being taken back, by these moves.
+    /// Notes that the last step is being undone, by these moves.
     pub fn undo(&mut self, moves: Vec<Move>) -> Result<(), LibraryError> {
         let at = self.add(&[&StepLine::Undoing(moves.clone())])?;
         self.known.iter_mut().last().into_iter().for_each(|last| {
@@ -241,7 +241,7 @@ impl Steps {
         Ok(())
     }
 
-    /// The last step, or its taking back, never was.
+    /// Strikes the last step, or the undoing of it, off the list.
     pub fn take_back(&mut self, undoing: bool) -> Result<(), LibraryError> {
         let Some(last) = self.known.last_mut() else { return Ok(()) };
         let at = last.undoing.as_ref().filter(|_| undoing).map_or(last.at, |(at, _)| *at);
@@ -254,7 +254,7 @@ impl Steps {
         Ok(())
     }
 
-    /// The last step is taken back.
+    /// Notes that the last step is undone.
     pub fn undone(&mut self) -> Result<(), LibraryError> {
         self.add(&[&StepLine::Undone])?;
         undone(&mut self.known);

@@ -108,7 +108,7 @@ fn files_without_trial_folders_are_edited_and_keep_their_names() {
     let before = ["Esche, ge\u{f6}lt/ir_7.wav", "ash/ir \u{dc} 3.wav"];
     assert_eq!(names(), before);
     let edit = || Editor::open(root, &scene).unwrap();
-    // A label as it is typed elsewhere, and a file that a name stands for already.
+    // The file goes to the folder of the other surface, and keeps its name.
     edit().rename("Esche, ge\u{f6}lt", "ash").unwrap();
     assert_eq!(names(), ["ash/ir \u{dc} 3.wav", "ash/ir_7.wav"]);
     edit().remove(&one("ash/ir_7.wav")).unwrap();
@@ -125,7 +125,7 @@ fn files_without_trial_folders_are_edited_and_keep_their_names() {
     }
     (0..4).for_each(|_| drop(edit().undo().unwrap()));
     assert_eq!(names(), before);
-    // One that cannot be read can be removed, and comes back.
+    // A file that cannot be read can be removed and restored.
     fs::write(root.join("ash/notes.wav"), "what is this").unwrap();
     edit().remove(&one("ash/notes.wav")).unwrap();
     assert_eq!(list_removed(root, &scene).unwrap()[0].trial, "ash/notes.wav");
@@ -133,7 +133,7 @@ fn files_without_trial_folders_are_edited_and_keep_their_names() {
     assert!(root.join("ash/notes.wav").exists());
 }
 
-/// The name of one trial or surface, as edits want it.
+/// The name of one trial or surface, as edits take it.
 fn one(name: &str) -> [String; 1] {
     [name.to_string()]
 }
@@ -181,7 +181,7 @@ fn a_number_of_a_removed_trial_is_not_given_out_again() {
     edit.remove(&one("oak/anna-02")).unwrap();
     assert_eq!(number_after(root, &scene, "oak", "anna").unwrap(), 3);
     assert_eq!(crate::record::number_by_names(root, "oak"), 3);
-    // Nor to one that is renamed.
+    // Nor is it given to a trial that is renamed.
     edit.move_to(&one("ash"), "oak").unwrap();
     assert_eq!(held(root, &scene), ["oak/1", "oak/3"]);
     (0..2).for_each(|_| drop(edit.undo().unwrap()));
@@ -197,7 +197,7 @@ fn what_cannot_be_moved_is_refused_before_anything_is_labelled() {
     assert!(error.contains("a file stands where"), "{error}");
     assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2"]);
     assert_eq!(last_step(root).unwrap(), None);
-    // A surface on another disk, where there is one.
+    // A surface on another disk, if the machine has one.
     let Ok(other) = tempfile::tempdir_in("/dev/shm") else { return };
     copy_trial(&root.join("oak/anna-01"), &other.path().join("anna-07"));
     std::os::unix::fs::symlink(other.path(), root.join("far")).unwrap();
@@ -311,7 +311,7 @@ fn a_label_that_means_something_else_leaves_the_library_readable() {
         let opened = crate::dataset::open(root, &scene).unwrap();
         assert!(opened.surfaces().contains(&label), "{label}: {:?}", opened.surfaces());
         Editor::open(root, &scene).unwrap().undo().unwrap();
-        // One that is there already, as an earlier version made it.
+        // A folder of that name from an earlier version can be read, too.
         if label != "library.toml" {
             fs::rename(root.join("ash"), root.join(label)).unwrap();
             assert_eq!(crate::dataset::open(root, &scene).unwrap().entries.len(), 3, "{label}");

@@ -6,16 +6,16 @@ use crate::library::LibraryError;
 use crate::library::files::{self, Listed};
 use crate::library::recording::DESCRIPTION;
 
-/// How deep a recording's folders go: as LMT108's do.
+/// Most parts of a file's path below its library: those of LMT108.
 const DEEPEST: usize = 6;
 
-/// Whether a folder is a single trial: files alone. A library is folders, with or without files
-/// beside them.
+/// Whether a folder is a single trial, which holds files alone. A library holds folders, with or
+/// without files beside them.
 pub fn is_trial(recording: &Path) -> Result<bool, LibraryError> {
     Ok(!visible(recording)?.iter().any(|item| item.is_dir))
 }
 
-/// The files of a recording, by their names below its library.
+/// The files of a recording: names relative to its library, and paths.
 ///
 /// # Errors
 /// If a folder cannot be read, or a link leads out of the recording.
@@ -26,7 +26,7 @@ pub fn files(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
         below(&root, &root, &mut all)?;
         return Ok(all);
     }
-    // A trial keeps its place below its library.
+    // The names of a single trial's files begin with `SURFACE/TRIAL`, too.
     let library = root.ancestors().nth(2).unwrap_or(&root);
     let description = library.join(DESCRIPTION);
     if description.is_file() {
@@ -51,7 +51,7 @@ fn below(folder: &Path, root: &Path, all: &mut Vec<(String, PathBuf)>) -> Result
     Ok(())
 }
 
-/// A path whose links lead nowhere out of `root`: what lies elsewhere was not meant to be given away.
+/// Passes on a path unless a link in it leads out of `root`, to files that nobody meant to share.
 fn inside(path: &Path, root: &Path) -> Result<PathBuf, LibraryError> {
     let real = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
     match real.starts_with(root) {
@@ -67,8 +67,8 @@ fn visible(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     Ok(files::list(dir)?.into_iter().filter(|item| !item.is_hidden()).collect())
 }
 
-/// The path of a file of a recording, if its name leads below the recording and nowhere else: a
-/// description or a list beside the folders, or a file within them.
+/// The path for the name of an attached file, if it lies within a recording: `library.toml` or a
+/// `.mat` list beside the folders, or a file within them.
 pub fn within(name: &str) -> Option<PathBuf> {
     let path = Path::new(name);
     let plain = |part: Component<'_>| match part {

@@ -1,4 +1,4 @@
-//! From a recording to an MCAP file.
+//! Writes a recording as an MCAP file.
 
 use std::borrow::Cow;
 use std::fs::{self, File};
@@ -11,13 +11,13 @@ use super::{attached, messages};
 use crate::library::{Library, LibraryError, files};
 use crate::record::failed;
 
-/// Between two trials, in seconds, so that they stand apart on a time line.
+/// Pause between two trials, in seconds, so that they stand apart on a time line.
 const PAUSE_S: f64 = 1.0;
 /// Largest file of a recording in bytes.
 const MOST_FILE: u64 = 1 << 30;
 
-/// Writes a recording, a library or one of its trials (`SURFACE/TRIAL`), as `out`; gives the number
-/// of trials. Of an export that fails, no file is left.
+/// Writes a recording (a library, or one of its trials, `SURFACE/TRIAL`) to `out`, and returns the
+/// number of trials. An export that fails leaves no file.
 ///
 /// # Errors
 /// If the recording cannot be read, has a link that leads out of it, or `out` exists or cannot be
@@ -26,7 +26,7 @@ pub fn export(recording: &Path, library: &Library, out: &Path) -> Result<usize, 
     let file = File::create_new(out).map_err(|error| failed(out, error))?;
     let written = write(recording, library, out, file);
     if written.is_err() {
-        // The error at hand matters more than one from tidying up.
+        // The first error matters more than one of the clean-up.
         let _ = fs::remove_file(out);
     }
     written.map(|()| library.entries.len())
@@ -40,7 +40,7 @@ fn write(recording: &Path, library: &Library, out: &Path, file: File) -> Result<
     let mut writer = options.create(BufWriter::new(file)).map_err(failed)?;
     for (name, path) in attached::files(recording)? {
         let data = match files::read_bytes(&path, MOST_FILE) {
-            // An empty file is a file too.
+            // `read_bytes` refuses an empty file, but it belongs to the recording.
             Err(_) if fs::metadata(&path).is_ok_and(|about| about.len() == 0) => Vec::new(),
             data => data?,
         };

@@ -1,4 +1,4 @@
-//! From an MCAP file back to the recording's own files.
+//! Restores a recording's own files from an MCAP file.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -15,14 +15,13 @@ use crate::record::{failed, write_file};
 /// Largest MCAP file in bytes: it is read as a whole.
 const MOST_FILE: u64 = 1 << 32;
 
-/// Writes back the files of a recording that was exported, below `dir`, which must not be there
-/// yet; gives the number of trials
-/// (folders SURFACE/TRIAL; none in LMT108). The folder appears when it is whole: of an import that fails,
-/// nothing is left.
+/// Writes back the files of a recording that was exported, below `dir`, which must not exist yet.
+/// Returns the number of trials (folders SURFACE/TRIAL; none in LMT108). The folder appears once it
+/// is complete: an import that fails leaves nothing.
 ///
 /// # Errors
-/// If `mcap` is no such file, holds none of a recording's files, or names one that would lie
-/// elsewhere; if `dir` exists, or cannot be written.
+/// If `mcap` is no MCAP file, holds none of a recording's files, or names one that would lie
+/// outside `dir`; if `dir` exists, or cannot be written.
 pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
     let bytes = files::read_bytes(mcap, MOST_FILE)?;
     let attached = attachments(&bytes).map_err(|problem| LibraryError::file(mcap, problem))?;
@@ -36,7 +35,7 @@ pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
         .try_for_each(|(path, data)| write(&unfinished.join(path), data))
         .and_then(|()| fs::rename(&unfinished, dir).map_err(|error| failed(dir, error)));
     if let Err(error) = written {
-        // The error at hand matters more than one from tidying up.
+        // The first error matters more than one of the clean-up.
         let _ = fs::remove_dir_all(&unfinished);
         return Err(error);
     }
@@ -45,7 +44,7 @@ pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
     Ok(trials.len())
 }
 
-/// A hidden name beside a folder, with the same parent.
+/// A hidden name in the parent folder of `dir`.
 fn beside(dir: &Path) -> PathBuf {
     let mut name = OsString::from(".");
     name.push(dir.file_name().unwrap_or(dir.as_os_str()));
@@ -63,8 +62,8 @@ fn write(path: &Path, data: &[u8]) -> Result<(), LibraryError> {
 /// The attachments of a file: where they go, and their bytes.
 ///
 /// # Errors
-/// If there are none, if one would lie elsewhere, if two have one name, or if they overlap: a file
-/// within a file within a file would take many times the size of all.
+/// If there are none, if one would lie outside the recording, if two have one name, or if they
+/// overlap: files nested in files could take many times the size of the whole.
 fn attachments(bytes: &[u8]) -> Result<Vec<(PathBuf, Vec<u8>)>, String> {
     let damaged = |error: mcap::McapError| format!("no whole MCAP file: {error}");
     let mut indexes = Summary::read(bytes).map_err(damaged)?.unwrap_or_default().attachment_indexes;
@@ -123,7 +122,7 @@ mod tests {
     fn files_within_files_and_two_of_one_name_are_refused() {
         assert_eq!(attachments(&with(&["a/b/c", "a/b/d"])).unwrap().len(), 2);
         assert!(attachments(&with(&["a/b/c", "a/b/c"])).unwrap_err().contains("two files"));
-        // An index that names the first file's place for the second one too.
+        // The index of the second file points into the first one.
         let mut bytes = with(&["a/b/c", "a/b/d"]);
         let indexes = Summary::read(&bytes).unwrap().unwrap().attachment_indexes;
         let second = indexes[1].offset.to_le_bytes();

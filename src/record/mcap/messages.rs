@@ -1,8 +1,8 @@
-//! The messages of a trial: what tools draw.
+//! The messages of a trial, which tools draw.
 //!
-//! A message holds a tenth of a second of one source, so that its own head costs little. Samples
-//! that came as 16 bits are written as these whole numbers and a scale, which takes half the room of
-//! their decimals; pictures as JPEG. The files themselves are attached, so nothing is lost here.
+//! A message holds a tenth of a second of one source, so that its header adds little. Samples that
+//! came with 16 bits are written as whole numbers and a scale, which take half the room of
+//! decimals; pictures as JPEG. The files themselves are attached, so nothing is lost here.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -21,7 +21,7 @@ use crate::trial::{Image, Series, Signal, Trial};
 const MESSAGES_A_SECOND: f64 = 10.0;
 /// The value of 1 in samples of 16 bits.
 const STEP: f32 = 1.0 / 32768.0;
-/// The schema of samples: a list a channel; a value times the scale is the sample.
+/// The schema of samples: one list for each channel; value times scale is the sample.
 const SAMPLES_SCHEMA: &str = r#"{"title": "surfaced.Samples", "type": "object", "properties": {"rate_hz": {"type": "number"}, "scale": {"type": "number"}, "values": {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}}, "required": ["rate_hz", "scale", "values"]}"#;
 /// The schema that viewers know for pictures, <https://docs.foxglove.dev/docs/sdk/schemas/compressed-image>.
 const PICTURE_SCHEMA: &str = r#"{"title": "foxglove.CompressedImage", "type": "object", "properties": {"timestamp": {"type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999}}}, "frame_id": {"type": "string"}, "data": {"type": "string", "contentEncoding": "base64"}, "format": {"type": "string"}}}"#;
@@ -72,7 +72,7 @@ fn samples(
 ) -> mcap::McapResult<()> {
     let (channels, rate_hz) = (series.channels(), series.rate_hz());
     let frames = ((rate_hz / MESSAGES_A_SECOND).ceil() as usize).max(1);
-    // Times 2^15 is exact, so what is whole then came as 16 bits.
+    // Multiplying by 2^15 is exact, so samples that are whole numbers then came with 16 bits.
     let whole = series.samples().iter().all(|x| (x / STEP).fract() == 0.0 && x.abs() <= 1.0);
     let scale = if whole { STEP } else { 1.0 };
     for (index, block) in series.samples().chunks(frames * channels).enumerate() {

@@ -6,7 +6,7 @@ use crate::trial::Signal;
 
 const RATE_HZ: f64 = 10_000.0;
 
-/// Noise of this amplitude that repeats.
+/// Pseudo-random noise of this amplitude, determined by its seed.
 fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
     let mut next = || {
         *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -48,11 +48,11 @@ fn synthetic(source: &str, entry: usize) -> (f64, Vec<f32>) {
     }
 }
 
-/// Silence, tap, silence, drag, silence of a microphone; where tap and drag begin and end, in s.
+/// Sound of silence, tap, silence, drag, silence; the times in s of tap, drag and the drag's end.
 fn joined(entry: usize) -> (f64, Vec<f32>, [f64; 3]) {
     let (rate_hz, tap) = synthetic("mi1", entry);
     let (_, drag) = synthetic("mi2", entry);
-    // The room of the recording itself: what comes before the stylus touches.
+    // The recording's own room noise, before the stylus touches.
     let quiet = (tap[..800].iter().map(|x| x * x).sum::<f32>() / 800.0).sqrt();
     let seed = &mut 7;
     let mut silence = |seconds: f64| noise((seconds * rate_hz) as usize, quiet * 1.7, seed);

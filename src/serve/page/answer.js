@@ -10,9 +10,9 @@ export function nameOf(answer) {
   return `${answer.state}: ${answer.surface}`;
 }
 
-// The probability of each ranked surface, by a method that gives them: the doubt that the library
-// leaves is taken from the scores, which are inverse probabilities without it, and spread over all
-// surfaces alike.
+// The probability of each ranked surface, if the method gives probabilities. Scores are inverse
+// probabilities before the doubt that the library leaves; that doubt is spread evenly over all
+// surfaces.
 export function probabilities({ ranked, confidence }) {
   if (confidence === null || ranked.length === 0) return null;
   const [first, even] = [1 / ranked[0].score, 1 / ranked.length];
@@ -20,13 +20,13 @@ export function probabilities({ ranked, confidence }) {
   return ranked.map(({ score }) => (1 - doubt) / score + doubt * even);
 }
 
-// How sure an answer is: by its probability where the method gives one.
+// How sure an answer is: its probability, or else by how much the nearest surface is more alike.
 export function sureness(answer) {
   if (answer.state === "unknown" || answer.state === "unnamed") return "";
   return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
 }
 
-// Damage of a scan, a line each; older answers have the reasons why it is spoiled alone.
+// Damage of a scan, a line each; older answers hold only the reasons why they are spoiled.
 export const damageOf = (answer) => (answer.damage ? damageLines(answer.damage) : answer.spoiled);
 
 // The reasons for doubt, except damage, which is shown by itself.
@@ -44,7 +44,7 @@ export function certainty(answer) {
   else if (answer.confidence === null) {
     parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
   } else parts.push(`${sureness(answer)} sure`);
-  // Of an unknown surface the reasons are those of its name, and behind it.
+  // The reasons of an unknown surface say why it is unknown: these are no doubts.
   if (answer.state !== "unknown") parts.push(...doubts(answer));
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");

@@ -1,4 +1,4 @@
-// Pictures of a whole scan beside the nearest trial of the library: traces over traces, spectra over
+// Draws a whole scan with the nearest trial of the library: traces with traces, spectra with
 // spectra.
 
 import { make } from "./dom.js";
@@ -45,7 +45,7 @@ function band(pen, view, channel, [left, right], y) {
   pen.stroke();
 }
 
-// Each channel in a lane of its own; both on one scale of time and of value.
+// Draws each channel in a lane of its own; scan and trial share the scales of time and value.
 export function traces(source, own, nearest) {
   const views = [own, nearest].filter(Boolean);
   const seconds = Math.max(...views.map((view) => view.duration_s));
@@ -73,7 +73,7 @@ export function traces(source, own, nearest) {
   });
 }
 
-// Spectra as lines, sixty decibels down from the strongest band.
+// Draws spectra as lines, down to 60 dB below the strongest band.
 export function spectra(source, own, nearest) {
   const lines = [[nearest?.spectrum, "nearest"], [own.spectrum, "own"]].filter(([line]) => line);
   const top = Math.max(-60, ...lines.flatMap(([line]) => line.db));

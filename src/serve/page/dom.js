@@ -1,16 +1,16 @@
-// Small helpers of all parts of the page. All text from outside goes in as text, never as markup.
+// Small helpers for all parts of the page. Text from outside is inserted as text, never as markup.
 
 export const $ = (id) => document.getElementById(id);
 
-// Text without what acts unseen, such as marks that make it read backwards (as printable.rs).
+// Characters that act without being seen, for example by reversing the text (as in printable.rs).
 const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
 export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 
-// The places at which a long name may break: after `_` and `/`, and where words are joined by
-// capital letters. Hyphens and spaces are the browser's.
+// The places where a long name may break: after `_` and `/`, and before capital letters that join
+// words. The browser itself breaks at hyphens and spaces.
 const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
 
-// The parts of a name that stay in one line.
+// The parts of a name that must not be broken.
 export const parts = (text) => printable(text).split(JOINTS);
 
 function write(element, text) {
@@ -24,13 +24,13 @@ export function make(tag, text, className) {
   return element;
 }
 
-// Rounded down near 1: nothing is more certain than it is.
+// Rounded down near 1, so that nothing looks more certain than it is.
 export const percent = (share) =>
   `${share > 0.995 && share < 1 ? (Math.floor(share * 1000) / 10).toFixed(1) : (share * 100).toFixed(0)}\u00a0%`;
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
-// Fills a place with a list of elements; it is replaced only if it reads differently.
+// Fills a place with a list of elements, but only if that changes what it shows.
 export function fill(id, elements) {
   const place = $(id);
   const text = elements.map((element) => element.outerHTML).join("");
@@ -54,18 +54,18 @@ const SOURCES = {
   sound: "microphone", ca1: "picture", ca2: "picture with flash",
 };
 
-// The plain name of a source, and of the one that a line begins with.
+// The plain name of a source; `plainLine` replaces the one that a line begins with.
 export const plain = (source) => SOURCES[source] ?? source;
 export const plainLine = (line) => line.replace(/^[a-z]+\d?(?=[: ])/, plain);
 
-// A source by its plain name, with the one of files and programs small.
+// A source by its plain name, with its name in files and programs in small letters.
 export function sourceName(source, tag = "strong") {
   const element = make(tag, plain(source));
   if (plain(source) !== source) element.append(" ", make("small", source));
   return element;
 }
 
-// Damage as lines of an operator's words.
+// Damage as lines in plain words.
 export const damageLines = (damage) =>
   damage.map(({ source, text }) => (source ? `${plain(source)}: ${text}` : text));
 
@@ -77,7 +77,7 @@ export function button(text, act, className) {
   return element;
 }
 
-// Asks the station, and gives its answer; null, with the reason shown, if it refuses.
+// Sends a request and returns the station's answer; null, with the reason shown, if refused.
 export async function ask(path, body) {
   let problem = "";
   let said = null;

@@ -4,13 +4,13 @@ import { picture } from "./camera.js";
 import { plain, sourceName } from "./dom.js";
 
 const WINDOW_S = 6;
-// Without data for so long, a stream is shown as stalled.
+// A stream without data for this long is shown as stalled.
 const STALLED_MS = 700;
 // Columns of a spectrogram, five a second.
 const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
-// Devices that are not there.
+// Devices that are missing.
 let gone = new Set();
 let view = "traces";
 let colours = {};
@@ -47,7 +47,7 @@ function stream(source) {
   known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, columns: [], fresh: false, range: null,
     arrived: performance.now(), stalled: false };
   streams.set(source, known);
-  // In order of names, whatever came first.
+  // In order of names, whichever came first.
   const after = [...place.children].find((other) =>
     other.classList.contains("camera") || other.dataset.source > source);
   place.insertBefore(box, after ?? null);
@@ -85,11 +85,11 @@ function revive(s) {
   s.canvas.setAttribute("aria-label", `signal of ${plain(s.source)}`);
 }
 
-// A stream that brings nothing is grey, with the time since its last sample: never a frozen trace.
+// A stalled stream is grey, with the time since its last sample: no old trace looks alive.
 function findStalled() {
   const now = performance.now();
   for (const s of streams.values()) {
-    // A recording's tap comes now and then; a device that is there always brings something.
+    // The tap of a recording comes rarely: a stream is stalled only if its whole device is silent.
     const device = [...streams.values()].filter((other) => other.device === s.device);
     const silent_ms = now - Math.max(...device.map((other) => other.arrived));
     if (silent_ms < STALLED_MS && !gone.has(s.device)) {
@@ -110,7 +110,7 @@ function findStalled() {
 }
 setInterval(findStalled, 250);
 
-// Takes in how the devices are: what one that was lost sent last is grey at once.
+// Takes in the states of the devices: streams of a lost device turn grey at once.
 export function devices(list) {
   gone = new Set(list.filter(({ state }) => state === "lost" || state === "absent").map(({ device }) => device));
   findStalled();
@@ -129,7 +129,7 @@ export function spectrum(event) {
   if (view === "spectra") ask();
 }
 
-// Shows what was lost.
+// Shows how much each stream has lost.
 export function losses(list) {
   for (const { source, device, lost } of list) {
     const s = streams.get(source);
@@ -140,7 +140,7 @@ export function losses(list) {
   }
 }
 
-// Changes between traces and spectra.
+// Switches between traces and spectra.
 export function show(wanted) {
   view = wanted;
   for (const s of streams.values()) s.fresh = true;
@@ -174,7 +174,7 @@ function draw(s) {
   else drawSpectrum(s, pen, w, h, ratio);
 }
 
-// The bins of a stream, but no more than pixels: neighbours as one, and always the same ones, so
+// The bins of a stream, merged to at most one a pixel. The same neighbours are always merged, so
 // that nothing shimmers as they move. An entry without `min` is a gap.
 function columns(s, w) {
   const wide = Math.max(1, Math.floor(WINDOW_S / s.bin_s / w));
@@ -245,8 +245,8 @@ function drawTrace(s, pen, w, h, ratio) {
   if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + range(s.source, low, high);
 }
 
-// The spectrum of now to the right, those of the last seconds to the left: time runs to the right,
-// frequency upwards.
+// Draws the present spectrum at the right, and those of the last seconds at the left, with time
+// running to the right and frequency upwards.
 function drawSpectrum(s, pen, whole, h, ratio) {
   if (!s.spectrum) return;
   const left = Math.round(whole * 0.4);
@@ -278,7 +278,7 @@ function drawBands(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     pen.fillRect(x(hz), 0, ratio, h);
   }
-  // Sixty decibels below the strongest band of late; silence stays empty. Above are the labels.
+  // Down to 60 dB below the strongest recent band; silence stays empty. Labels stand above.
   const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
   const y = (value) => h - (h - 17 * ratio) * Math.max(0, value - (s.top - 60)) / 60;
@@ -292,7 +292,7 @@ function drawBands(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     const text = hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`;
     const room = w - x(hz) > pen.measureText(text).width + 4 * ratio;
-    // No label over the one before.
+    // No label overlaps the one before.
     if (!room || x(hz) < free) continue;
     pen.fillText(text, x(hz) + 3 * ratio, 12 * ratio);
     free = x(hz) + pen.measureText(text).width + 8 * ratio;
@@ -300,7 +300,7 @@ function drawBands(s, pen, w, h, ratio) {
   if (!s.stalled) s.note.textContent = `loudest ${Math.round(s.top)} dB`;
 }
 
-// Microphones give shares of full scale; other sources have the unit of their recordings.
+// Microphones give shares of full scale; other sources the unit of their recordings.
 function range(source, low, high) {
   const unit = /^(mi\d|sound)$/.test(source) ? " of full scale" : "";
   // Force and metal rest at zero.

@@ -1,24 +1,24 @@
-// The list of past scans, the newest first, and how right those are that somebody corrected.
+// The list of past scans, the newest first, and how many of the reviewed answers were right.
 
 import { corrected, damageOf, nameOf, sureness } from "./answer.js";
 import { $, ask, button, clock, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
 
-// Scans that are read at a time.
+// Scans that are loaded at a time.
 const PAGE = 300;
 let most = PAGE;
 let scans = [];
-// Whether there are older ones than those.
+// Whether older scans can be loaded.
 let more = false;
 let changed = () => {};
 let shown = "";
 
-// Calls a function whenever the list has changed.
+// Sets a function that is called whenever the list has changed.
 export function onChange(act) {
   changed = act;
 }
 
-// Reads the list anew.
+// Loads the list anew.
 export async function load() {
   const said = await ask(`scans?limit=${PAGE}`);
   if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
@@ -26,7 +26,7 @@ export async function load() {
   loadPrecision();
 }
 
-// Reads older ones than those that are shown.
+// Loads scans older than those shown.
 export async function older() {
   const last = scans[scans.length - 1];
   const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}`));
@@ -39,14 +39,14 @@ export async function older() {
 // The newest scan; null if there is none.
 export const newest = () => scans[0] ?? null;
 
-// A scan was answered, or could not be named.
+// Takes in a scan that was answered, or could not be named.
 export function add(answer) {
   if (scans.some((scan) => scan.id === answer.id)) return;
   scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans];
   if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 
-// A scan was corrected, or became a trial.
+// Takes in a scan that was corrected, or became a trial.
 export function change(scan) {
   scans = scans.map((other) => (other.id === scan.id ? scan : other));
   loadPrecision();
@@ -82,7 +82,7 @@ function row(scan) {
   return line;
 }
 
-// Shows the list, if it reads otherwise than before.
+// Shows the list, if it has changed.
 export function render(counts) {
   const only = $("unknown-only").checked;
   const wanted = scans.filter((scan) => !only || ["unknown", "unsure", "unnamed"].includes(scan.state));
@@ -111,7 +111,7 @@ function precisionRow({ surface, corrected, right, precision, precision_low, pre
   return line;
 }
 
-// Reads the figures anew; without corrections there are none.
+// Loads how many answers were right; without corrections there is nothing to show.
 async function loadPrecision() {
   const said = await ask("history");
   if (!said) return;

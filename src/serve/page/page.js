@@ -1,5 +1,5 @@
-// Follows the station's events and shows how it is. All text from outside goes in as text, never
-// as markup.
+// Follows the station's events and shows its state. Text from outside is inserted as text, never as
+// markup.
 
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
@@ -70,7 +70,7 @@ function showLibrary() {
 }
 
 function showWarnings() {
-  // An empty station shows its three steps instead.
+  // A station without surfaces shows three steps instead of this problem.
   const known = isEmpty(state) ? state.library.problem : null;
   const warnings = state.warnings.filter(({ text }) => text !== known);
   hide("warnings-box", warnings.length === 0);
@@ -96,7 +96,7 @@ function render() {
   });
 }
 
-// A scan was named, or could not be.
+// Takes in a scan that was named, or could not be.
 function answered(answer) {
   if (answer.state !== "unnamed") state.answer = answer;
   if (answer.state !== "named") state.counts[answer.state] += 1;
@@ -104,7 +104,7 @@ function answered(answer) {
   announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
 }
 
-// The change that each type of event makes.
+// What each type of event changes.
 const changes = {
   state: (whole) => {
     state = whole;
@@ -160,7 +160,7 @@ function follow() {
       render();
     });
   }
-  // A page that is left keeps no connection: a browser has six for each station.
+  // A page that is left closes its connection: a browser has only six for each station.
   window.addEventListener("pagehide", () => events.close(), { once: true });
   events.addEventListener("trace", ({ data }) => trace(JSON.parse(data)));
   events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
@@ -205,5 +205,5 @@ document.addEventListener("keydown", (event) => {
 window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();
 followAddress();
-// How long a device is gone for.
+// Keeps the time since which a device is disconnected up to date.
 setInterval(() => state?.advice.device && render(), 1000);

@@ -1,9 +1,9 @@
-// Dialogues by their addresses: a link opens one, Esc and the back button close it.
+// Dialogues have addresses: a link opens one, Esc and the back button close it.
 
 const routes = [];
 
-// Opens `dialog` with `show(rest)` where the address is `#name=rest` or `#name`; `ended` gives the
-// element that has the focus after it, if what had it before is gone.
+// Opens `dialog` with `show(rest)` at the address `#name=rest` or `#name`. When it closes, the
+// focus returns to where it was, or, if that is gone, to the element that `ended` gives.
 export function route(name, dialog, show, ended) {
   const one = { name, dialog, show, before: null };
   routes.push(one);
@@ -12,7 +12,7 @@ export function route(name, dialog, show, ended) {
     const other = ended?.();
     one.before = null;
     if (isAt(one)) {
-      // A step of the page itself is taken back; an address that came from elsewhere is shortened.
+      // Goes back if the page itself set the address; cuts off the end of an address from outside.
       if (history.state?.inside) history.back();
       else history.replaceState(null, "", location.pathname + location.search);
     }
@@ -22,13 +22,13 @@ export function route(name, dialog, show, ended) {
 
 const isAt = ({ name }) => location.hash === `#${name}` || location.hash.startsWith(`#${name}=`);
 
-// Opens a dialogue, one step further.
+// Opens a dialogue as a new step in the browser's history.
 export function go(address) {
   history.pushState({ inside: true }, "", `#${address}`);
   follow();
 }
 
-// Shows a dialogue whose content is there.
+// Shows a dialogue once its content is there.
 export function opened(dialog) {
   if (dialog.open) return;
   const one = routes.find((other) => other.dialog === dialog);

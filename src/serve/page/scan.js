@@ -1,4 +1,4 @@
-// One scan, opened: its signals, why it was named so, and the form that says what it was.
+// One open scan: its signals, why it was named so, and the form that says what it was.
 
 import { certainty, corrected, damageOf, nameOf, probabilities } from "./answer.js";
 import { spectra, traces } from "./chart.js";
@@ -14,7 +14,7 @@ function heading(text) {
   return make("h3", text);
 }
 
-// The vote of a source: a bar to the left for the winner or to the right for the runner-up.
+// The vote of a source: a bar to the left for the winner, or to the right for the runner-up.
 function says(source, most) {
   const item = make("li");
   const bar = make("div", undefined, "weigh");
@@ -28,7 +28,7 @@ function says(source, most) {
   return item;
 }
 
-// A source speaks from these odds on, as a natural logarithm: 1.6 to 1.
+// From these odds on, as a natural logarithm, a source counts as a vote: 1.6 to 1.
 const SPEAKS = 0.5;
 
 function list(sources, ending) {
@@ -49,7 +49,7 @@ function votes({ winner, runner_up, sources }) {
   return `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-// How well it fits its surface, by the trials of the library that were left out.
+// How well the scan fits its surface, compared with the library's left-out trials.
 function fit({ winner, p_value: p, threshold, threshold_trials: trials }, unknown) {
   if (threshold === null) return "Unknown surfaces are not detected: the library has too few trials.";
   if (p === null) return "It is too short, or lacks a source, to tell a known surface from an unknown one.";
@@ -150,12 +150,12 @@ function signals(scan, { scan: own, nearest }) {
   return box;
 }
 
-// The forms that say what it was.
+// Shows what the scan was, and the forms to say so.
 function showCorrection(scan) {
   const spoiled = scan.spoiled.length > 0;
   const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
   if (scan.became) parts.push(`trial ${scan.became}`);
-  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, and no good trial");
+  else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, so it cannot become a trial");
   say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);
   hide("was-clear", !scan.correction);
@@ -173,7 +173,7 @@ function showHead(scan) {
 async function load(id) {
   const wanted = location.hash;
   const scan = await ask(`scans/${encodeURIComponent(id)}`);
-  // Closed in the meantime, or another one.
+  // The dialogue was closed meanwhile, or shows another scan.
   if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
   open = scan;
@@ -187,7 +187,7 @@ async function load(id) {
   }
   const notes = await ask(`scans/${scan.id}/why`);
   if (open !== scan) return;
-  // Of a scan just before an end, or one of many at once.
+  // Scans just before the station's end, or in quick succession, have no notes.
   if (!notes) {
     body.append(ranking(scan));
     return;
@@ -204,7 +204,7 @@ async function correct(was, step = "correct") {
 }
 
 route("scan", dialog, load, () => {
-  // A correction draws the row anew.
+  // A correction draws the row anew, so that it must be found again.
   const row = open && `#scans tr[data-id="${CSS.escape(open.id)}"] button`;
   open = null;
   delete dialog.dataset.shown;

@@ -1,4 +1,4 @@
-// The library, opened: its trials, their names when they are left out, and edits that can be undone.
+// The open library: its trials, their names when left out, and edits that can be undone.
 
 import { $, ask, button, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { go, opened, route } from "./route.js";
@@ -22,7 +22,7 @@ async function begin() {
   render();
 }
 
-// Does an edit; what was found before is found anew.
+// Makes an edit, and repeats the check if there was one.
 async function edit(what, body) {
   const step = await ask(`library/${what}`, body);
   if (!step) return;
@@ -30,7 +30,7 @@ async function edit(what, body) {
   if (check.report) begin();
 }
 
-// The findings of the check, by trial.
+// The results of the check, by trial.
 function found() {
   const key = ({ surface, user, number }) => [surface, user, number].join("\n");
   const by = new Map((check.report?.each ?? []).map((trial) => [key(trial), trial]));
@@ -42,7 +42,7 @@ function verdict(of) {
   if (!of) return cell;
   if (of.verdict === "untested") cell.append(make("span", "only one", "soft"));
   else {
-    // The ratio to the next surface.
+    // The ratio of likeness to that of the next surface.
     const by = times(Math.exp(of.margin));
     const wrong = of.verdict !== "right";
     cell.append(make("span", wrong ? `wrong: ${of.named ?? "not named"}, by ${by}` : `right, by ${by}`, wrong ? "wrong" : undefined));
@@ -71,7 +71,7 @@ function row(trial, of) {
   return line;
 }
 
-// A surface with its trials.
+// The table of a surface and its trials.
 function group(surface, trials, of) {
   const body = make("tbody");
   const head = make("tr", undefined, "group");
@@ -167,7 +167,7 @@ function render() {
   dialog.dataset.check = check.state;
 }
 
-// The small form for a new label.
+// What the small form for a new label does with it.
 let relabel = null;
 
 function startForm(title, act) {
@@ -202,7 +202,7 @@ $("shelf-close").addEventListener("click", () => dialog.close());
 $("undo").addEventListener("click", () => edit("undo", {}));
 $("check").addEventListener("click", begin);
 
-// The audit has ended, or the library was read anew.
+// Takes in that the check has ended, or that the library was read anew.
 export function checked(view) {
   check = view;
   render();

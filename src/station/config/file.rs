@@ -1,4 +1,4 @@
-//! A configuration file of a station as it stands there, laid over the defaults.
+//! A station's configuration file as it is written, laid over the defaults.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -136,12 +136,12 @@ pub(super) struct OutputsBlock {
 /// The file that holds the defaults.
 pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");
 
-/// The place of values of the defaults in the file: none.
+/// The span given to default values, which stand nowhere in the file.
 const NOWHERE: Range<usize> = 0..0;
 
-/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such as
-/// `[stylus]`) are overlaid key by key; any other value replaces the default as a whole. `format`
-/// has no default. Spans are those of `text`.
+/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such
+/// as `[stylus]`) are overlaid key by key; any other value replaces the default as a whole.
+/// `format` has no default. Spans are those of `text`.
 ///
 /// # Errors
 /// If `text` is not TOML, or not of the form of `T`.

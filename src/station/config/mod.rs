@@ -1,6 +1,5 @@
 //! The configuration of a station, in two steps: a file laid over the defaults, and the objects
-//! that the
-//! program works with.
+//! that the program works with.
 
 mod file;
 mod lines;
@@ -73,7 +72,7 @@ pub enum ConfigError {
         /// what, and where
         error: Box<toml::de::Error>,
     },
-    /// a description of a source that cannot be
+    /// an impossible description of a source
     #[error("{}: {error}", path.display())]
     Scene {
         /// which file
@@ -81,7 +80,7 @@ pub enum ConfigError {
         /// what, and where
         error: Box<SceneError>,
     },
-    /// a value that cannot be
+    /// an impossible value
     #[error("{}, line {line}: {problem}", path.display())]
     Value {
         /// which file
@@ -102,19 +101,19 @@ pub struct StationConfig {
     pub serve: SocketAddr,
     /// The sources.
     pub scene: Scene,
-    /// The stylus, if there is to be one.
+    /// The stylus, if the station has one.
     pub stylus: Option<StylusConfig>,
     /// Sensors that print lines of numbers.
     pub lines: Vec<LinesConfig>,
     /// The microphone, if there is to be one.
     pub microphone: Option<MicrophoneConfig>,
-    /// The camera, if there is to be one.
+    /// The camera, if the station has one.
     pub camera: Option<CameraConfig>,
-    /// The detection of scans, and the sources that are cut.
+    /// How scans are detected, and which sources are cut from which streams.
     pub detection: Detection,
-    /// Sources of which a good trial holds enough independent samples.
+    /// Sources of which a good trial must hold enough independent samples, by T*.
     pub by_t_star: Vec<SourceId>,
-    /// Trials that `enroll` takes of a surface.
+    /// Number of trials that `enroll` records of a surface.
     pub trials: u32,
     /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
     pub keep_mb: u32,
@@ -175,10 +174,10 @@ pub struct CameraConfig {
 /// Pictures with flash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlashConfig {
-    /// Their source.
+    /// The source of these pictures.
     pub source: SourceId,
     /// The camera's control that switches the light; without it, the stylus does.
     pub control: Option<FlashControl>,
-    /// Time until pictures show a change.
+    /// Time until pictures show a change of the light.
     pub settle: Duration,
 }

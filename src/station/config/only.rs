@@ -1,4 +1,4 @@
-//! A station with no more devices than some sources need.
+//! Reduces a station to the devices that some sources need.
 
 use std::collections::BTreeSet;
 

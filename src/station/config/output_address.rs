@@ -22,7 +22,7 @@ pub struct OutputsConfig {
 /// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpAddress {
-    /// The host, and the port: 80 unless it is said.
+    /// The host and the port, by default 80.
     pub host: (String, u16),
     /// The path, with its query.
     pub path: String,

@@ -1,4 +1,4 @@
-//! From a file laid over the defaults to what the program works with.
+//! Turns a file laid over the defaults into the objects that the program works with.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -214,7 +214,7 @@ fn microphone(block: MicrophoneBlock) -> Result<Option<MicrophoneConfig>, Mistak
             None => return mistake(&channel, "channel = 0; channels are counted from 1"),
         },
     };
-    // Letters alone.
+    // The name has letters only.
     let stream = SourceId::new(SOUND).expect("letters name a source");
     Ok(present.then_some(MicrophoneConfig { device, pick, stream }))
 }
@@ -299,7 +299,7 @@ impl StreamCuts<'_> {
         self
     }
 
-    /// All of them, each source once; `file` is anything in the file.
+    /// The cuts, if each source occurs once; an error points at the line of `file`.
     fn checked<S>(self, file: &Spanned<S>) -> Result<Vec<CutFrom>, Mistake> {
         let mut seen = BTreeSet::new();
         match self.cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {
@@ -321,7 +321,7 @@ fn detection(
     let in_lines = |id: &SourceId| lines.iter().position(|l| l.streams.iter().any(|s| s.id == *id));
     for (name, kind) in &block.listen {
         let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
-            // Of a device that this station does not have.
+            // A source of a device that this station does not have.
             known(name, kind, scene)?;
             continue;
         };

@@ -37,7 +37,7 @@ fn what_a_file_leaves_out_is_the_default_and_what_it_says_holds() {
     assert_eq!(config.stylus.as_ref().unwrap().port, Selector::Path("/dev/ttyACM0".into()));
     assert_eq!(config.stylus.unwrap().streams, embedded.stylus.unwrap().streams);
     assert!(config.camera.is_none() && config.detection.cuts.len() == 6);
-    // A table within a block is replaced as a whole, and defaults for what it lacks mean nothing.
+    // A table within a block replaces the default one as a whole.
     let one = parse("format = 1\n[stylus.sources]\nir = [\"ir\"]\n").unwrap().stylus.unwrap();
     assert_eq!(one.streams.len(), 1);
     assert!(parse("[stylus]\npresent = false\n").unwrap_err().contains("format"));

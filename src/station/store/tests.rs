@@ -8,7 +8,7 @@ fn scan(number: u32) -> Box<Scan> {
     scan_at(number, 0.0)
 }
 
-/// One whose sources all have this level.
+/// A scan whose sources all begin at this level.
 fn scan_at(number: u32, level: f32) -> Box<Scan> {
     let signal = |channels: usize| {
         let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
@@ -60,7 +60,7 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
         RecordingThread::start(store).unwrap()
     };
     let mut both = [start(), start()];
-    // Of one process, so with one process number, as in two containers.
+    // Both have the same process number, as programs in two containers may.
     for number in 1..=8 {
         for (thread, level) in both.iter_mut().zip([0.0, 0.5]) {
             thread.store(scan_at(number, level), enrolment(), None);
@@ -114,7 +114,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let mut writer = StoreWriter::new(store, send, ending);
     drop(working);
     writer.accept((scan(1), enrolment(), None));
-    // Before the end, the library would give number 1, since it holds no trial.
+    // The library holds no trial and would give number 1, but it is not read at the end.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
 }

@@ -133,7 +133,7 @@ fn a_table_that_changes_is_followed_and_reported() {
     assert_eq!(got.1, ["hello 0 false", "hello 1 true", "hello 0 true"]);
     let full: Vec<f32> = got.0[0].iter().map(|x| x * 32_768.0).collect();
     assert_eq!(full, [1.0, 0.0, 10.0, 11.0, 21.0, 22.0]);
-    // Its own missing frame keeps the late stream in step with the others.
+    // A missing frame keeps the stream that comes late in step with the others.
     assert!(got.0[1].len() == 3 && got.0[1][1].is_nan() && got.0[1][2] == 10.0);
 }
 

@@ -1,7 +1,7 @@
 //! Disturbances: pure functions of a trial, a severity and a seeded generator.
 //!
-//! The levels of each go from what a good station sees now and then (first), through a bad day, to
-//! the absurd (last), so that places on the axes of different disturbances can be compared.
+//! The levels of each disturbance go from what a good station sees now and then (first), through a
+//! bad day, to the absurd (last), so that levels of the same rank can be compared.
 
 mod trial;
 
@@ -14,7 +14,7 @@ use crate::scene::{Domain, Phase, Scene, SourceSpec};
 use crate::seed::uniform;
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// A change of queries, or of the library.
+/// What a disturbance changes: queries or the library.
 #[derive(Clone, Copy)]
 pub enum Kind {
     Query(fn(&mut Trial, &mut Setting<'_>)),
@@ -24,15 +24,15 @@ pub enum Kind {
 /// A disturbance with its axis of severities.
 #[derive(Clone, Copy)]
 pub struct Disturbance {
-    /// Short name, by which it is chosen.
+    /// Short name, as in options.
     pub name: &'static str,
     /// The quantity and unit of the levels.
     pub axis: &'static str,
     pub levels: &'static [f64],
     pub kind: Kind,
-    /// Whether it changes a source.
+    /// Whether the disturbance changes a source.
     pub touches: fn(&SourceSpec) -> bool,
-    /// How many sources it needs to make sense.
+    /// The disturbance makes sense only with this number of such sources or more.
     pub fewest: usize,
 }
 
@@ -119,7 +119,7 @@ pub fn all() -> Vec<Disturbance> {
 }
 
 impl Disturbance {
-    /// Whether it changes anything of data with these sources.
+    /// Whether enough of these sources are changed by the disturbance.
     pub fn fits(&self, sources: &[&SourceSpec]) -> bool {
         sources.iter().filter(|spec| (self.touches)(spec)).count() >= self.fewest
     }
@@ -128,7 +128,7 @@ impl Disturbance {
 pub struct Setting<'a> {
     pub level: f64,
     pub scene: &'a Scene,
-    /// Belongs to this trial, disturbance and level.
+    /// Generator for this trial, disturbance and level alone.
     pub rng: ChaCha8Rng,
 }
 
@@ -136,7 +136,7 @@ fn any(_: &SourceSpec) -> bool {
     true
 }
 
-/// A series that is no switch.
+/// A series of an analog sensor, not of a switch such as the metal detector.
 fn analog(spec: &SourceSpec) -> bool {
     spec.domain != Domain::Image && spec.sigma.is_none()
 }
@@ -153,7 +153,7 @@ fn drag(spec: &SourceSpec) -> bool {
     spec.phase == Phase::Drag
 }
 
-/// A series in time, whose samples T* is about.
+/// An analog source compared as a series in time.
 fn slow(spec: &SourceSpec) -> bool {
     matches!(spec.domain, Domain::Time { .. }) && spec.sigma.is_none()
 }
@@ -166,7 +166,7 @@ fn is_picture(spec: &SourceSpec) -> bool {
     spec.domain == Domain::Image
 }
 
-/// Changes those series of a trial that a filter lets through.
+/// Changes the series of a trial whose sources `touches` accepts.
 fn each_series(
     trial: &mut Trial,
     setting: &mut Setting<'_>,
@@ -182,8 +182,7 @@ fn each_series(
     }
 }
 
-/// Changes each sample of those series: `change` gets it and the channel's mean, deviation and
-/// largest magnitude.
+/// Changes each sample of such series: `change` gets the sample, its channel's spread, the level.
 fn each_sample(
     trial: &mut Trial,
     setting: &mut Setting<'_>,
@@ -200,12 +199,12 @@ fn each_sample(
     });
 }
 
-/// Samples stay finite, whatever is done to them.
+/// Converts to f32 and keeps the sample finite.
 fn to_sample(x: f64) -> f32 {
     x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32
 }
 
-/// Changes the pictures of a trial, given as RGB bytes.
+/// Changes the pictures of a trial; `change` gets and returns RGB bytes.
 fn each_picture(trial: &mut Trial, change: impl Fn(&[u8]) -> Vec<u8>) {
     for signal in trial.signals.values_mut() {
         if let Signal::Image(image) = signal
@@ -216,7 +215,7 @@ fn each_picture(trial: &mut Trial, change: impl Fn(&[u8]) -> Vec<u8>) {
     }
 }
 
-/// A series with other frames of the same kind; unchanged if there are none.
+/// Replaces the frames of a series; leaves it unchanged if `samples` do not make a series.
 fn replace(series: &mut Series, samples: Vec<f32>) {
     if let Ok(changed) = Series::new(series.rate_hz(), series.channels(), samples) {
         *series = changed;
@@ -245,10 +244,10 @@ impl ChannelSpread {
     }
 }
 
-/// A library, changed; the generator belongs to the disturbance and level.
+/// Changes a library by a level; the generator is for this disturbance, level and fold alone.
 pub type LibraryChange = fn(Vec<Entry>, f64, &mut ChaCha8Rng) -> Vec<Entry>;
 
-/// At most `most` trials of each surface, picked at random.
+/// Keeps at most `most` trials of each surface, picked at random.
 pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     let mut drawn: Vec<(f64, Entry)> =
         library.into_iter().map(|entry| (uniform(rng), entry)).collect();
@@ -262,7 +261,7 @@ pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     drawn.into_iter().map(|(_, entry)| entry).collect()
 }
 
-/// A share of the trials carries the name of another surface.
+/// Gives about a share of the trials the name of another surface.
 pub fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     let mut surfaces: Vec<String> = library.iter().map(|e| e.key.surface.clone()).collect();
     surfaces.sort();
@@ -272,15 +271,14 @@ pub fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) ->
             let own = surfaces.partition_point(|surface| *surface < entry.key.surface);
             let by = 1 + (uniform(rng) * (surfaces.len() - 1) as f64) as usize;
             entry.key.surface = surfaces[(own + by) % surfaces.len()].clone();
-            // Its number may be taken there.
+            // That surface may have a trial of the same number.
             entry.key.number += 1000 * (at as u32 + 1);
         }
     }
     library
 }
 
-/// Every surface has a twin, whose trials are the surface's own at a pitch that is `percent` %
-/// higher.
+/// Adds a twin of every surface: the surface's own trials at a pitch `percent` % higher.
 pub fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -> Vec<Entry> {
     let twin = |entry: &Entry| {
         let mut twin = entry.clone().changed(move |mut trial: Trial| {

@@ -1,4 +1,4 @@
-//! Promises of every disturbance.
+//! Properties of every disturbance.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -51,8 +51,8 @@ fn every_level_changes_what_it_touches_and_nothing_else() {
                 assert!(touched || after.signals[id] == *signal, "{} changed {id}", d.name);
                 changed += usize::from(after.signals[id] != *signal);
             }
-            // A shorter scan than one of a second leaves that as it is, and one of 25 pieces of
-            // 10 ms may miss them all.
+            // Cutting to a second or more leaves this drag of 1 s as it is, and rare lift-offs and
+            // gaps may by chance not occur.
             let may_rest = ["short-scan", "lift-offs", "gaps"].contains(&d.name);
             assert!(changed > 0 || may_rest, "{} at {level}", d.name);
         }
@@ -94,7 +94,7 @@ fn the_given_number_of_sensors_is_dead_and_one_is_left() {
     for (level, expected) in [(1.0, 1), (3.0, 3), (99.0, 7)] {
         let after = disturbed(&d, level, &trial, &scene, 4);
         let dead = trial.signals.iter().filter(|(id, s)| after.signals[*id] != **s).count();
-        // A metal detector that rests is 0 either way, so it does not count.
+        // The metal detector is never picked, being a switch.
         assert!(dead == expected, "{dead} of {expected}");
     }
 }

@@ -1,4 +1,4 @@
-//! Disturbances of one trial: of its levels and drags, its sensors and clocks, noise, and pictures.
+//! Disturbances of one trial: levels, drags, sensors, clocks, noise and pictures.
 
 use std::f64::consts::TAU;
 
@@ -12,15 +12,15 @@ use crate::scene::SourceSpec;
 use crate::seed::{nearly_normal, uniform};
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// Vibration grows as force to this power.
+/// The amplitude of vibration grows as force to this power.
 const FORCE_POWER: f64 = 0.7;
 
-/// Every amplifier turned up by a factor.
+/// Multiplies every analog series by a factor, like a higher gain of all amplifiers.
 pub fn gain(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, _, factor| factor * x);
 }
 
-/// A hand that presses harder by a factor: loads grow with it, vibrations less. Reflectance stays.
+/// A hand that presses harder by a factor: loads grow by it, vibrations less, reflectance not.
 pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |spec, series, _, factor| {
         let gain = match spec.id.as_str() {
@@ -32,12 +32,12 @@ pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A constant, added: the level, in deviations of the channel.
+/// Adds a constant to each channel; the level is in standard deviations of the channel.
 pub fn offset(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, level| x + level * spread.deviation);
 }
 
-/// Limits at a share of the largest magnitude about the mean.
+/// Cuts off each channel at a distance from its mean: a share of peak − |mean|.
 pub fn saturation(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, share| {
         let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
@@ -45,7 +45,7 @@ pub fn saturation(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A converter of so few bits, whose full scale is the channel's largest magnitude.
+/// Rounds to a number of bits, with the channel's largest magnitude as full scale.
 pub fn quantisation(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, bits| {
         let step = 2.0 * spread.peak / bits.exp2();
@@ -53,15 +53,15 @@ pub fn quantisation(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Slips a second.
+/// Rate of slips.
 const SLIPS_HZ: f64 = 5.0;
 /// Length of a lift-off in s.
 const LIFT_S: f64 = 0.1;
-/// Share of every signal that remains in the air.
+/// Factor on every signal while the stylus is in the air.
 const IN_THE_AIR: f64 = 0.02;
 
-/// The stylus sticks and slips five times a second: every signal of the drag swells and breaks off,
-/// by the level, a share of its strength.
+/// The stylus sticks and slips five times a second: every signal of the drag drops at each slip by
+/// a share of its strength, the level, and then swells again.
 pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |spec, series, _, depth| {
         if spec.sigma.is_some() {
@@ -76,8 +76,8 @@ pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// The stylus leaves the surface for 100 ms at a time, for a share of the drag, in all sources at
-/// once.
+/// The stylus leaves the surface for 100 ms at a time, in about a share of the drag, and in all
+/// sources at once.
 pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
     let seconds = trial.signals.values().map(|signal| match signal {
         crate::trial::Signal::Series(series) => series.duration_s(),
@@ -96,7 +96,7 @@ pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A number of sensors give nothing: series of zeros, black pictures.
+/// A number of sensors are dead: their series are zeros, their pictures black.
 pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, sensed) {
         match signal {
@@ -111,7 +111,7 @@ pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     }
 }
 
-/// A number of sensors hold the value that they began with.
+/// A number of sensors are stuck: they hold their first value.
 pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, analog) {
         if let Signal::Series(series) = signal {
@@ -121,7 +121,7 @@ pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
     }
 }
 
-/// Channels in turn: the second is taken for the first, and so on.
+/// Rotates the channels: by 1, the second takes the place of the first, and so on.
 pub fn swapped(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, many_channels, |_, series, _, by| {
         for mut row in series.view_mut().rows_mut() {
@@ -133,7 +133,7 @@ pub fn swapped(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// As many of the signals as the level says, picked at random; one at least is left alone.
+/// Picks as many signals as the level says, at random; at least one signal remains unpicked.
 fn picked<'t>(
     trial: &'t mut Trial,
     setting: &mut Setting<'_>,
@@ -150,10 +150,10 @@ fn picked<'t>(
     signals.into_iter().map(|(_, signal)| signal).collect()
 }
 
-/// Length of a gap in the line, in s.
+/// Length of a gap in the data, in s.
 const GAP_S: f64 = 0.05;
 
-/// A share of the samples lost one by one, exactly that many; what follows moves up.
+/// Drops exactly a share of the frames, at random places; later frames move up.
 pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, rng, share| {
         let mut left = series.frames();
@@ -171,7 +171,7 @@ pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A share of the time lost in pieces of 50 ms, for which the last value is held.
+/// Gaps of 50 ms in about a share of the time, during which the last value is held.
 pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, rng, share| {
         let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
@@ -189,14 +189,14 @@ pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A clock that is wrong by the level, in per cent: pitch and length change.
+/// A clock that is wrong by the level, in percent, so that pitch and length change.
 pub fn clock(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, _, percent| {
         stretch(series, 1.0 + percent / 100.0);
     });
 }
 
-/// Only the first seconds of the drag.
+/// Keeps only the first seconds of the drag, the level.
 pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, _, seconds| {
         let frames = (seconds * series.rate_hz()).round() as usize;
@@ -204,8 +204,8 @@ pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A hand that moves slower by a factor, the level, in a scan no longer than before: neighbouring samples
-/// are that much closer than T*.
+/// A hand that moves slower by a factor, the level, in a scan of the same length, so that
+/// neighbouring samples are closer than T* by that factor.
 pub fn slow(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, in_time, |_, series, _, factor| {
         let frames = series.frames();
@@ -234,16 +234,16 @@ pub(super) fn stretch(series: &mut Series, pace: f64) {
     replace(series, samples);
 }
 
-/// Corner of red noise in Hz: above, its amplitude falls as 1/f.
+/// Corner frequency of red noise in Hz, above which its amplitude falls as 1/f.
 const CORNER_HZ: f64 = 50.0;
-/// Syllables a second: speech and machines come and go at this rate.
+/// Rate at which room noise swells and fades, about that of syllables.
 const SYLLABLES_HZ: f64 = 4.0;
-/// Hum of the mains and its harmonics in Hz.
+/// Frequencies of the mains hum in Hz.
 const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
-/// Power of the hum in the room's.
+/// Power of the hum, relative to that of the red noise.
 const HUM_SHARE: f64 = 0.2;
 
-/// White noise; the level is the ratio of the signal's deviation to the noise's, in dB.
+/// Adds white noise; the level is the ratio of the signal's deviation to the noise's, in dB.
 pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| {
         add(series, db, rng, |rng, frames, _| {
@@ -252,12 +252,12 @@ pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Noise that is strongest at low frequencies: handling, cables, drift.
+/// Adds noise that is strongest at low frequencies, as from handling, cables and drift.
 pub fn red(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, rng, db| add(series, db, rng, red_noise));
 }
 
-/// Room noise in what the microphone records: red noise that comes and goes, and hum.
+/// Adds room noise to the microphone's sources: red noise that swells and fades, and hum.
 pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, sound, |_, series, rng, db| add(series, db, rng, room_noise));
 }
@@ -288,7 +288,7 @@ fn room_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     noise
 }
 
-/// Adds noise of its own to each channel, `db` below the channel's deviation.
+/// Adds separate noise to each channel, whose deviation is `db` below the channel's.
 fn add(
     series: &mut Series,
     db: f64,
@@ -306,13 +306,13 @@ fn add(
     }
 }
 
-/// Less light, by a factor; what is dark loses its steps.
+/// Darkens pictures by a factor; dark areas lose gradation to rounding.
 pub fn dark(trial: &mut Trial, setting: &mut Setting<'_>) {
     let factor = setting.level;
     each_picture(trial, |rgb| rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect());
 }
 
-/// Warmer light: red over blue grows by a factor.
+/// Warmer light: the ratio of red to blue grows by a factor.
 pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
     let root = setting.level.sqrt();
     let gains = [root, 1.0, 1.0 / root];
@@ -322,7 +322,7 @@ pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Another place: the picture moves by the level, in pixels, both ways; what leaves on one side enters on the other.
+/// Shifts pictures by the level, in pixels, along rows and columns, cyclically.
 pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
     let by = setting.level as usize;
     each_picture(trial, |rgb| {
@@ -338,7 +338,7 @@ pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Out of focus: the mean over a square that reaches the level, in pixels, to each side.
+/// Blurs pictures by means over squares that extend the level, in pixels, to each side.
 pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
     let radius = setting.level as usize;
     each_picture(trial, |rgb| {
@@ -347,7 +347,7 @@ pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Means along lines: `lines` of them, `line_step` bytes apart, each of `len` pixels, `step` bytes
+/// Running means along `lines` lines, `line_step` bytes apart, each of `len` pixels, `step` bytes
 /// apart.
 fn blur_lines(
     rgb: &[u8],

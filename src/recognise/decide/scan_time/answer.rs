@@ -1,23 +1,23 @@
-//! The answer: how long to drag, or why that cannot be said.
+//! The answer to how long a scan must last, or why that is not known.
 
 use crate::recognise::follow::FollowOptions;
 
-/// How well scans are to be named.
+/// How accurately scans are to be named.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// This share of them.
+    /// This share of scans named right.
     Accuracy(f64),
-    /// Their accuracy by the whole length, less this share.
+    /// The accuracy of whole scans, less this share.
     Loss(f64),
 }
 
 impl Goal {
-    /// The accuracy that was asked for; without one, at most a point lost against whole scans.
+    /// The given accuracy; without one, at most one percentage point lost against whole scans.
     pub fn wanted(accuracy: Option<f64>) -> Self {
         accuracy.map_or(Self::Loss(FollowOptions::default().loss), Self::Accuracy)
     }
 
-    /// The share that trials without a mistake must be able to show.
+    /// The share that the trials must be able to show if all of them are named right.
     pub(super) fn to_show(self) -> f64 {
         match self {
             Self::Accuracy(share) => share,
@@ -26,7 +26,7 @@ impl Goal {
     }
 }
 
-/// A share of left-out trials that are named right by a time.
+/// The share of left-out trials that are named right by a scan time.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AccuracyAt {
     /// Scan time in seconds.
@@ -44,15 +44,14 @@ pub struct AccuracyAt {
 pub enum Shortfall {
     /// No trial can be left out.
     NothingLeftOut {
-        /// the surfaces that have too few, and how many they lack
+        /// the surfaces with too few trials, and how many each lacks
         lacking: Vec<(String, usize)>,
     },
-    /// So few trials could not show the share even if all were named right: scans last as long as
-    /// they do.
+    /// Too few trials to show the share even if all were right; scans should last as long.
     TooFewTrials {
-        /// the share
+        /// the share to be shown
         share: f64,
-        /// trials to record
+        /// about how many trials to record
         more: usize,
     },
     /// Not even whole trials reach the target.
@@ -69,19 +68,19 @@ pub struct ScanTime {
     pub target: f64,
     /// How long to drag, and the share that is named right by then.
     pub enough: Option<AccuracyAt>,
-    /// The same by the whole length of the trials.
+    /// The share that is named right by the whole length of the trials.
     pub whole: Option<AccuracyAt>,
-    /// Left-out trials that this rests on.
+    /// Number of left-out trials that the answer rests on.
     pub trials: usize,
     /// People in the library.
     pub people: usize,
-    /// Whether the promise holds for other people: each of these was left out.
+    /// Whether the accuracy holds for other people: each person was left out in turn.
     pub across_people: bool,
-    /// Why `enough` is none, or the whole length.
+    /// Why `enough` is `None` or the whole length, if it is.
     pub shortfall: Option<Shortfall>,
 }
 
-/// As programs get it.
+/// The JSON form of [`ScanTime`].
 #[derive(serde::Serialize)]
 struct ScanTimeDocument {
     /// The share that is to be named right.
@@ -92,16 +91,16 @@ struct ScanTimeDocument {
     accuracy: Option<f64>,
     accuracy_low: Option<f64>,
     accuracy_high: Option<f64>,
-    /// Median length of the library's trials, and the share that is named right by theirs.
+    /// Median length of the library's trials, and the share named right by their whole length.
     whole_s: Option<f64>,
     accuracy_whole: Option<f64>,
-    /// Left-out trials that this rests on.
+    /// Number of left-out trials that the answer rests on.
     trials: usize,
     /// People in the library, and whether each was left out in turn.
     people: usize,
     across_people: bool,
     reason: Option<String>,
-    /// Trials that are lacking, about, where they are.
+    /// About how many trials to record, if too few are the reason.
     more_trials: Option<usize>,
 }
 
@@ -163,7 +162,7 @@ impl ScanTime {
         self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
     }
 
-    /// Trials that are lacking, where too few are the reason.
+    /// How many trials to record, if too few are the reason.
     pub fn more_trials(&self) -> Option<usize> {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),

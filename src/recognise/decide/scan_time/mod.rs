@@ -1,18 +1,18 @@
-//! How long a scan must last: the earliest time from which on left-out library trials are named as
-//! well as is wanted.
+//! Finds how long a scan must last: the earliest time from which on left-out library trials are
+//! named as accurately as wanted.
 //!
-//! Every trial is left out in turn, with its whole person where the library has several, and named
-//! after each of some scan times. [`LeftOutAccuracy`] holds the shares that are named right by
-//! then; [`LeftOutAccuracy::scan_time`] reads the answer from them. This is the one number behind
-//! `surfaced duration`, `plan`, `replay`, `run` and the countdowns. It is no shorter than the first
-//! time by which enough trials could also be told from unknown surfaces: a shorter scan has no full
-//! answer. Where there are too few trials to show any time, it is the whole length.
+//! Every trial is left out in turn, together with all others of its person if the library has
+//! several people, and is named after each of a list of scan times. [`LeftOutAccuracy`] holds the
+//! share named right by each time, from which [`LeftOutAccuracy::scan_time`] reads the answer.
+//! `surfaced duration`, `plan`, `replay`, `run` and the countdowns all use this one number. It is
+//! never shorter than the first time by which enough trials could be tested for an unknown surface,
+//! since a shorter scan has no full answer. If there are too few trials to show the accuracy, it is
+//! their whole length.
 //!
-//! The time is chosen and its accuracy stated from the same trials, which alone would flatter it.
-//! So the accuracy is cross-fitted: the time is chosen by all groups of trials except one, the group
-//! is counted at that time, and so on round the groups. Where that misses the goal, later times are
-//! chosen, by one step for all, until it does not. With several people a group is a person, and the
-//! interval is that of people, not of trials.
+//! The accuracy would be flattered if the trials that choose the time also stated it. So it is
+//! cross-fitted: for each group of trials, all other groups choose the time at which the group is
+//! counted. While that misses the goal, all these times move later, one step at a time. With
+//! several people, a group is a person, and the interval is over people, not trials.
 
 mod answer;
 
@@ -21,10 +21,10 @@ pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 use super::interval::{can_show, wilson, wilson_of_groups};
 use crate::recognise::follow::LOOK_S;
 
-/// Ratio of a later scan time to the one before it, at most; the first ones are a look apart.
+/// Largest ratio of successive scan times; the first ones are one look (0.1 s) apart.
 const RATIO: f64 = 1.15;
 
-/// Looks after which a trial of `scan_s` seconds is named, counted from 1.
+/// The looks (steps of 0.1 s, counted from 1) after which a trial of `scan_s` seconds is named.
 pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
     let last = (scan_s / LOOK_S + 1e-9).floor() as usize;
     let next = |&look: &usize| Some((look + 1).max((look as f64 * RATIO) as usize));
@@ -34,50 +34,50 @@ pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
 /// A left-out trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LeftOutScan {
-    /// Trials of one group were left out together.
+    /// The group that it was left out with.
     pub group: usize,
     /// How long its drag lasts, in seconds.
     pub scan_s: f64,
-    /// Whether it was named right after each time of [`looked_after`].
+    /// Whether it was named correctly after each time of [`looked_after`].
     pub right: Vec<bool>,
-    /// Whether it could be told after each of these times if its surface is unknown.
+    /// Whether it could be tested for an unknown surface after each time of [`looked_after`].
     pub judged: Vec<bool>,
     /// Whether it was named right by its whole length.
     pub right_whole: bool,
 }
 
-/// The people and surfaces of a library: for whom a promise holds, and what is lacking.
+/// The people and surfaces of a library: for whom the accuracy holds, and what is lacking.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryCounts {
     pub people: usize,
-    /// Whether they were left out, one after the other.
+    /// Whether each person was left out in turn.
     pub across_people: bool,
     /// Its surfaces, with the number of trials of each.
     pub surfaces: Vec<(String, usize)>,
 }
 
 /// Trials that were left out together: how many there are, and how many are named right by each
-/// time, the last of which is their whole length.
+/// time, the last time being their whole length.
 #[derive(Clone, Debug, PartialEq)]
 struct LeftOutGroup {
     trials: usize,
     right: Vec<usize>,
 }
 
-/// How many left-out trials are named right by when.
+/// How many left-out trials are named right by each scan time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LeftOutAccuracy {
-    /// In seconds, rising; the median length of the trials comes last and stands for their whole
-    /// length.
+    /// Scan times in seconds, rising; the median length of the trials comes last and stands for
+    /// their whole length.
     times: Vec<f64>,
-    /// Trials that had a full answer by each time: a name, and whether it may be unknown.
+    /// Trials with a full answer by each time: a name, and a test for an unknown surface.
     measured: Vec<usize>,
     groups: Vec<LeftOutGroup>,
     library: LibraryCounts,
 }
 
 impl LeftOutAccuracy {
-    /// Counts. A trial that is shorter than a time is named by its whole length.
+    /// Counts the trials named right by each time; a trial shorter than that, by its whole length.
     pub(crate) fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
         let mut lengths: Vec<f64> = scans.iter().map(|scan| scan.scan_s).collect();
         lengths.sort_by(f64::total_cmp);
@@ -90,7 +90,7 @@ impl LeftOutAccuracy {
         times.push(whole_s);
         let count = scans.iter().map(|scan| scan.group + 1).max().unwrap_or(0);
         let mut groups = vec![LeftOutGroup { trials: 0, right: vec![0; times.len()] }; count];
-        // A library that can judge nobody need not wait for it.
+        // If no trial can be tested for an unknown surface, nobody waits for such a test.
         let judges = scans.iter().any(|scan| scan.judged.contains(&true));
         let is_measured = |scan: &LeftOutScan, at: usize| {
             let judged = scan.judged.get(at).filter(|_| judges && at < shorter);
@@ -110,7 +110,7 @@ impl LeftOutAccuracy {
         Self { times, measured, groups, library }
     }
 
-    /// Left-out trials.
+    /// Number of left-out trials.
     pub fn trials(&self) -> usize {
         self.groups.iter().map(|group| group.trials).sum()
     }
@@ -125,7 +125,7 @@ impl LeftOutAccuracy {
         (0..self.times.len()).map(|at| self.point(self.times[at], |_| at)).collect()
     }
 
-    /// Accuracy where group g is counted at time number `at(g)`.
+    /// Accuracy where group g is counted at the time with index `at(g)`.
     fn point(&self, scan_s: f64, at: impl Fn(usize) -> usize) -> AccuracyAt {
         let counts: Vec<(usize, usize)> = self
             .groups
@@ -141,8 +141,8 @@ impl LeftOutAccuracy {
         AccuracyAt { scan_s, accuracy: share, accuracy_low, accuracy_high }
     }
 
-    /// Number of the earliest time from which on the groups except `without` reach the goal, and
-    /// enough trials were measured; none if even their whole length misses the goal.
+    /// Index of the earliest time from which on the groups except `without` reach the goal and
+    /// enough trials have a full answer; `None` if even their whole length misses the goal.
     fn earliest(&self, goal: Goal, without: Option<usize>) -> Option<usize> {
         let kept = || self.groups.iter().enumerate().filter(|(g, _)| Some(*g) != without);
         let trials: usize = kept().map(|(_, group)| group.trials).sum();
@@ -192,8 +192,8 @@ impl LeftOutAccuracy {
         answer
     }
 
-    /// The earliest time from number `at` on whose cross-fitted accuracy reaches the target. The
-    /// whole length, which is the last, does.
+    /// The earliest time, from index `at` on, whose cross-fitted accuracy reaches the target; at
+    /// the latest the whole length.
     fn cross_fitted(&self, goal: Goal, at: usize, target: f64) -> AccuracyAt {
         let last = self.times.len() - 1;
         let without = |g: usize| self.earliest(goal, Some(g)).unwrap_or(last);
@@ -214,7 +214,7 @@ impl LeftOutAccuracy {
 }
 
 impl ScanTime {
-    /// For trials that cannot be compared with each other.
+    /// The answer for trials that cannot be compared with each other.
     pub(crate) fn without_model(goal: Goal, why: String) -> Self {
         let shortfall = Some(Shortfall::NoModel(why));
         Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
@@ -225,7 +225,7 @@ impl ScanTime {
 mod tests {
     use super::*;
 
-    /// `trials` trials of 2 s, ten groups, each named right from `right_from(i)` seconds on.
+    /// `trials` trials of 2 s in ten groups; trial i is named right from `right_from(i)` s on.
     fn accuracy(trials: usize, right_from: impl Fn(usize) -> f64) -> LeftOutAccuracy {
         let scan = |i: usize| LeftOutScan {
             group: i % 10,
@@ -257,7 +257,7 @@ mod tests {
         assert!((found(Goal::Accuracy(0.95)).scan_s - 0.5).abs() < 1e-9);
         let all = found(Goal::Loss(0.01));
         assert!((all.scan_s - 1.0).abs() < 1e-9 && all.accuracy == 1.0 && all.accuracy_low < 1.0);
-        // Right at 0.5 s and wrong again at 0.8 s: later times decide.
+        // Right at 0.5 s, but wrong again at 0.8 s: the scan must last longer than that.
         let mut relapse = mostly;
         relapse.groups.iter_mut().for_each(|group| group.right[7] = 0);
         let found = relapse.scan_time(Goal::Accuracy(0.95)).enough.unwrap();
@@ -266,11 +266,11 @@ mod tests {
 
     #[test]
     fn the_stated_accuracy_is_of_trials_that_did_not_choose_the_time() {
-        // One group alone needs longer: without it the others would stop early, and lose it.
+        // Only one group needs longer: without it, the others choose a time at which it is wrong.
         let late = accuracy(200, |i| if i % 10 == 3 { 1.5 } else { 0.5 });
         let lenient = late.scan_time(Goal::Accuracy(0.9)).enough.unwrap();
         assert!((lenient.scan_s - 0.5).abs() < 1e-9 && lenient.accuracy == 0.9, "{lenient:?}");
-        // Times that are chosen so lose a tenth: as much later is needed as that group needs.
+        // Times chosen like that lose a tenth, so all move later until that group is right, too.
         let found = late.scan_time(Goal::Loss(0.01)).enough.unwrap();
         assert!(found.scan_s == 2.0 && found.accuracy == 1.0, "{found:?}");
     }
