@@ -18,7 +18,7 @@ use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
 ///
-/// Each trial is a tap, then a drag. A trial that is too short by its own T*, clipped or incomplete
+/// Each trial is a tap, then a drag. A trial that is shorter than the scan time, clipped or incomplete
 /// is refused, with the reason; every other trial is written at once.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \

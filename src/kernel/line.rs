@@ -3,8 +3,8 @@
 //! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth. So it is expanded once, up to the eleventh derivative,
 //! about the middle of every cell of width ½ near a point. A kernel sum over n further points then
 //! takes n short polynomials instead of n² exponentials. The error of a kernel value is
-//! 10395/12!·4⁻¹² = 1.3e-12 from the expansion (10395 bounds the twelfth derivative) and about
-//! 2e-11 from points beyond [`REACH`]; tests allow 3e-11 on average, so 3e-8 of n·MMD² at n = 400.
+//! 10395/12!·4⁻¹² = 1.3e-12 from the expansion (10395 bounds the twelfth derivative) and at most
+//! exp(−6.75²/2) = 1.3e-10 from each point that is beyond [`REACH`] of its cell's middle.
 
 use multiversion::multiversion;
 

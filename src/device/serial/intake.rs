@@ -209,7 +209,7 @@ impl Intake {
             self.table = None;
             return on(IntakeEvent::Refused(format!(
                 "it has the channels {}, and none of the streams can be made of them; see \
-                 [stylus.streams] in the configuration",
+                 [stylus.sources] in the configuration",
                 names.join(", ")
             )));
         }

@@ -369,7 +369,7 @@ fn missing(entries: &[Entry]) -> Vec<String> {
             0 => String::new(),
             n => format!(" and {n} more"),
         };
-        Some(format!("{id} is missing in {}{more}; it counts less for that", first.key))
+        Some(format!("{id} is missing in {}{more}; compared without it", first.key))
     };
     all.into_iter().filter_map(of).collect()
 }

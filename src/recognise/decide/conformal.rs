@@ -111,7 +111,7 @@ impl Conformity {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RejectionError {
     /// not a valid rate
-    #[error("a rate of false rejections of {0} is not possible; expected 0 or more, below 1")]
+    #[error("a rate of false rejections of {0} is not possible; expected above 0, below 1")]
     Rate(f64),
     /// too few trials
     #[error(

@@ -6,7 +6,7 @@
 //! | any series | `series_statistics::MOMENTS` | level, spread, moments and ratios in time |
 //! | domain `spectrum` | log-band levels, mean and deviation over frames of 46 ms | up to 40 bands |
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
-//! | picture | `picture_statistics::FEATURES` | colour statistics, co-occurrence, gradients |
+//! | picture | `picture_statistics::FEATURES` | colour statistics, co-occurrence |
 //!
 //! The features of a trial depend on that trial alone.
 

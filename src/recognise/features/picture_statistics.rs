@@ -1,4 +1,4 @@
-//! Features of a picture: colour statistics, grey-level co-occurrence, gradients.
+//! Features of a picture: colour statistics, grey-level co-occurrence.
 
 use std::ops::Range;
 
