@@ -1,7 +1,7 @@
 //! Answers for other programs, as they come: by HTTP POST to an address, and by MQTT. Both are off
 //! unless the configuration names where to. README.md beside this file has the interface.
 //!
-//! Each output has a thread of its own, so that nobody holds up the station, and an [`outbox`] on disk,
+//! Each output has a thread of its own, so that nobody holds up the station, and an outbox on disk,
 //! where an answer waits until it has arrived. The oldest is sent first, and the next one once it has
 //! arrived: so their order is kept. Each has an `id`, by which a receiver recognises one that comes
 //! twice.
