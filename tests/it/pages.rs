@@ -12,12 +12,13 @@ use surfaced::scene::{LibraryToml, Scene};
 use surfaced::station::config::StationConfig;
 
 /// Blocks that show something else than commands, by how they begin, and what they are.
-const SHOWN: [(&str, &str); 11] = [
+const SHOWN: [(&str, &str); 12] = [
     ("my-library/", "a listing of files"),
     ("device ─►", "a drawing of the source code"),
     ("format = 1", "a file, read below"),
     ("surface = ", "a file, read below"),
     ("[outputs]", "a file, read by the configuration's own tests"),
+    ("[[lines]]", "a file; tests/it/lines.rs has some like it"),
     ("drag for at least", "what the command above it prints for LMT108"),
     ("$ curl ", "requests with their answers, made by tests/it/serve.rs"),
     ("SELECT ", "the same question is asked by tools/many-stations in .ci/run"),
@@ -27,9 +28,16 @@ const SHOWN: [(&str, &str); 11] = [
 ];
 
 /// Commands, by how they begin, that are not run here, and why.
-const ELSEWHERE: [(&str, &str); 26] = [
+const ELSEWHERE: [(&str, &str); 33] = [
     ("surfaced enroll steel ", "needs a stylus; tests/it/run.rs has one on a pseudo-terminal"),
     ("surfaced run --library my-library ", "needs a stylus; tests/it/run.rs has one"),
+    ("surfaced devices --watch ", "needs a sensor; tests/it/lines.rs has one"),
+    ("surfaced enroll cork ", "the same"),
+    ("surfaced run --config ", "the same"),
+    ("surfaced run --lines ", "the same"),
+    ("arecord ", "needs a sound card; tests/it/lines.rs has one"),
+    ("mosquitto_sub ", "needs a broker; tests/it/lines.rs has one"),
+    ("ros2 ", "needs ROS; tests/it/lines.rs has what it prints"),
     ("surfaced eval LMT_108_", "needs the recordings; a test below runs it where they are"),
     ("surfaced replay LMT_108_", "takes as long as the recordings; tests/it/ring_and_replay.rs"),
     ("surfaced stress my-library ", "takes minutes; tests/it/stress.rs"),
