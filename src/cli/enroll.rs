@@ -132,11 +132,12 @@ fn store(
     let trials = show::counted(stored.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
+    let station = args.typed();
     show::next(&match stored.kept {
         0 => "surfaced devices lists what is plugged in, and the problems of each".into(),
         _ => format!(
-            "enroll another surface with surfaced enroll LABEL --library {folder}; with two or more, \
-             surfaced eval {folder}, then surfaced run --library {folder}"
+            "enroll another surface with surfaced enroll LABEL{station} --library {folder}; with two \
+             or more, surfaced eval {folder}, then surfaced run{station} --library {folder}"
         ),
     });
     // Samples lost between scans are in no trial, and those lost within scans were reported.

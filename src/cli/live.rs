@@ -15,7 +15,7 @@ use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
 use super::outputs::{Page, is_at, send_answers};
 use super::serve::ServeArgs;
-use super::show::counted;
+use super::show::{counted, quoted};
 use super::terminal::Terminal;
 use super::{Done, Failure, bad_files, shown};
 use crate::dataset;
@@ -58,6 +58,13 @@ pub struct StationArgs {
 }
 
 impl StationArgs {
+    /// The options that name the station, as they are typed, for commands to be typed next.
+    pub fn typed(&self) -> String {
+        let config = self.config.as_ref().map(|path| format!(" --config {}", quoted(path)));
+        let lines = self.lines.as_ref().map(|address| format!(" --lines {address}"));
+        config.unwrap_or_default() + &lines.unwrap_or_default()
+    }
+
     /// The configuration that the file and the flags give.
     pub fn config(&self) -> Result<StationConfig, Failure> {
         let mut config = match (&self.config, &self.lines) {

@@ -209,9 +209,9 @@ impl Answer {
         }
     }
 
-    /// By how many seconds the drag was too short, if it was.
+    /// By how many seconds the drag was too short, if it was by a tenth that can be said.
     pub(crate) fn more_s(&self) -> Option<f64> {
-        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s > 0.0)
+        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s >= 0.05)
     }
 }
 
