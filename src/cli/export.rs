@@ -31,7 +31,7 @@ pub struct ImportArgs {
     /// The MCAP file
     #[arg(required = true)]
     mcap: Option<PathBuf>,
-    /// The library to make; it must not be there yet
+    /// Folder of the library to make, which must not exist yet
     #[arg(required = true)]
     library: Option<PathBuf>,
 }

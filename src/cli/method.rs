@@ -179,7 +179,7 @@ pub struct ComparingArgs {
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
-    /// Compare as this plan says, which `surfaced plan` has written
+    /// Compare with the method, sources and scan time of this plan, a file by `surfaced plan`
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
         "halving"
@@ -227,7 +227,7 @@ pub struct Comparing {
 }
 
 impl Comparing {
-    /// The folder that keeps prepared trials, if they are kept.
+    /// `folder`, where prepared trials are cached beside the library; `None` with `--no-cache`.
     pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
         self.cache.then(|| folder.to_path_buf())
     }

@@ -118,7 +118,7 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans and notes are written, or the time for a station's end is over; then
+    /// Waits until all scans and notes are written, or until the station must end; then
     /// reports scans without notes as kept.
     fn drop(&mut self) {
         self.scans = None;

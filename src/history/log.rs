@@ -178,7 +178,7 @@ impl Log {
         Ok(whole.map(|whole| whole.answer).unwrap_or_default())
     }
 
-    /// The same file for another reader, which stays as it is when this one is replaced.
+    /// Another handle to the same file, which reads it even after a new file has taken its place.
     pub fn share(&self) -> Result<Self, HistoryError> {
         let file = self.file.try_clone().map_err(HistoryError::io(&self.path))?;
         Ok(Self { path: self.path.clone(), file, bytes: self.bytes })

@@ -54,7 +54,7 @@ impl Number for f32 {
         a.mul_add(b, c)
     }
 
-    /// Relative error below 2e-7 for q ≤ 2016; beyond, about 1e-38 in place of smaller values.
+    /// The result has a relative error below 2e-7 for q ≤ 2016; for larger q it stays at about 1e-38.
     #[inline(always)]
     fn kernel<const FUSED: bool>(q: Self) -> Self {
         // Adding 1.5·2²⁷ rounds y to a multiple of 16; a sixteenth of it is then in the low bits.

@@ -128,7 +128,7 @@ impl Collector {
         }
     }
 
-    /// Applies a mark, which `device` set; warnings call the device `name`.
+    /// Applies a mark that the device number `device` has set; `name` is its name in warnings.
     fn mark(&mut self, device: usize, name: &str, mark: Mark) {
         match mark {
             Mark::Begin(begin) => {

@@ -51,7 +51,7 @@ impl Group {
         })
     }
 
-    /// Takes over the rate of its streams, which have had no frame yet.
+    /// Sets the group's rate to that of its streams, before any of them has had a frame.
     pub fn follow_rate(&mut self, streams: &[Stream]) {
         self.rate_hz = streams[self.channels[0].0].rate_hz();
         self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(self.rate_hz));

@@ -134,7 +134,8 @@ impl ScanDetector {
                 }
             }
         }
-        // Frames that have not arrived by now were never sampled; they are not lost.
+        // No more data will come: frames that have not arrived were never sampled, so a cut ends
+        // where its stream does, and they do not count as lost.
         for mark in &mut marks {
             let Mark::Close { source, end } = mark else { continue };
             let placed = self.cuts.iter().find(|placed| placed.cut.source == *source);

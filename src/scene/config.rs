@@ -190,7 +190,7 @@ fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Opti
 }
 
 impl SourceBlock {
-    /// This description, completed from `default` if that is of the same domain.
+    /// This description, with missing fields taken from `default` if both have the same domain.
     fn over(&self, default: Option<&SourceSpec>) -> Self {
         let Some(default) = default.map(Self::from_spec) else { return self.clone() };
         if self.domain.is_some() && self.domain != default.domain {

@@ -1,7 +1,7 @@
 //! The work of the server's thread: takes in the station's events, and publishes them.
 //!
-//! Nearly all of it runs on one thread, so the lock is rarely waited for; the types of handlers
-//! demand one.
+//! Nearly all of it runs on one thread, so threads rarely wait for the lock on the shared state; it is
+//! there because handlers of requests must be `Send`.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

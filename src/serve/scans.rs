@@ -231,7 +231,7 @@ async fn history(State(hub): Shared) -> Json<HistoryView> {
     Json(HistoryView { extent, precision })
 }
 
-/// A correction of a scan; an empty one removes the correction.
+/// What a request says that a scan was; if it says nothing, the scan is no longer corrected.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Was {

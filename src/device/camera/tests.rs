@@ -108,7 +108,7 @@ fn start(mut camera: Camera) -> RunningCamera {
 }
 
 impl RunningCamera {
-    /// The next state that is reported, and why; warnings on the way are passed over.
+    /// Waits for the next state that is reported, and gives it with its reason; skips warnings.
     fn state(&self) -> (DeviceState, String) {
         loop {
             let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();

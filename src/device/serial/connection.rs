@@ -12,7 +12,7 @@ use crate::ring::Sink;
 pub(in crate::device) const STALLED: Duration = Duration::from_millis(500);
 /// No samples for this long, and the line is reopened: it may have another path by now.
 const GIVE_UP: Duration = Duration::from_secs(5);
-/// A command without an answer is sent again after this.
+/// A command is sent again if no answer has come within this time.
 const REPEAT: Duration = Duration::from_millis(100);
 /// The time that the stylus has to stop at the end.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);

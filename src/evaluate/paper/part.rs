@@ -102,7 +102,7 @@ pub enum MergeError {
     Twice(Shard),
     #[error("of {of} shards these are not there yet: {missing}")]
     Missing { of: usize, missing: String },
-    #[error("shard {0} is damaged; remove its file and run it again")]
+    #[error("shard {0} is damaged; remove its file, and run shard {0} again")]
     Damaged(Shard),
 }
 

@@ -154,7 +154,8 @@ impl Discriminant {
         Self { projection: change(self.projection), ..self }
     }
 
-    /// The discriminant for vectors of `dims` features, of which only `columns` count.
+    /// The same discriminant for vectors of `dims` features: its own features are the `columns` of
+    /// these, and the others have no weight.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
         self.map_projection(|projection| {
             if columns.len() == dims {

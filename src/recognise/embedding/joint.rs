@@ -49,7 +49,7 @@ impl SourceEmbedder {
         }
     }
 
-    /// The vector of a whole source, or of one of its copies, given with its number.
+    /// The vector of a whole source, or of a copy of it, which has this number among the copies.
     fn embed(&self, source: &SourceFrames, copy: Option<(usize, &Copy)>) -> Vec<f32> {
         match (self, source) {
             (Self::Series(embedder), SourceFrames::Series(series)) => {

@@ -30,7 +30,7 @@ pub struct SampleSet {
     pub(super) sigma: f64,
     /// Error of n·MMD², times σ, that coordinates in f32 may cause.
     pub(super) coarseness: f64,
-    /// Whether the set has only a few different distances: see [`is_clustered`].
+    /// Whether the distances between its samples take only a few values: see [`is_clustered`].
     pub(super) clustered: bool,
     /// Mean of K(y, y) as a function of σ, if tabulated.
     pub(super) table: Option<SelfMean>,

@@ -11,7 +11,7 @@ use crate::system::{lock_holder, open_lock};
 
 /// How long an edit waits for readers: less than a browser does.
 const PATIENCE: Duration = Duration::from_secs(8);
-/// How long a program waits before it logs for whom.
+/// How long a program waits for a lock before it logs which program holds it.
 const SILENT: Duration = Duration::from_secs(1);
 /// Time between two attempts.
 const PAUSE: Duration = Duration::from_millis(50);

@@ -10,7 +10,8 @@ use super::resolve::{Mistake, known, mistake, positive};
 use crate::device::lines::{Column, Count, LinesAddress, LinesStream, Survey};
 use crate::scene::{Scene, SourceId};
 
-/// Describes the sources that lines make and no table does: as many channels as they have columns.
+/// Gives each source of a `[[lines]]` block a description if the file has none, and as many channels
+/// as it has columns unless the file says how many.
 pub(super) fn describe(file: &mut StationFile) {
     for (name, columns) in file.lines.iter().flat_map(|lines| &lines.sources) {
         let of = || Spanned::new(columns.span(), Default::default());
