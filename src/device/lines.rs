@@ -181,13 +181,13 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
     let (mut port, path) = address.clone().open().map_err(|error: OpenError| error.to_string())?;
     let until = Instant::now() + patience;
     // Once rows come, their survey is waited for.
-    let stopped = |survey: &Survey| survey.columns().is_empty() && Instant::now() >= until;
+    let stopped = |survey: &Survey| !survey.has_rows() && Instant::now() >= until;
     let (survey, bytes) = survey(port.as_mut(), address.begins_half(), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
         StandardInput::put_back(bytes);
     }
-    if survey.columns().is_empty() {
+    if !survey.has_rows() {
         return Err(match survey.is_garbage() {
             true => {
                 format!("{path}: bytes come, but no lines of numbers; {}", address.garbage_hint())

@@ -1,14 +1,14 @@
 //! The answers of all stations: on disk a line each, in memory where each stands.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::File;
 use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::Value;
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Span};
+use crate::history::log::{Log, Span, hold};
 use crate::record::edit::is_plain;
 use crate::station::AnswerState;
 
@@ -75,12 +75,7 @@ impl Cache {
     /// # Errors
     /// If the folder cannot be read or written, or another program uses it.
     pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
-        fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
-        let path = folder.join("lock");
-        let lock = File::create(&path).map_err(HistoryError::io(&path))?;
-        if lock.try_lock().is_err() {
-            return Err(HistoryError::InUse(folder.to_path_buf()));
-        }
+        let lock = hold(folder, "lock")?;
         let log = Log::open(&folder.join(LOG), false)?;
         let mut entries = BTreeMap::new();
         for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {

@@ -8,7 +8,7 @@
 //! {"trial": {"id": "…", "trial": "oak/anna-03"}}         it became a trial of the library
 //! ```
 
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -81,6 +81,20 @@ pub(crate) struct Log {
     path: PathBuf,
     file: File,
     bytes: u64,
+}
+
+/// Locks a file in a folder, both made if need be, for as long as the file given is open.
+///
+/// # Errors
+/// If they cannot be made, or another program holds the lock.
+pub(crate) fn hold(folder: &Path, name: &str) -> Result<File, HistoryError> {
+    fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
+    let path = folder.join(name);
+    let lock = File::create(&path).map_err(HistoryError::io(&path))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(_) => Err(HistoryError::InUse(folder.to_path_buf())),
+    }
 }
 
 impl Log {

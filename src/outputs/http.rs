@@ -56,7 +56,7 @@ impl Poster {
     /// Posts one answer; true if it was taken, or refused for good.
     async fn deliver(&self, answer: String) -> bool {
         let health = &self.pending.health;
-        let why = match timeout(ATTEMPT, self.attempt(answer)).await {
+        let why = match timeout(ATTEMPT, post(&self.address, answer)).await {
             Ok(Ok(status)) if status.is_success() => {
                 health.arrived();
                 return true;
@@ -82,15 +82,16 @@ impl Poster {
         health.failed(&format!("{why}; they are tried again"));
         false
     }
+}
 
-    async fn attempt(&self, answer: String) -> Result<StatusCode, String> {
-        let HttpAddress { host, path } = &self.address;
-        let request = Request::post(path)
-            .header(CONTENT_TYPE, "application/json")
-            .body(Body::from(answer))
-            .map_err(|error| error.to_string())?;
-        // What it says beside the status does not matter.
-        let (status, _) = client::send((&host.0, host.1), request, 0).await?;
-        Ok(status)
-    }
+/// Posts one answer, and gives the status of the reply.
+pub(super) async fn post(address: &HttpAddress, answer: String) -> Result<StatusCode, String> {
+    let HttpAddress { host, path } = address;
+    let request = Request::post(path)
+        .header(CONTENT_TYPE, "application/json")
+        .body(Body::from(answer))
+        .map_err(|error| error.to_string())?;
+    // What it says beside the status does not matter.
+    let (status, _) = client::send((&host.0, host.1), request, 0).await?;
+    Ok(status)
 }

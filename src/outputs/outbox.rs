@@ -7,13 +7,13 @@
 //! ```
 
 use std::collections::VecDeque;
-use std::fs::{self, File};
+use std::fs::File;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Span};
+use crate::history::log::{Log, Span, hold};
 
 /// Most bytes of answers that wait; the oldest make room.
 const MOST: u64 = 64 << 20;
@@ -81,12 +81,7 @@ impl Outbox {
     }
 
     fn of_at_most(folder: &Path, output: &str, most: u64) -> Result<Self, HistoryError> {
-        fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
-        let path = folder.join(format!("{output}.lock"));
-        let lock = File::create(&path).map_err(HistoryError::io(&path))?;
-        if lock.try_lock().is_err() {
-            return Err(HistoryError::InUse(folder.to_path_buf()));
-        }
+        let lock = hold(folder, &format!("{output}.lock"))?;
         let log = Log::open(&folder.join(format!("{output}.jsonl")), false)?;
         let (waiting, next) = (VecDeque::new(), 1);
         let mut outbox = Self { log, waiting, next, dropped: 0, bytes: 0, most, _lock: lock };
@@ -207,6 +202,8 @@ impl Outbox {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn text(sequence: u64, length: usize) -> String {

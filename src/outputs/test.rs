@@ -3,15 +3,12 @@
 use std::future::Future;
 use std::time::{Duration, Instant};
 
-use axum::body::Body;
-use axum::http::Request;
-use axum::http::header::CONTENT_TYPE;
 use rumqttc::{Event, MqttOptions, Packet, QoS};
 use serde::Serialize;
 use tokio::time::timeout;
 
 use super::broker::{self, Line};
-use super::{client, message};
+use super::{http, message};
 use crate::history::HistoryError;
 use crate::scan::Scan;
 use crate::station::Answer;
@@ -68,9 +65,7 @@ async fn tried(work: impl Future<Output = Result<String, String>>) -> Result<Str
 }
 
 async fn post(address: &HttpAddress, text: String) -> Result<String, String> {
-    let request = Request::post(&address.path).header(CONTENT_TYPE, "application/json");
-    let request = request.body(Body::from(text)).map_err(|error| error.to_string())?;
-    let (status, _) = client::send((&address.host.0, address.host.1), request, 0).await?;
+    let status = http::post(address, text).await?;
     if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string()) }
 }
 

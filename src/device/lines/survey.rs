@@ -117,9 +117,14 @@ impl Survey {
         self.last_s >= SURVEY_S && self.rows >= FEWEST
     }
 
+    /// Whether any row came.
+    pub fn has_rows(&self) -> bool {
+        self.rows > 0
+    }
+
     /// Whether bytes came, but no rows.
     pub fn is_garbage(&self) -> bool {
-        self.bytes > 0 && self.rows == 0
+        self.bytes > 0 && !self.has_rows()
     }
 
     /// The names of the columns, where a header gave them.

@@ -1,6 +1,6 @@
 //! `[[lines]]`: sensors that print lines of numbers.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use toml::Spanned;
 
@@ -62,8 +62,7 @@ fn stray(
     scale: &BTreeMap<String, Spanned<f64>>,
     sources: &BTreeMap<String, Spanned<Vec<Column>>>,
 ) -> Result<(), Mistake> {
-    let names: BTreeSet<_> = sources.keys().collect();
-    match scale.iter().find(|(name, _)| !names.contains(name)) {
+    match scale.iter().find(|(name, _)| !sources.contains_key(*name)) {
         Some((name, value)) => mistake(value, format!("`{name}` is no source of [lines.sources]")),
         None => Ok(()),
     }
