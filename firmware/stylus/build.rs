@@ -1,4 +1,4 @@
-//! Puts the memory layout where the linker looks for it.
+//! Copies the memory layout to the folder in which the linker looks for it.
 
 use std::path::PathBuf;
 use std::{env, fs, io};

@@ -1,5 +1,5 @@
-// An ADXL345 by I2C on an Arduino Uno (SDA to A4, SCL to A5, SDO to ground): 400 lines a second of a
-// counter and the three accelerations, 256 to the g. The counter shows exactly what is lost.
+// An ADXL345 by I2C on an Arduino Uno (SDA to A4, SCL to A5, SDO to ground). Sends 400 lines a second:
+// a counter and three accelerations, 256 per g. The counter shows exactly which lines are lost.
 
 #include <Wire.h>
 

@@ -1,5 +1,5 @@
-// An analogue accelerometer (such as an ADXL335) on A0, A1 and A2 of an Arduino Uno: 400 lines a
-// second of a counter and the three values, 0 to 1023. The counter shows exactly what is lost.
+// An analogue accelerometer (such as an ADXL335) on A0, A1, A2 of an Arduino Uno. Sends 400 lines a
+// second: a counter and three values, 0 to 1023. The counter shows exactly which lines are lost.
 
 const uint32_t PERIOD_US = 2500;
 uint16_t count = 0;

@@ -18,7 +18,7 @@ use surfaced_stylus_core::{ByteRing, Identity, Sampling, Stylus};
 static SAMPLING: Sampling = Sampling::new();
 static RECEIVED: ByteRing<256> = ByteRing::new();
 static LINE: ByteRing<4096> = ByteRing::new();
-/// Calls of the sampling interrupt: the watchdog is fed only while this moves.
+/// Number of sampling interrupts; the watchdog is fed only while this number grows.
 static TICKS: AtomicU32 = AtomicU32::new(0);
 
 #[interrupt]
@@ -26,7 +26,7 @@ fn TIM2() {
     tick();
 }
 
-/// Stands in for TIM2 under QEMU, see `board::start_timer`.
+/// Replaces TIM2 under QEMU; see `board::start_timer`.
 #[cfg(feature = "qemu")]
 #[cortex_m_rt::exception]
 fn SysTick() {
@@ -72,13 +72,13 @@ fn main() -> ! {
             board::feed_watchdog();
         }
         if idle {
-            // The sampling clock always runs, so this ends within one tick.
+            // The sampling clock always runs, so this wait ends within one tick.
             cortex_m::asm::wfi();
         }
     }
 }
 
-/// Nothing can be reported any more; a reset brings the stylus back with a new hello.
+/// A panic cannot be reported. A reset starts the stylus again with a new hello.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     cortex_m::peripheral::SCB::sys_reset()

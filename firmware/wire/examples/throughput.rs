@@ -1,4 +1,4 @@
-//! How fast one core decodes: prints MB/s and values/s for default frames.
+//! Measures how fast one core decodes: prints MB/s and values/s for frames of the default size.
 //!
 //! `cargo run --release -p surfaced-wire --example throughput`
 
@@ -10,7 +10,7 @@ use surfaced_wire::{
 };
 
 fn main() {
-    // Small values, as from a stylus at rest, are half zero bytes; wide ones hardly any.
+    // Half the bytes of small values, as of a stylus at rest, are zero; large values have few zeros.
     for (name, shift) in [("quiet signal", 8), ("full-scale signal", 0)] {
         let mut seed = 1u32;
         let mut stream = Vec::new();
@@ -31,7 +31,7 @@ fn main() {
         let mut decoder = Decoder::new();
         let begin = Instant::now();
         while begin.elapsed().as_secs_f64() < 1.0 {
-            // Pieces of the size that a read from a serial line gives.
+            // Cuts the stream into parts as large as one read from a serial line.
             for piece in stream.chunks(4096) {
                 let mut input = piece;
                 while let Some(result) = decoder.next(&mut input) {

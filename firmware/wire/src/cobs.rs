@@ -1,29 +1,29 @@
-//! Consistent overhead byte stuffing: a block of bytes without a zero in it.
+//! Consistent overhead byte stuffing (COBS): encodes bytes so that none of them is zero.
 //!
-//! The data are cut at their zeros. Each piece is written as its length plus one and its bytes;
-//! the zero itself is not written. A piece of 254 bytes is closed early with the length byte 255,
-//! which stands for no zero. (S. Cheshire and M. Baker, *Consistent Overhead Byte Stuffing*,
-//! IEEE/ACM Transactions on Networking 7, 1999.)
+//! The data are cut at their zeros. Each part is written as one byte, its length plus one, and then
+//! its bytes without the zero. A part of 254 bytes ends early: its length byte is 255, and no zero
+//! follows it. (S. Cheshire and M. Baker, *Consistent Overhead Byte Stuffing*, IEEE/ACM
+//! Transactions on Networking 7, 1999.)
 //!
-//! Not the crate `cobs` (0.5, no_std): its in-place decoder takes frames that no encoder wrote, its
-//! encoder panics where there is no room at all, and it decodes a quiet signal four times slower
-//! (273 against 1122 MB/s in `examples/throughput`).
+//! The crate `cobs` (0.5, no_std) is not used: its in-place decoder accepts frames that no encoder
+//! writes, its encoder panics if there is no room at all, and it decodes a quiet signal four times
+//! slower (273 against 1122 MB/s in `examples/throughput`).
 
 /// Longest run without a zero that one length byte can describe.
 const MAX_RUN: usize = 254;
 
-/// The length byte of such a run, after which no zero is implied.
+/// The length byte of a run of [`MAX_RUN`] bytes; no zero follows such a run.
 const FULL: u8 = 0xFF;
 
-/// Most bytes that `len` bytes can become.
+/// Largest size that `len` bytes can have after encoding.
 #[must_use]
 pub const fn max_encoded_len(len: usize) -> usize {
     len + len / MAX_RUN + 1
 }
 
-/// Stuffs `data` into `out`, without delimiter, and returns how many bytes that took.
+/// Encodes `data` into `out`, without a delimiter, and returns the number of bytes written.
 ///
-/// Returns `None` where `out` is too short; [`max_encoded_len`] bytes are always enough.
+/// Returns `None` if `out` is too short; [`max_encoded_len`] bytes always suffice.
 #[must_use]
 pub fn encode(data: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut rest = data;
@@ -32,29 +32,29 @@ pub fn encode(data: &[u8], out: &mut [u8]) -> Option<usize> {
         let window = &rest[..rest.len().min(MAX_RUN)];
         let run = find_zero(window).unwrap_or(window.len());
         let piece = out.get_mut(at..=at + run)?;
-        // run <= 254, so the length byte cannot wrap.
+        // The length byte cannot overflow, since run <= 254.
         piece[0] = run as u8 + 1;
         piece[1..].copy_from_slice(&window[..run]);
         at += run + 1;
         if run == rest.len() {
             return Some(at);
         }
-        // A full run implies no zero; any other run ends at one, which is skipped here.
+        // Skips the zero after the run; a run of `MAX_RUN` bytes has none.
         rest = &rest[if run == MAX_RUN { run } else { run + 1 }..];
     }
 }
 
-/// Undoes [`encode`] in the same memory and returns the data, or `None` where `stuffed` cannot
-/// come from it: empty, a zero in it, or a length that points beyond its end.
+/// Decodes bytes from [`encode`] in place, and returns the data. Returns `None` if `encode` cannot
+/// have written `stuffed`: it is empty, holds a zero, or a length points beyond its end.
 ///
-/// The data are the stuffed bytes moved up by one, with zeros where the length bytes stood, so
-/// only what follows a full run has to be moved at all.
+/// The data are `stuffed` without its first byte, with a zero in place of each further length byte.
+/// Bytes move only after a length byte that stands for no zero.
 #[must_use]
 pub fn decode_in_place(stuffed: &mut [u8]) -> Option<&[u8]> {
     let end = stuffed.len();
     let mut code = *stuffed.first()?;
     let mut at = 0;
-    // Length bytes after full runs met so far: they stand for nothing and are closed up.
+    // Number of length bytes after full runs so far. They stand for no zero, so they are removed.
     let mut removed = 0;
     loop {
         if code == 0 {
@@ -81,7 +81,7 @@ pub fn decode_in_place(stuffed: &mut [u8]) -> Option<&[u8]> {
     }
 }
 
-/// Position of the first zero in `bytes`, found a machine word at a time.
+/// Position of the first zero in `bytes`; searches one machine word at a time.
 #[must_use]
 pub fn find_zero(bytes: &[u8]) -> Option<usize> {
     const WORD: usize = size_of::<usize>();
@@ -90,7 +90,7 @@ pub fn find_zero(bytes: &[u8]) -> Option<usize> {
     let (words, tail) = bytes.as_chunks::<WORD>();
     for (i, word) in words.iter().enumerate() {
         let word = usize::from_le_bytes(*word);
-        // Exact for the lowest zero byte; only those above it can be marked in error.
+        // The lowest mark always stands for a zero byte; a mark above it may be wrong.
         let marks = word.wrapping_sub(LOW) & !word & HIGH;
         if marks != 0 {
             return Some(i * WORD + marks.trailing_zeros() as usize / 8);

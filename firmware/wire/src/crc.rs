@@ -1,15 +1,15 @@
-//! The frame's checksum: CRC-32/ISO-HDLC, sixteen bytes a step.
+//! A frame's checksum: CRC-32/ISO-HDLC, computed sixteen bytes at a time.
 
 use ::crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// The wide tables cost 16 KiB of flash and are several times as fast as the narrow one, which
-/// decides how much one core of the daemon can take in.
+/// The tables take 16 KiB of flash, but are several times faster than one small table. The
+/// checksum's speed limits how many bytes the daemon decodes per second on one core.
 static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-/// Bytes that the checksum takes at the end of a frame.
+/// Number of bytes of the checksum at the end of a frame.
 pub const LEN: usize = 4;
 
-/// CRC-32 of `bytes`; that of the nine digits `123456789` is `0xCBF43926`.
+/// CRC-32 of `bytes`. Check value: the nine digits `123456789` give `0xCBF43926`.
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)

@@ -1,14 +1,14 @@
-//! From the bytes on the line to messages, whatever happened to them on the way.
+//! Decodes the bytes of the serial line into messages, even if some bytes are damaged.
 
 use crate::{DecodeError, MAX_FRAME, Message, cobs, crc};
 
-/// Longest frame on the line without its delimiter.
+/// Longest frame on the line in bytes, after COBS encoding and without its delimiter.
 const MAX_STUFFED: usize = cobs::max_encoded_len(MAX_FRAME);
 
-/// Collects bytes until a delimiter and gives what stood before it, as a message or an error.
+/// Collects bytes up to a delimiter, and decodes them as a message or an error.
 ///
-/// It does no I/O and keeps at most one frame. After a [`DecodeError`] it is in step again: every
-/// frame that is whole and stands between two delimiters is given.
+/// Does no I/O and keeps at most one frame. A [`DecodeError`] costs only one frame: each undamaged
+/// frame between two delimiters is returned.
 ///
 /// ```
 /// use surfaced_wire::{Command, Decoder, MAX_ENCODED, Message, encode};
@@ -27,7 +27,7 @@ const MAX_STUFFED: usize = cobs::max_encoded_len(MAX_FRAME);
 #[derive(Debug, Clone)]
 pub struct Decoder {
     buffer: [u8; MAX_STUFFED],
-    /// Bytes since the last delimiter; those beyond the buffer's end are counted, not kept.
+    /// Number of bytes since the last delimiter, including those that did not fit into `buffer`.
     seen: usize,
 }
 
@@ -38,15 +38,15 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// A decoder that has seen nothing.
+    /// A decoder that has seen no bytes yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; MAX_STUFFED], seen: 0 }
     }
 
-    /// Takes bytes from the front of `input` until a frame is complete, and gives that frame.
+    /// Takes bytes from the front of `input` until a frame is complete, and returns its message.
     ///
-    /// Returns `None` once `input` is used up; what it held of a frame is kept for the next call.
+    /// Returns `None` once `input` is used up; an unfinished frame is kept for the next call.
     pub fn next<'d>(&'d mut self, input: &mut &[u8]) -> Option<Result<Message<'d>, DecodeError>> {
         loop {
             let Some(end) = cobs::find_zero(input) else {
@@ -66,7 +66,7 @@ impl Decoder {
         }
     }
 
-    /// Forgets a frame begun, as after the line was opened anew.
+    /// Drops the incomplete frame, for example after the line was reopened.
     pub fn reset(&mut self) {
         self.seen = 0;
     }
@@ -75,13 +75,13 @@ impl Decoder {
         if let Some(room) = self.buffer.get_mut(self.seen..self.seen.saturating_add(bytes.len())) {
             room.copy_from_slice(bytes);
         }
-        // Too long a frame is thrown away whole, so it does not matter what the buffer holds then;
-        // the count saturates because a line may send noise for ever.
+        // A frame that is too long is dropped as a whole, so the missing bytes do not matter. The
+        // count saturates, because noise may come for ever without a delimiter.
         self.seen = self.seen.saturating_add(bytes.len());
     }
 }
 
-/// Reads one stuffed frame, without delimiter, in its own memory.
+/// Decodes one COBS-encoded frame, without its delimiter, in place.
 fn decode(stuffed: &mut [u8]) -> Result<Message<'_>, DecodeError> {
     let frame = cobs::decode_in_place(stuffed).ok_or(DecodeError::Stuffing)?;
     let too_short = DecodeError::TooShort { bytes: frame.len() };

@@ -1,21 +1,21 @@
-//! From a message to the bytes on the line.
+//! Encodes messages into the bytes that are sent on the serial line.
 
 use crate::message::kind;
 use crate::{DELIMITER, EncodeError, MAX_FRAME, Message, VERSION, cobs, crc};
 
-/// Writes `message` as one frame, delimiter included, to the front of `out`, and returns its
-/// length. [`MAX_ENCODED`](crate::MAX_ENCODED) bytes are always enough room.
+/// Encodes `message` as one frame with its delimiter, into the front of `out`. Returns the number
+/// of bytes written; [`MAX_ENCODED`](crate::MAX_ENCODED) bytes always suffice.
 ///
 /// # Errors
-/// If the message breaks a rule of the format, is too long, or `out` is too short; what `out`
-/// then holds is not to be sent.
+/// If the message breaks a rule of the format or is too long, or `out` is too short. After an
+/// error, the bytes in `out` must not be sent.
 pub fn encode(message: &Message<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
     let mut frame = Frame { bytes: [0; MAX_FRAME], len: 0 };
     match message {
         Message::Samples(samples) => {
             frame.put(&[VERSION, kind::SAMPLES])?;
             frame.put(&samples.first_index().to_le_bytes())?;
-            // Neither wraps: at most 16 channels and 255 samples.
+            // The casts lose nothing: there are at most 16 channels and 255 samples.
             frame.put(&[samples.channels() as u8, samples.count() as u8])?;
             frame.put(samples.bytes())?;
         }
@@ -34,7 +34,7 @@ pub fn encode(message: &Message<'_>, out: &mut [u8]) -> Result<usize, EncodeErro
         }
         Message::Status(status) => {
             if status.temperature_centi_c == Some(i16::MIN) {
-                return Err(EncodeError::Body("this temperature stands for none"));
+                return Err(EncodeError::Body("this temperature is reserved for \"not measured\""));
             }
             frame.put(&[VERSION, kind::STATUS])?;
             frame.put(&status.to_bytes())?;
@@ -48,7 +48,7 @@ pub fn encode(message: &Message<'_>, out: &mut [u8]) -> Result<usize, EncodeErro
     Ok(n + 1)
 }
 
-/// A frame before stuffing, as far as it is written.
+/// A frame before COBS encoding; its first `len` bytes are filled.
 struct Frame {
     bytes: [u8; MAX_FRAME],
     len: usize,
@@ -62,7 +62,7 @@ impl Frame {
         Ok(())
     }
 
-    /// The caller has checked that the text is short enough for one byte of length.
+    /// Adds one byte with the text's length, which the caller has checked, and the text.
     fn text(&mut self, text: &str) -> Result<(), EncodeError> {
         self.put(&[text.len() as u8])?;
         self.put(text.as_bytes())

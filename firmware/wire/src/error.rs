@@ -1,40 +1,40 @@
-//! Errors of frames, and of messages that cannot be sent.
+//! Errors of decoding frames and of encoding messages.
 
 use core::fmt;
 
-/// Why the bytes between two delimiters are no message. The decoder is in step again after each.
+/// The reason why bytes between two delimiters are no message. The decoder then goes on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// More bytes came without a delimiter than any frame has.
+    /// More bytes came without a delimiter than a frame may have.
     TooLong {
-        /// How many bytes came.
+        /// Number of bytes since the last delimiter.
         bytes: usize,
     },
-    /// Fewer bytes than version, kind and checksum need.
+    /// The frame has fewer bytes than version, kind and checksum take.
     TooShort {
-        /// How many bytes the frame had once unstuffed.
+        /// Length of the frame in bytes, after COBS decoding.
         bytes: usize,
     },
-    /// The byte stuffing points beyond the frame's end.
+    /// The COBS encoding is wrong: no bytes, or a length that points beyond the frame's end.
     Stuffing,
-    /// The checksum in the frame is not that of its bytes.
+    /// The checksum in the frame differs from the checksum of the frame's bytes.
     Checksum {
-        /// Checksum of the bytes that came.
+        /// Checksum computed from the received bytes.
         computed: u32,
         /// Checksum that the frame carries.
         carried: u32,
     },
-    /// A whole frame, of a version of the format that this crate does not know.
+    /// The frame is undamaged, but this crate does not know its version of the format.
     Version(u8),
-    /// A whole frame, of a kind that this crate does not know.
+    /// The frame is undamaged, but this crate does not know its kind of message.
     Kind(u8),
-    /// A whole frame of a known kind, whose body breaks the rule named.
+    /// The frame is undamaged and its kind is known, but its body breaks the named rule.
     Body(&'static str),
 }
 
 impl DecodeError {
-    /// Whether the bytes were damaged on the way; if not, the sender speaks another format.
+    /// Whether the line damaged the bytes. If not, the sender uses another format.
     #[must_use]
     pub fn is_damage(&self) -> bool {
         !matches!(self, Self::Version(_) | Self::Kind(_) | Self::Body(_))
@@ -63,15 +63,15 @@ impl fmt::Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// Why a message cannot be written.
+/// The reason why a message cannot be encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EncodeError {
     /// The message is longer than [`MAX_FRAME`](crate::MAX_FRAME) allows.
     TooLong,
-    /// The slice to write into is too short; [`MAX_ENCODED`](crate::MAX_ENCODED) always suffices.
+    /// The output slice is too short; [`MAX_ENCODED`](crate::MAX_ENCODED) bytes are always enough.
     NoRoom,
-    /// The message breaks the rule named.
+    /// The message breaks the named rule.
     Body(&'static str),
 }
 

@@ -1,39 +1,39 @@
-//! The stylus's introduction: who it is and what its channels mean.
+//! Hello messages: the stylus's serial number, firmware and channels.
 
 use crate::{MAX_CHANNELS, MAX_SERIAL, MAX_TEXT};
 
 /// One channel of the stylus. A value v means `v × scale` in `unit`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Channel<'a> {
-    /// The quantity that it measures, at most [`MAX_TEXT`] bytes.
+    /// Name of the measured quantity, at most [`MAX_TEXT`] bytes.
     pub name: &'a str,
-    /// Units in one step of the 16-bit value; finite.
+    /// Value of one step of the 16-bit samples, in `unit`; finite.
     pub scale: f32,
-    /// The unit, at most [`MAX_TEXT`] bytes; empty for a mere number.
+    /// Unit of the quantity, at most [`MAX_TEXT`] bytes; empty for a plain number.
     pub unit: &'a str,
 }
 
-/// Who the stylus is.
+/// A stylus's introduction to the daemon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hello<'a> {
     /// Serial number of the device, at most [`MAX_SERIAL`] bytes.
     pub serial: &'a str,
-    /// Version of its firmware: major, minor, patch.
+    /// Version of the firmware: major, minor, patch.
     pub firmware: [u8; 3],
-    /// Samples a second, not zero.
+    /// Samples per second, not zero.
     pub sample_rate_hz: u32,
-    /// The channels, in the order of the values of a sample.
+    /// The channels, in the order of their values in a sample.
     pub channels: ChannelTable<'a>,
 }
 
-/// The channels of a [`Hello`]: a slice of them where it is written, wire bytes where it is read.
+/// The channels of a [`Hello`]: a slice in a message to send, encoded bytes in a received one.
 #[derive(Debug, Clone, Copy)]
 pub struct ChannelTable<'a>(Table<'a>);
 
 #[derive(Debug, Clone, Copy)]
 enum Table<'a> {
     List(&'a [Channel<'a>]),
-    /// Checked as a whole when it was read.
+    /// Encoded channels; all were checked when the hello was parsed.
     Wire {
         count: usize,
         bytes: &'a [u8],
@@ -56,7 +56,7 @@ impl<'a> ChannelTable<'a> {
         }
     }
 
-    /// Whether there are none, which a message never carries.
+    /// Whether there are no channels, which no valid message has.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -68,7 +68,7 @@ impl<'a> ChannelTable<'a> {
             Table::List(list) => (list, Cursor(&[])),
             Table::Wire { bytes, .. } => (&[][..], Cursor(bytes)),
         };
-        // At most one of the two holds anything; the wire bytes end where a read fails.
+        // At most one of `list` and `wire` holds channels; `wire` ends when reading fails.
         list.iter().copied().chain(core::iter::from_fn(move || wire.channel().ok()))
     }
 }
@@ -79,7 +79,7 @@ impl PartialEq for ChannelTable<'_> {
     }
 }
 
-/// Reads a hello's body from the front.
+/// Reads values one after the other from the body of a hello.
 struct Cursor<'a>(&'a [u8]);
 
 impl<'a> Cursor<'a> {
@@ -134,7 +134,7 @@ impl<'a> Hello<'a> {
         Ok(Self { serial, firmware, sample_rate_hz, channels })
     }
 
-    /// The rule that this hello breaks, if any: the same that [`parse`](Self::parse) holds it to.
+    /// Returns the rule that this hello breaks as an error. [`parse`](Self::parse) checks the same.
     pub(crate) fn check(&self) -> Result<(), &'static str> {
         if self.sample_rate_hz == 0 {
             return Err("the sample rate is zero");

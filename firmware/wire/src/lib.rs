@@ -1,8 +1,8 @@
 //! The messages between stylus and daemon over the serial line.
 //!
-//! The crate is `no_std`, allocates nothing and does no I/O: [`encode`] writes one message into a
-//! slice, [`Decoder`] takes bytes as they come, in pieces of any size, and gives messages or typed
-//! errors. Both ends use it, so that there is one description of the format: this page.
+//! The crate is `no_std`, allocates nothing and does no I/O. [`encode`] writes one message into a
+//! slice. [`Decoder`] takes bytes in parts of any size, and returns messages or typed errors.
+//! Stylus and daemon both use this crate, so this page is the one description of the format.
 //!
 //! # A frame
 //!
@@ -13,11 +13,11 @@
 //! | n | body, see below |
 //! | 4 | CRC-32 (ISO-HDLC, the one of Ethernet and zip) of everything before it |
 //!
-//! The whole is at most [`MAX_FRAME`] bytes. It is stuffed by COBS (consistent overhead byte
-//! stuffing, Cheshire and Baker 1999), which removes every zero byte, and followed by one zero
-//! byte, the delimiter. A receiver that joins late or meets damage throws away what stands before
-//! the next delimiter and is in step again. Nothing between two delimiters is not an error, so a
-//! sender may put a delimiter before a frame to end whatever noise the line held.
+//! The whole frame has at most [`MAX_FRAME`] bytes. COBS (consistent overhead byte stuffing,
+//! Cheshire and Baker 1999) removes every zero byte from it. One zero byte follows, the delimiter.
+//! A receiver that joins late or meets damage throws away all bytes up to the next delimiter and
+//! continues there. Two delimiters in a row are no error, so a sender may put a delimiter before a
+//! frame to end any noise on the line.
 //!
 //! All numbers are little-endian. A *text* is one byte of length and that many bytes of UTF-8.
 //!
@@ -34,8 +34,8 @@
 //! | 1 | number of channels, 1 to [`MAX_CHANNELS`] |
 //! | … | for each channel: scale (f32, finite), name (text), unit (text), each text at most [`MAX_TEXT`] bytes |
 //!
-//! A value v of a channel means `v × scale` in the channel's unit, and `v / 32768` as a fraction
-//! of the converter's full scale, which is what 16-bit WAV files hold.
+//! A value v of a channel means `v × scale` in the channel's unit. As a fraction of the converter's
+//! full scale, it is `v / 32768`, as in 16-bit WAV files.
 //!
 //! **Samples** (kind 0x02, stylus to daemon): k consecutive samples of all channels.
 //!
@@ -46,11 +46,11 @@
 //! | 1 | number of samples k, at least 1 |
 //! | 2·c·k | values, i16, all channels of the first sample, then of the second, … |
 //!
-//! The index counts the ticks of the sampling clock, also those at which no sample could be taken
-//! or kept, so a jump in it is the length of a gap.
+//! The index counts all ticks of the sampling clock, even if no sample could be taken or kept at a
+//! tick. So a jump of the index is the length of a gap.
 //!
-//! **Status** (kind 0x03, stylus to daemon): sent once a second while it samples, and as the
-//! answer to every command.
+//! **Status** (kind 0x03, stylus to daemon): sent once a second during sampling, and as the answer
+//! to every command.
 //!
 //! | bytes | content |
 //! |---|---|
@@ -65,7 +65,7 @@
 //!
 //! # Test vectors
 //!
-//! As they stand on the line, delimiter included; `tests/vectors.rs` holds the crate to them.
+//! These are the bytes on the line, with the delimiter; `tests/vectors.rs` checks them.
 //!
 //! | message | bytes (hexadecimal) |
 //! |---|---|
@@ -77,13 +77,13 @@
 //!
 //! # Overhead
 //!
-//! A samples frame adds 16 bytes, COBS at most one byte in 254 and one more, and the delimiter 1:
-//! at the default of [`SAMPLES_PER_FRAME`] samples of [`STYLUS_CHANNELS`] channels at most 19 bytes
-//! on 448, 4.3 %.
+//! A frame of samples adds 16 bytes, COBS at most one byte in 254 plus one, and the delimiter one
+//! byte. By default, a frame has [`SAMPLES_PER_FRAME`] samples of [`STYLUS_CHANNELS`] channels:
+//! then at most 19 bytes are added to 448, 4.3 %.
 //!
-//! # Odds
+//! # Undetected damage
 //!
-//! A damaged frame that happens to carry the right checksum is accepted: 1 in 2³² for random
+//! A damaged frame is accepted if it happens to have the right checksum: 1 in 2³² for random
 //! damage, never for a burst of up to 32 bits within a frame.
 
 #![no_std]
@@ -109,10 +109,10 @@ pub use samples::Samples;
 /// Version of the format, the first byte of every frame.
 pub const VERSION: u8 = 1;
 
-/// Longest frame before stuffing, in bytes: version, kind, body and checksum.
+/// Longest frame in bytes before COBS encoding, with version, kind, body and checksum.
 pub const MAX_FRAME: usize = 1024;
 
-/// Longest frame on the line, in bytes, delimiter included: what [`encode`] can need at most.
+/// Longest frame on the line in bytes, with its delimiter: the most that [`encode`] writes.
 pub const MAX_ENCODED: usize = cobs::max_encoded_len(MAX_FRAME) + 1;
 
 /// The byte that ends every frame on the line.
@@ -127,7 +127,7 @@ pub const MAX_SERIAL: usize = 32;
 /// Longest name or unit of a channel, in bytes.
 pub const MAX_TEXT: usize = 16;
 
-/// Samples in one frame unless there is a reason: 3.2 ms at 10 kHz, 4.3 % overhead.
+/// Default number of samples in a frame: 3.2 ms at 10 kHz, 4.3 % overhead.
 pub const SAMPLES_PER_FRAME: usize = 32;
 
 /// Channels of the stylus: acceleration X, Y, Z, FSR 1, FSR 2, infrared, metal.

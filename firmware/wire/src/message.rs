@@ -1,8 +1,8 @@
-//! The messages, and how a whole, checked frame becomes one.
+//! The messages between stylus and daemon, and their parsing.
 
 use crate::{DecodeError, Hello, Samples, VERSION};
 
-/// Kind bytes, the second of every frame.
+/// Codes of the kinds of messages; the code is the second byte of a frame.
 pub(crate) mod kind {
     pub const HELLO: u8 = 0x01;
     pub const SAMPLES: u8 = 0x02;
@@ -10,47 +10,47 @@ pub(crate) mod kind {
     pub const COMMAND: u8 = 0x10;
 }
 
-/// Everything that can stand in a frame.
+/// A message: the content of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Message<'a> {
-    /// Who the stylus is.
+    /// The stylus introduces itself to the daemon.
     Hello(Hello<'a>),
-    /// The measured values.
+    /// Measured values of the stylus.
     Samples(Samples<'a>),
-    /// How it fares.
+    /// The state of the stylus.
     Status(Status),
-    /// The order.
+    /// A command of the daemon to the stylus.
     Command(Command),
 }
 
-/// How the stylus fares.
+/// The state of the stylus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Status {
-    /// Samples sent since the start.
+    /// Number of samples sent since the start.
     pub samples_sent: u64,
-    /// Ticks since the start at which no sample was taken.
+    /// Number of ticks since the start at which no sample was taken.
     pub overruns: u32,
-    /// Samples since the start that were taken but found no room on the way to the line.
+    /// Number of samples since the start that were taken, but lost for lack of buffer space.
     pub dropped: u32,
-    /// Temperature of the microcontroller in 1/100 °C, more than −327.68 °C, if it is measured.
+    /// Temperature of the microcontroller in 1/100 °C, above −327.68 °C; `None` if not measured.
     pub temperature_centi_c: Option<i16>,
-    /// Whether it is sampling.
+    /// Whether the stylus is sampling.
     pub sampling: bool,
     /// Whether the camera's light is on.
     pub light: bool,
-    /// Whether the crystal failed, so that the sample rate is good to 1 % only.
+    /// Whether the crystal oscillator failed, so that the sample rate is accurate to 1 % only.
     pub crystal_failed: bool,
 }
 
-/// An order to the stylus.
+/// A command of the daemon to the stylus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Command {
-    /// Send hello, then samples, counted from 0.
+    /// Send a hello, then samples; their indexes start from 0.
     Start = 1,
-    /// Send what has been sampled and no more.
+    /// Send the samples taken so far, then stop sending samples.
     Stop = 2,
-    /// Send hello.
+    /// Send a hello.
     Identify = 3,
     /// Switch the camera's light off.
     LightOff = 4,
@@ -58,11 +58,11 @@ pub enum Command {
     LightOn = 5,
 }
 
-/// The wire's word for "no temperature".
+/// The value that is sent as the temperature if none was measured.
 const NO_TEMPERATURE: i16 = i16::MIN;
 
 impl Status {
-    /// Bytes of its body.
+    /// Length of a status message's body in bytes.
     pub(crate) const LEN: usize = 19;
 
     pub(crate) fn to_bytes(self) -> [u8; Self::LEN] {
@@ -102,7 +102,7 @@ impl Status {
 }
 
 impl Command {
-    /// Every command there is.
+    /// All commands.
     pub const ALL: [Self; 5] =
         [Self::Start, Self::Stop, Self::Identify, Self::LightOff, Self::LightOn];
 
@@ -113,7 +113,7 @@ impl Command {
 }
 
 impl<'a> Message<'a> {
-    /// Reads a frame whose checksum has been checked and cut off.
+    /// Parses a frame whose checksum has been checked and removed.
     pub(crate) fn parse(frame: &'a [u8]) -> Result<Self, DecodeError> {
         let (&[version, kind], body) = frame
             .split_first_chunk::<2>()

@@ -1,8 +1,8 @@
-//! A run of consecutive samples of all channels.
+//! Samples messages: consecutive samples of all channels.
 
 use crate::MAX_CHANNELS;
 
-/// Consecutive samples, their values kept as they stand on the wire.
+/// Consecutive samples; their values stay encoded as on the wire (little-endian i16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Samples<'a> {
     first_index: u64,
@@ -11,11 +11,11 @@ pub struct Samples<'a> {
 }
 
 impl<'a> Samples<'a> {
-    /// Samples whose values are the little-endian i16 in `bytes`, all `channels` of the first
-    /// sample, then of the second, and so on.
+    /// Samples with the values in `bytes`: little-endian i16, all `channels` of the first sample,
+    /// then all channels of the second, and so on.
     ///
     /// # Errors
-    /// Names the rule broken: 1 to 16 channels, 1 to 255 whole samples, an index that does not wrap.
+    /// Unless there are 1 to 16 channels, 1 to 255 whole samples, and indexes within u64.
     pub fn new(first_index: u64, channels: usize, bytes: &'a [u8]) -> Result<Self, &'static str> {
         if channels == 0 || channels > MAX_CHANNELS {
             return Err("samples have 1 to 16 channels");
@@ -30,25 +30,25 @@ impl<'a> Samples<'a> {
         if first_index.checked_add(count as u64).is_none() {
             return Err("the sample index would wrap");
         }
-        // channels <= 16 by the check above.
+        // The cast loses nothing: there are at most 16 channels.
         let channels = channels as u8;
         Ok(Self { first_index, channels, bytes })
     }
 
-    /// Index of the first sample, counted from the start in ticks of the sampling clock.
+    /// Index of the first sample: the number of ticks of the sampling clock since the start.
     #[must_use]
     pub fn first_index(&self) -> u64 {
         self.first_index
     }
 
-    /// Index that the sample after the last one has if none is missing.
+    /// Index that follows the last sample's; the next message has it unless samples were lost.
     #[must_use]
     pub fn next_index(&self) -> u64 {
-        // Cannot wrap: `new` has refused it.
+        // The sum cannot overflow: `new` checked it.
         self.first_index + self.count() as u64
     }
 
-    /// Values in one sample.
+    /// Number of values in one sample.
     #[must_use]
     pub fn channels(&self) -> usize {
         usize::from(self.channels)
@@ -60,18 +60,18 @@ impl<'a> Samples<'a> {
         self.bytes.len() / (2 * self.channels())
     }
 
-    /// The values as they stand on the wire, little-endian, 2 × channels × count bytes.
+    /// The values as encoded on the wire: little-endian i16, 2 × channels × count bytes.
     #[must_use]
     pub fn bytes(&self) -> &'a [u8] {
         self.bytes
     }
 
-    /// The values, sample after sample: channels × count of them.
+    /// The decoded values, sample after sample: channels × count values.
     pub fn values(&self) -> impl ExactSizeIterator<Item = i16> + 'a {
         self.bytes.as_chunks().0.iter().map(|pair| i16::from_le_bytes(*pair))
     }
 
-    /// Copies the values to the front of `out`, as many as fit, and returns how many.
+    /// Copies values to the front of `out`, as many as fit, and returns how many were copied.
     pub fn copy_values(&self, out: &mut [i16]) -> usize {
         let values = self.values();
         let n = values.len().min(out.len());

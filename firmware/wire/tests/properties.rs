@@ -1,4 +1,4 @@
-//! Properties that hold for every stream, however it is cut and whatever happens to it.
+//! Properties of every stream, however it is cut and damaged.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -7,7 +7,7 @@ use surfaced_wire::{
     encode,
 };
 
-/// A message that owns what it holds, so that strategies can make it.
+/// A message that owns its data, so that strategies can make it.
 #[derive(Debug, Clone)]
 enum Sent {
     Samples { first_index: u64, channels: usize, bytes: Vec<u8> },
@@ -17,7 +17,7 @@ enum Sent {
 }
 
 fn sent() -> impl Strategy<Value = Sent> {
-    // Small values have zero bytes in them, large ones hardly any: COBS must meet both.
+    // Small values hold zero bytes, large values hardly any: COBS must handle both.
     let byte = prop_oneof![Just(0u8), Just(0xFF), any::<u8>(), 1u8..=255];
     let samples = (0..u64::MAX / 2, 1usize..=16, 1usize..=30).prop_flat_map(move |(i, c, k)| {
         vec(byte.clone(), 2 * c * k).prop_map(move |bytes| Sent::Samples {
@@ -53,7 +53,7 @@ fn sent() -> impl Strategy<Value = Sent> {
 }
 
 impl Sent {
-    /// Calls `with` on the message, whose parts live no longer than the call.
+    /// Calls `with` on the message; its parts live only during the call.
     fn message<T>(&self, with: impl FnOnce(&Message<'_>) -> T) -> T {
         match self {
             Sent::Samples { first_index, channels, bytes } => with(&Message::Samples(
@@ -83,8 +83,8 @@ impl Sent {
     }
 }
 
-/// Everything a decoder says to `stream` when it comes cut at `cuts`: messages as they stand on
-/// the line, errors as they are.
+/// All results of a decoder that receives `stream` in parts, cut at `cuts`: messages encoded again,
+/// and errors.
 fn received(stream: &[u8], cuts: &[usize]) -> Vec<Result<Vec<u8>, DecodeError>> {
     let mut decoder = Decoder::new();
     let mut all = Vec::new();
@@ -126,7 +126,7 @@ fn damage() -> impl Strategy<Value = Damage> {
     ]
 }
 
-/// A byte on the line, and whether it is as it was sent and follows its true predecessor.
+/// A byte on the line, with its place in the sent stream.
 #[derive(Clone, Copy)]
 struct Byte {
     value: u8,
@@ -197,7 +197,7 @@ proptest! {
         let stream = frames.concat();
         let line = damaged(&stream, &damages);
 
-        // A frame is due if it stands whole on the line, right after a delimiter or at the start.
+        // A frame is due if it is whole on the line, directly after a delimiter or at the start.
         let mut due = Vec::new();
         let mut start = 0;
         for frame in &frames {
@@ -215,8 +215,8 @@ proptest! {
         let bytes: Vec<u8> = line.iter().map(|b| b.value).collect();
         let got: Vec<Vec<u8>> =
             received(&bytes, &cuts(bytes.len(), at)).into_iter().flatten().collect();
-        // Every frame given was sent (a false one has odds of 1 in 2^32), and each that is due
-        // is given, in order. Frames can be had that are not due: damage may repair itself.
+        // Each frame received was sent (a false frame has odds of 1 in 2^32), and each frame that is
+        // due is received, in order. Other frames may be received, too, since damage may repair itself.
         let mut rest = got.iter();
         for frame in &due {
             prop_assert!(rest.any(|g| g == frame), "a frame was not recovered");
@@ -240,8 +240,8 @@ proptest! {
     }
 }
 
-/// Frames whose checksum is right but whose body is anything: no panic, and whatever is accepted
-/// can be written again, byte for byte.
+/// Sends frames with a right checksum and any body: nothing panics, and each accepted message can
+/// be encoded again, byte for byte.
 #[test]
 fn hostile_frames_with_a_right_checksum_are_refused_or_exact() {
     let mut runner = proptest::test_runner::TestRunner::default();

@@ -1,11 +1,11 @@
-//! The bytes that the crate's documentation promises are the bytes that it writes and reads.
+//! Checks that the crate writes and reads the bytes in its documentation.
 
 use surfaced_wire::{
     Channel, Command, Decoder, Hello, MAX_ENCODED, Message, SAMPLES_PER_FRAME, STYLUS_CHANNELS,
     Samples, Status, encode,
 };
 
-/// The hexadecimal of the row of the table in `src/lib.rs` that starts with `label`.
+/// The hexadecimal bytes in the table row of `src/lib.rs` that starts with `label`.
 fn documented(label: &str) -> Vec<u8> {
     let docs = include_str!("../src/lib.rs");
     let row = docs.lines().find(|l| l.starts_with(&format!("//! | {label}"))).expect(label);
@@ -66,7 +66,7 @@ fn hello_is_written_as_documented() {
 #[test]
 fn a_default_frame_costs_at_most_five_percent() {
     const PAYLOAD: usize = SAMPLES_PER_FRAME * STYLUS_CHANNELS * 2;
-    // No zeros at all make COBS dearest; all zeros and counting bytes are two other extremes.
+    // Data without zeros cost COBS most; all zeros, and counting bytes, are two other extremes.
     let counting = std::array::from_fn(|i| (i % 251) as u8);
     for values in [[0xFF; PAYLOAD], [0; PAYLOAD], counting] {
         for first_index in [0, u64::MAX - 1000] {

@@ -1,8 +1,8 @@
-//! The decisions of the stylus's firmware, free of any hardware, so that they are tested on any computer.
+//! The logic of the stylus's firmware. It touches no hardware, so any computer can test it.
 //!
-//! The sampling interrupt calls [`Sampling::tick`], the main loop [`Stylus::poll`], the UART's
-//! interrupt takes and gives bytes through [`ByteRing`]s. Each ring has one producer and one
-//! consumer; nothing blocks and nothing is `unsafe`.
+//! The sampling interrupt calls [`Sampling::tick`], and the main loop calls [`Stylus::poll`]. The
+//! UART's interrupt passes bytes through two [`ByteRing`]s. Each ring has one producer and one
+//! consumer; nothing blocks, and nothing is `unsafe`.
 
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]

@@ -2,8 +2,8 @@
 
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
-/// One producer, one consumer, N a power of two. Atomic cells make sharing it safe without a lock;
-/// on this processor they are plain loads and stores.
+/// A ring of N bytes (a power of two) with one producer and one consumer. Atomic cells make it safe
+/// without a lock; on this processor, they are plain loads and stores.
 pub struct ByteRing<const N: usize> {
     cells: [AtomicU8; N],
     written: AtomicUsize,
@@ -28,13 +28,13 @@ impl<const N: usize> ByteRing<N> {
         }
     }
 
-    /// Bytes that still find room.
+    /// Number of bytes that still fit.
     pub fn free(&self) -> usize {
         let written = self.written.load(Ordering::Acquire);
         N - written.wrapping_sub(self.read.load(Ordering::Acquire))
     }
 
-    /// Puts all of `bytes`, or none and says `false`. Producer only.
+    /// Puts in all of `bytes`, or none if they do not fit: then it returns `false`. Producer only.
     pub fn push(&self, bytes: &[u8]) -> bool {
         if self.free() < bytes.len() {
             return false;
@@ -47,7 +47,7 @@ impl<const N: usize> ByteRing<N> {
         true
     }
 
-    /// Takes the oldest byte. Consumer only.
+    /// Takes the oldest byte; `None` if the ring is empty. Consumer only.
     pub fn pop(&self) -> Option<u8> {
         let read = self.read.load(Ordering::Relaxed);
         if self.written.load(Ordering::Acquire) == read {

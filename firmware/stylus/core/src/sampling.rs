@@ -1,13 +1,13 @@
-//! The sampling clock's side: a sample a tick, and honest counts of what went missing.
+//! The sampling interrupt's side: takes one sample per tick, and counts what is lost.
 
 use core::sync::atomic::{AtomicBool, AtomicU16, AtomicU32, AtomicUsize, Ordering};
 
 use surfaced_wire::STYLUS_CHANNELS;
 
-/// One sample: the tick it belongs to and a value for each channel.
+/// One sample: its tick, and a value for each channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
-    /// Ticks since the start, modulo 2³².
+    /// Ticks since sampling started, modulo 2³².
     pub tick: u32,
     /// Acceleration X, Y, Z, FSR 1, FSR 2, infrared, metal.
     pub values: [i16; STYLUS_CHANNELS],
@@ -18,7 +18,7 @@ struct Cell {
     values: [AtomicU16; STYLUS_CHANNELS],
 }
 
-/// Samples between an interrupt and the main loop: one producer, one consumer.
+/// Carries samples from an interrupt to the main loop: one producer, one consumer.
 pub struct SampleRing<const N: usize> {
     cells: [Cell; N],
     written: AtomicUsize,
@@ -42,13 +42,13 @@ impl<const N: usize> SampleRing<N> {
         Self { cells, written: AtomicUsize::new(0), read: AtomicUsize::new(0) }
     }
 
-    /// Samples that still find room.
+    /// Number of samples that still fit.
     pub fn free(&self) -> usize {
         let written = self.written.load(Ordering::Acquire);
         N - written.wrapping_sub(self.read.load(Ordering::Acquire))
     }
 
-    /// Puts a sample, or says `false` where there is no room. Producer only.
+    /// Puts in a sample; returns `false` if it does not fit. Producer only.
     pub fn push(&self, sample: Sample) -> bool {
         if self.free() == 0 {
             return false;
@@ -63,7 +63,7 @@ impl<const N: usize> SampleRing<N> {
         true
     }
 
-    /// Takes the oldest sample. Consumer only.
+    /// Takes the oldest sample; `None` if the ring is empty. Consumer only.
     pub fn pop(&self) -> Option<Sample> {
         let read = self.read.load(Ordering::Relaxed);
         if self.written.load(Ordering::Acquire) == read {
@@ -77,7 +77,7 @@ impl<const N: usize> SampleRing<N> {
     }
 }
 
-/// Room for 25.6 ms at 10 kHz, eight frames: longer than the main loop is ever held up.
+/// 25.6 ms of samples at 10 kHz (eight frames): longer than anything holds up the main loop.
 const ROOM: usize = 256;
 
 /// State that the sampling interrupt and the main loop share.
@@ -96,7 +96,7 @@ impl Default for Sampling {
 }
 
 impl Sampling {
-    /// Not sampling.
+    /// Starts with sampling switched off.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -108,8 +108,8 @@ impl Sampling {
         }
     }
 
-    /// For the sampling interrupt: `elapsed` ticks have passed since the last call, 1 if none was
-    /// missed, and `read` measures now. `None` from it means that nothing could be measured.
+    /// Called by the sampling interrupt. `elapsed` is the number of ticks since the last call: 1 if
+    /// no tick was missed. `read` measures now; it returns `None` if it cannot measure.
     pub fn tick(&self, elapsed: u32, read: impl FnOnce() -> Option<[i16; STYLUS_CHANNELS]>) {
         if !self.on.load(Ordering::Acquire) {
             return;
@@ -128,18 +128,18 @@ impl Sampling {
         }
     }
 
-    /// Whether it samples.
+    /// Whether sampling is on.
     pub fn is_on(&self) -> bool {
         self.on.load(Ordering::Acquire)
     }
 
-    /// Ends sampling; what was taken stays in the ring.
+    /// Stops sampling; samples in the ring stay there.
     pub fn stop(&self) {
         self.on.store(false, Ordering::Release);
     }
 
-    /// Counts from zero and samples. Only after [`stop`](Self::stop), so that no interrupt counts
-    /// at the same time.
+    /// Sets all counts to 0 and starts sampling. Only after [`stop`](Self::stop), so that no
+    /// interrupt counts at the same time.
     pub(crate) fn start(&self) {
         while self.ring.pop().is_some() {}
         for count in [&self.tick, &self.overruns, &self.dropped] {
@@ -148,18 +148,18 @@ impl Sampling {
         self.on.store(true, Ordering::Release);
     }
 
-    /// Ticks since the start at which nothing was measured.
+    /// Number of ticks since the start without a measurement.
     pub fn overruns(&self) -> u32 {
         self.overruns.load(Ordering::Relaxed)
     }
 
-    /// Samples since the start that found no room.
+    /// Number of samples since the start that did not fit into the ring.
     pub fn dropped(&self) -> u32 {
         self.dropped.load(Ordering::Relaxed)
     }
 }
 
-/// Saturates: a count that wraps to zero would deny its losses.
+/// Adds, but saturates: a count that wraps to 0 would deny its losses.
 fn add(count: &AtomicU32, n: u32) {
     let sum = count.load(Ordering::Relaxed).saturating_add(n);
     count.store(sum, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! The main loop's side: commands in, frames out.
+//! The main loop's side: obeys commands and sends frames.
 
 use surfaced_wire::{
     Channel, Command, Decoder, Hello, MAX_ENCODED, Message, SAMPLES_PER_FRAME, STYLUS_CHANNELS,
@@ -17,20 +17,20 @@ pub struct Identity<'a> {
     pub serial: &'a str,
     /// Version of the firmware.
     pub firmware: [u8; 3],
-    /// Ticks of the sampling clock a second.
+    /// Ticks of the sampling clock per second.
     pub sample_rate_hz: u32,
-    /// The meaning of the channels.
+    /// The name, scale and unit of each channel.
     pub channels: &'a [Channel<'a>],
-    /// Whether the crystal failed, see [`Status::crystal_failed`].
+    /// Whether the crystal failed; see [`Status::crystal_failed`].
     pub crystal_failed: bool,
 }
 
-/// The state of the conversation with the daemon.
+/// The state of the dialogue with the daemon.
 pub struct Stylus<'a> {
     identity: Identity<'a>,
     decoder: Decoder,
     block: [u8; SAMPLES_PER_FRAME * SAMPLE_BYTES],
-    /// Samples in the block, and the index of its first.
+    /// Number of samples in the block, and index of the first.
     filled: usize,
     first_index: u64,
     next_index: u64,
@@ -39,12 +39,12 @@ pub struct Stylus<'a> {
     light: bool,
     hello_due: bool,
     status_due: bool,
-    /// Index from which on the next regular status is due.
+    /// When the index reaches this value, the next regular status is due.
     status_at: u64,
 }
 
 impl<'a> Stylus<'a> {
-    /// A stylus that has yet to introduce itself.
+    /// A stylus that has not introduced itself yet.
     #[must_use]
     pub fn new(identity: Identity<'a>) -> Self {
         Self {
@@ -63,26 +63,26 @@ impl<'a> Stylus<'a> {
         }
     }
 
-    /// Whether the camera's light is to be on.
+    /// Whether the camera's light should be on.
     #[must_use]
     pub fn light(&self) -> bool {
         self.light
     }
 
-    /// Samples sent since the start.
+    /// Number of samples sent since the start.
     #[must_use]
     pub fn samples_sent(&self) -> u64 {
         self.samples_sent
     }
 
-    /// Samples frames sent since the start.
+    /// Number of frames of samples sent since the start.
     #[must_use]
     pub fn frames_sent(&self) -> u64 {
         self.frames_sent
     }
 
-    /// One round of the main loop: obeys what came in, sends what is due as far as there is room.
-    /// Says whether there is nothing left to do until an interrupt brings something.
+    /// One round of the main loop: obeys received commands and sends what is due, if there is room.
+    /// Returns whether nothing is left to do until the next interrupt.
     pub fn poll<const R: usize, const T: usize>(
         &mut self,
         sampling: &Sampling,
@@ -92,7 +92,7 @@ impl<'a> Stylus<'a> {
         while let Some(byte) = received.pop() {
             let command = match self.decoder.next(&mut &[byte][..]) {
                 Some(Ok(Message::Command(command))) => command,
-                // Damage on the way here is answered by silence; the daemon asks again.
+                // The stylus does not answer damaged bytes; the daemon repeats its command.
                 _ => continue,
             };
             self.obey(command, sampling);
@@ -108,7 +108,7 @@ impl<'a> Stylus<'a> {
         while room(line) {
             let Some(sample) = sampling.ring.pop() else {
                 emptied = true;
-                // Stopped before the ring was found empty: no sample can follow.
+                // Sampling stopped before the ring was found empty, so no sample can follow.
                 if !was_on {
                     self.flush(line);
                 }
@@ -127,7 +127,7 @@ impl<'a> Stylus<'a> {
         !(self.hello_due || self.status_due)
     }
 
-    /// Reports to the daemon how things stand at the next opportunity.
+    /// Sends a status to the daemon at the next opportunity.
     pub fn report(&mut self) {
         self.status_due = true;
     }
@@ -154,7 +154,7 @@ impl<'a> Stylus<'a> {
     }
 
     fn take<const T: usize>(&mut self, sample: Sample, line: &ByteRing<T>) {
-        // The ring's 32-bit tick is never 2^32 behind, so the difference gives the full index.
+        // The ring's 32-bit tick is never 2^32 ticks behind, so the difference gives the full index.
         let ahead = sample.tick.wrapping_sub(self.next_index as u32);
         let index = self.next_index + u64::from(ahead);
         if ahead > 0 {
@@ -175,7 +175,7 @@ impl<'a> Stylus<'a> {
         }
     }
 
-    /// Sends the samples of the block; the caller has seen to the room.
+    /// Sends the samples of the block. The caller has checked that there is room.
     fn flush<const T: usize>(&mut self, line: &ByteRing<T>) {
         let bytes = &self.block[..self.filled * SAMPLE_BYTES];
         if let Ok(samples) = Samples::new(self.first_index, STYLUS_CHANNELS, bytes)
@@ -223,7 +223,7 @@ mod tests {
         from: ByteRing<4096>,
     }
 
-    /// The daemon's view of a message: its kind in words, or index and count.
+    /// A message as the daemon sees it: its kind; for samples, index, count and first value.
     #[derive(Debug, PartialEq)]
     enum Seen {
         Hello,

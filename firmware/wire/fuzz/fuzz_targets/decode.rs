@@ -1,4 +1,4 @@
-//! Any bytes, cut anywhere: no panic, and what is accepted can be written again.
+//! Decodes any bytes, cut anywhere: nothing panics, and each accepted message can be encoded again.
 
 #![no_main]
 
@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use surfaced_wire::{Decoder, MAX_ENCODED, encode};
 
 fuzz_target!(|data: &[u8]| {
-    // The first byte says where to cut, the rest is the stream.
+    // The first byte gives the size of the parts; the rest is the stream.
     let Some((&size, stream)) = data.split_first() else { return };
     let mut decoder = Decoder::new();
     for mut piece in stream.chunks(usize::from(size) + 1) {
